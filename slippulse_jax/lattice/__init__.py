@@ -1,0 +1,1 @@
+"""The discrete model: blocks, springs and contacts that break one by one."""

@@ -1,0 +1,215 @@
+"""The slider: three numbers, and every stiffness and inverse length that follows from them.
+
+Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.quantities import quantity, quantity_field
+
+# (test, requirement as the user should read it) for each field
+_DOMAIN = {
+    "height": (lambda x: x > 1, "must exceed 1: the height in units of the correlation length λc"),
+    "stiffness": (lambda x: x > 0, "must be positive: the contact stiffness k in units of K = Eλc"),
+    "poisson": (lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
+}
+
+
+def _as_float(x: Any) -> Any:
+    """Leave JAX arrays (tracers included) to JAX; hold anything else in float64 until JAX asks for it."""
+    if isinstance(x, jax.Array):
+        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    return np.asarray(x, dtype=np.float64)
+
+
+class Slider(eqx.Module):
+    """An elastic slider on an interface of λ-contacts.
+
+    Parameters
+    ----------
+    height : array_like
+        H/λc, the effective height of the slider over the elastic correlation length; > 1.
+    stiffness : array_like
+        k/K, the stiffness of one λ-contact over that of an interfacial bond K = Eλc; > 0.
+    poisson : array_like
+        ν, Poisson's ratio of the bulk; in (−1, 0.5].
+
+    The three broadcast against each other: a `Slider` of arrays is a batch of sliders, and a pytree, so that
+    ``jax.vmap`` and ``jax.grad`` work through it.
+
+    Raises
+    ------
+    ValueError
+        If a value lies outside its domain or is not finite, naming field, value and index; or if the shapes do not
+        broadcast. Values traced by JAX cannot be looked at: there the lengths computed from them are NaN instead.
+    """
+
+    height: Float[AnyArrayLike, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=_as_float)
+    stiffness: Float[AnyArrayLike, "..."] = quantity_field("k/K", "1", "cra41", converter=_as_float)
+    poisson: Float[AnyArrayLike, "..."] = quantity_field("\\nu", "1", "cra05", converter=_as_float)
+
+    def __check_init__(self) -> None:
+        for name, (inside, requirement) in _DOMAIN.items():
+            value = getattr(self, name)
+            if not isinstance(value, Tracer):
+                _check(f"Slider.{name}", np.asarray(value), inside, requirement)
+        try:
+            self.shape  # noqa: B018
+        except ValueError:
+            shapes = ", ".join(f"{name} {np.shape(getattr(self, name))}" for name in _DOMAIN)
+            raise ValueError(f"the fields of a Slider must broadcast together: {shapes}") from None
+
+    @classmethod
+    def from_material(
+        cls,
+        *,
+        height: AnyArrayLike,
+        correlation_length: AnyArrayLike,
+        areal_stiffness: AnyArrayLike,
+        poisson: AnyArrayLike,
+        young: AnyArrayLike,
+    ) -> "Slider":
+        """Slider from material constants in SI units.
+
+        Parameters
+        ----------
+        height : array_like
+            H, in m.
+        correlation_length : array_like
+            λc, in m; smaller than `height`.
+        areal_stiffness : array_like
+            k/λc², the shear stiffness of the interface per area, in Pa/m.
+        poisson : array_like
+            ν.
+        young : array_like
+            E, in Pa.
+
+        Notes
+        -----
+        H/λc is a ratio of lengths, and k/K = (k/λc²) λc/E with K = Eλc (label cra04).
+        """
+        si = {
+            "height": height,
+            "correlation_length": correlation_length,
+            "areal_stiffness": areal_stiffness,
+            "young": young,
+        }
+        units = {"height": "m", "correlation_length": "m", "areal_stiffness": "Pa/m", "young": "Pa"}
+        for name, raw in si.items():
+            value = si[name] = _as_float(raw)
+            if not isinstance(value, Tracer):
+                _check(
+                    f"Slider.from_material: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {units[name]}"
+                )
+        return cls(
+            height=si["height"] / si["correlation_length"],
+            stiffness=si["areal_stiffness"] * si["correlation_length"] / si["young"],
+            poisson=poisson,
+        )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the batch; () for one slider."""
+        return np.broadcast_shapes(*(np.shape(x) for x in (self.height, self.stiffness, self.poisson)))
+
+    def __repr__(self) -> str:
+        return eqx.tree_pformat(self, short_arrays=False)
+
+    @property
+    @quantity("K_L", "K", "cra03")
+    def K_L(self) -> Array:
+        """Stiffness of a bond of the upper layer."""
+        return jnp.asarray(self.height)
+
+    @property
+    @quantity("K_T", "K", "cra05")
+    def K_T(self) -> Array:
+        """Stiffness of the transverse spring between the two layers."""
+        return 1 / (2 * (1 + jnp.asarray(self.poisson)) * self.height)
+
+    @property
+    @quantity("b", "1", "cra42")
+    def b(self) -> Array:
+        """Contact over transverse stiffness, k/K_T: the one number of the macroscopic limit."""
+        return 2 * (1 + jnp.asarray(self.poisson)) * self.stiffness * self.height
+
+    @property
+    @quantity("\\beta", "1", "cra10")
+    def beta(self) -> Array:
+        """K_T/(K_T + k)."""
+        return 1 / (1 + self.b)
+
+    @property
+    @quantity("\\kappa", "1/\\lambda_c", "cra10")
+    def kappa(self) -> Array:
+        """Inverse screening length of the interfacial layer on a rigid upper one."""
+        return jnp.sqrt(self.stiffness + self.K_T)
+
+    @property
+    @quantity("\\kappa_T", "1/\\lambda_c", "cra10")
+    def kappa_T(self) -> Array:
+        """Inverse screening length of the upper layer on a rigid interfacial one."""
+        return jnp.sqrt(self.K_T / self.K_L)
+
+    @property
+    @quantity("\\sqrt{\\mathcal D}", "1/\\lambda_c^2", "cra18")
+    def mode_splitting(self) -> Array:
+        """κ_1² − κ_2², as a sum of positive terms: D = (κ² − κ_T²)² + 4βκ²κ_T², with βκ² = K_T/K."""
+        coupling = self.K_T
+        return jnp.sqrt((coupling + self.stiffness - self.kappa_T**2) ** 2 + 4 * self.kappa_T**2 * coupling)
+
+    @property
+    @quantity("\\kappa_1", "1/\\lambda_c", "cra18")
+    def kappa_1(self) -> Array:
+        """Larger inverse decay length of the two layers together."""
+        return jnp.sqrt((self.kappa**2 + self.kappa_T**2 + self.mode_splitting) / 2)
+
+    @property
+    @quantity("\\kappa_2", "1/\\lambda_c", "cra18")
+    def kappa_2(self) -> Array:
+        """Smaller inverse decay length, from κ_1²κ_2² = κ_T² k/K: the difference of squares would cancel."""
+        return self.kappa_T * jnp.sqrt(jnp.asarray(self.stiffness)) / self.kappa_1
+
+    @property
+    @quantity("\\alpha_1", "1", "cra18")
+    def alpha_1(self) -> Array:
+        """u/u_t in the fast mode, 1 − κ_1²/κ_T² (negative).
+
+        Erratum: below label cra18 the bracket is misplaced; α_m = ½[1 − (κ² ± √D)/κ_T²] is meant.
+        """
+        return -self._excess_over_upper / self.kappa_T**2
+
+    @property
+    @quantity("\\alpha_2", "1", "cra18")
+    def alpha_2(self) -> Array:
+        """u/u_t in the slow mode, 1 − κ_2²/κ_T² (between 0 and 1). Erratum: as for `alpha_1`."""
+        return self._excess_over_contacts / self.kappa_1**2
+
+    @property
+    def _excess_over_upper(self) -> Array:
+        """κ_1² − κ_T² without cancellation (κ² > κ_T² because H > λc)."""
+        return (self.K_T + self.stiffness - self.kappa_T**2 + self.mode_splitting) / 2
+
+    @property
+    def _excess_over_contacts(self) -> Array:
+        """κ_1² − k/K without cancellation: the positive root e of e² + z e = (K_T/K)(k/K)."""
+        z = self.stiffness - self.K_T - self.kappa_T**2
+        larger = (self.mode_splitting + jnp.where(z < 0, -z, z)) / 2
+        return jnp.where(z < 0, larger, self.K_T * self.stiffness / larger)
+
+
+def _check(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
+    bad = ~(np.isfinite(value) & inside(value))
+    if bad.any():
+        index: tuple[int, ...] = tuple(np.argwhere(bad)[0].tolist())
+        where = f" at index {index if len(index) > 1 else index[0]}" if index else ""
+        more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
+        raise ValueError(f"{name} = {value[index]:g}{where}{more}: {requirement}")
