@@ -209,7 +209,7 @@ class Slider(eqx.Module):
 def _check(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
     bad = ~(np.isfinite(value) & inside(value))
     if bad.any():
-        index: tuple[int, ...] = tuple(np.argwhere(bad)[0].tolist())
-        where = f" at index {index if len(index) > 1 else index[0]}" if index else ""
+        index = [int(i) for i in np.argwhere(bad)[0]]
+        where = f" at index {index[0] if len(index) == 1 else tuple(index)}" if index else ""
         more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
-        raise ValueError(f"{name} = {value[index]:g}{where}{more}: {requirement}")
+        raise ValueError(f"{name} = {value[tuple(index)]:g}{where}{more}: {requirement}")
