@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.slider import Slider
@@ -102,6 +103,48 @@ def lattice_modes(slider: Slider, right: RightEnd = "semi-infinite", sites: int 
         load=determinant / at_edge,
         echo=echo,
     )
+
+
+class Fields(eqx.Module):
+    """Displacements along the chain, in u_s = f_s/k; the leading axis runs over the sites."""
+
+    upper: Float[Array, " sites"]  # u_t
+    interface: Float[Array, " sites"]  # u
+    pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
+
+    @property
+    def stress(self) -> Float[Array, " sites"]:
+        """Contact stress σ_c = k(u − u_b)/λc² (label cra06), in σ_s."""
+        return self.interface - self.pinning
+
+
+def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"]) -> Fields:
+    """Fields of a uniform chain in equilibrium, in O(sites).
+
+    Parameters
+    ----------
+    modes : Modes
+        Of the chain. Sites beyond those given are pinned at zero.
+    load : array, shape ()
+        U, displacement of the left edge of the upper layer, in u_s.
+    pinning : array, shape (sites,)
+        u_b, in u_s.
+    """
+    site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)[:, None]
+    echo, y = modes.echo_factor(site), modes.profile(site)
+    sources = pinning[:, None]
+
+    def accumulate(carry: Array, source: Array) -> tuple[Array, Array]:
+        carry = carry - modes.gap * carry + source
+        return carry, carry
+
+    zero = jnp.zeros_like(modes.ratio)
+    up_to = lax.scan(accumulate, zero, jnp.broadcast_to(sources, y.shape))[1]
+    from_here = lax.scan(accumulate, zero, echo * sources, reverse=True)[1]
+    endless = modes.weight * (echo * up_to + from_here - echo * sources)
+    amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
+    in_mode = endless + y * amplitude
+    return Fields(in_mode @ modes.upper, in_mode @ jnp.ones_like(modes.upper), pinning)
 
 
 def check_right_end(right: RightEnd, sites: int | None) -> None:
