@@ -1,7 +1,6 @@
 """The first precursor as users ask for it: its length, the full record, and lengths by the million."""
 
 import functools
-import math
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.lattice.front import (
     DEFAULT_MAX_CONTACTS,
+    Arrest,
     FrontStatus,
     arrest,
     front_stress,
@@ -193,21 +193,36 @@ def precursor_lengths(
     numpy.ndarray
         float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
+    lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
+    _report_given_up(lengths, max_contacts, raises=False)
+    return lengths
+
+
+def precursor_arrests(
+    slider: Slider,
+    *,
+    right: RightEnd = "semi-infinite",
+    sites: int | None = None,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+) -> Arrest:
+    """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
+
+    What `precursor_lengths` computes, with all that is known of each lane; nothing is raised or warned about a lane.
+    """
     check_right_end(right, sites)
     _check_max_contacts(max_contacts)
     parameters = np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape) for x in _fields(slider)], axis=-1)
     lanes = parameters.reshape(-1, 3)
     order = np.argsort(_expected_length(lanes), kind="stable")
-    result = np.empty(len(lanes))
+    result = Arrest(*(np.empty(len(lanes), dtype) for dtype in (np.int32, np.float64, np.int32, np.float64)))
     with jax.enable_x64(True):
-        chunk_lengths = _chunk_function(right, sites, max_contacts)
+        arrest_chunk = _chunk_function(right, sites, max_contacts)
         for start in range(0, len(lanes), _LANES):
             chosen = order[start : start + _LANES]
             padded = np.resize(chosen, _LANES)
-            result[chosen] = np.asarray(chunk_lengths(lanes[padded]))[: len(chosen)]
-    lengths = result.reshape(slider.shape)
-    _report_given_up(lengths, max_contacts, raises=False)
-    return lengths
+            for column, values in zip(result, arrest_chunk(lanes[padded]), strict=True):
+                column[chosen] = np.asarray(values)[: len(chosen)]
+    return Arrest(*(column.reshape(slider.shape) for column in result))
 
 
 _LANES = 1024  # lanes a chunk: the carried state of a chunk stays in the first-level cache
@@ -221,7 +236,7 @@ def _parameters(slider: Slider) -> Float[Array, "... 3"]:
     return jnp.stack([jnp.broadcast_to(jnp.asarray(x), slider.shape) for x in _fields(slider)], axis=-1)
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
     def length(parameters: Float[Array, "3"]) -> Array:
         return arrest(_slider(parameters), right, sites, max_contacts).length
@@ -229,12 +244,12 @@ def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> C
     return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
 
 
-@functools.lru_cache(maxsize=None)
-def _chunk_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Array]:
-    return jax.jit(jax.vmap(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts).length))
+@functools.cache
+def _chunk_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Arrest]:
+    return jax.jit(jax.vmap(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts)))
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Slider], Any]:
     return eqx.filter_jit(lambda slider: (lattice_modes(slider, right, sites), arrest(slider, right, sites, max_contacts)))
 
