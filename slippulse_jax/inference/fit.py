@@ -1,4 +1,4 @@
-"""Interface stiffness from measured precursor lengths: every root, ranked, with what the data allow and what they cannot say."""
+"""Interface stiffness from measured precursor lengths: every root, what the data allow, and what they cannot say."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ from slippulse_jax.inference.optimise import Minimum, Outcome, minimise
 from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
 from slippulse_jax.inference.result import FitResult, Identifiability, Root
 from slippulse_jax.inference.uncertainty import Interval, allowed, local_minima, merge, peaks, scan, threshold
-from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.lattice.front import Arrest, FrontStatus
 from slippulse_jax.lattice.precursor import precursor_arrests
 from slippulse_jax.slider import Slider
 
@@ -125,7 +125,7 @@ def _roots(
                     log_stderr=information**-0.5 if information > 0 else None,
                     share_of_information=information / float(curvature),
                     ratio=ratio,
-                    rebreaks=_fitted(measurements, ratio).status == FrontStatus.REBREAK,
+                    rebreaks=np.asarray(_fitted(measurements, ratio).status) == FrontStatus.REBREAK,
                 )
             )
         elif 2 * value <= chi2.min() + threshold(LEVELS[-1]):
@@ -209,7 +209,7 @@ def _attainable(curve: Curve, data: Data) -> tuple[np.ndarray, np.ndarray]:
     return fine.length.max(axis=0), fine.theta[at]
 
 
-def _fitted(measurements: Measurements, ratio: np.ndarray):
+def _fitted(measurements: Measurements, ratio: np.ndarray) -> Arrest:
     return precursor_arrests(Slider(measurements.height, ratio, measurements.poisson))
 
 

@@ -23,7 +23,6 @@ import numpy as np
 SI_COLUMNS = ("height_mm", "correlation_length_um", "poisson", "length_mm", "length_sigma_mm")
 DIMENSIONLESS_COLUMNS = ("height", "poisson", "length", "length_sigma")
 YOUNG_COLUMN = "young_GPa"
-TEXT_COLUMNS = ("specimen", "provenance")
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 
 
@@ -155,9 +154,7 @@ def _parse(text: str, name: str) -> Measurements:
     si = _check_header(header, f"{name}, line {header_line}")
     if len(rows) == 1:
         raise MeasurementError(f"{name}: a header and no measurements")
-    numeric = list(SI_COLUMNS if si else DIMENSIONLESS_COLUMNS)
-    if si and YOUNG_COLUMN in header:
-        numeric.append(YOUNG_COLUMN)
+    numeric: list[str] = [*(SI_COLUMNS if si else DIMENSIONLESS_COLUMNS), *[YOUNG_COLUMN] * (si and YOUNG_COLUMN in header)]
     table: dict[str, list[float]] = {}
     texts: dict[str, list[str]] = {column: [] for column in header if column not in numeric}
     for line, cells in rows[1:]:
@@ -175,10 +172,10 @@ def _parse(text: str, name: str) -> Measurements:
             table.setdefault(quantity, []).append(value)
         for column, cells_so_far in texts.items():
             cells_so_far.append(row[column])
-    known_texts = {column: tuple(texts.pop(column)) for column in TEXT_COLUMNS if column in texts}
     return Measurements(
         **{quantity: np.array(values) for quantity, values in table.items()},
-        **known_texts,
+        specimen=tuple(texts.pop("specimen", ())),
+        provenance=tuple(texts.pop("provenance", ())),
         lines=tuple(line for line, _ in rows[1:]),
         source=name,
         other=texts,

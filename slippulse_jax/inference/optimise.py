@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+AnyArray = Array | np.ndarray
 Objective = Callable[[Float[Array, ""]], Float[Array, ""]]
 
 
@@ -34,12 +36,12 @@ class Outcome(enum.IntEnum):
 class Minimum(NamedTuple):
     """Where a start ended; every field has the shape of the starts."""
 
-    theta: Float[Array, ""]
-    value: Float[Array, ""]
-    gradient: Float[Array, ""]
-    curvature: Float[Array, ""]
-    steps: Int[Array, ""]
-    outcome: Int[Array, ""]
+    theta: Float[AnyArray, ""]
+    value: Float[AnyArray, ""]
+    gradient: Float[AnyArray, ""]
+    curvature: Float[AnyArray, ""]
+    steps: Int[AnyArray, ""]
+    outcome: Int[AnyArray, ""]
 
 
 def minimise(objective: Objective, start: Array, low: Array, high: Array, *, max_steps: int = 60) -> Minimum:
@@ -59,7 +61,7 @@ def minimise(objective: Objective, start: Array, low: Array, high: Array, *, max
     def in_line(z: Array) -> Array:
         return objective(inside(z))
 
-    optimiser = optax.lbfgs(linesearch=optax.scale_by_backtracking_linesearch(max_backtracking_steps=20, store_grad=True))
+    optimiser = optax.lbfgs()
     value_and_grad = optax.value_and_grad_from_state(in_line)
 
     class Search(NamedTuple):
@@ -71,7 +73,7 @@ def minimise(objective: Objective, start: Array, low: Array, high: Array, *, max
     def step(search: Search) -> Search:
         value, grad = value_and_grad(search.z, state=search.state)
         updates, state = optimiser.update(grad, search.state, search.z, value=value, grad=grad, value_fn=in_line)
-        z = optax.apply_updates(search.z, updates)
+        z = search.z + jnp.asarray(updates)
         moving = jnp.abs(inside(z) - inside(search.z)) > 4 * jnp.finfo(z.dtype).eps * jnp.maximum(1, jnp.abs(inside(z)))
         return Search(z, state, search.step + 1, moving)
 

@@ -9,8 +9,8 @@ from slippulse_jax.inference.uncertainty import Interval
 def report(result: FitResult) -> str:
     """Report of a fit: result, intervals, quality, the measurements one by one, notes."""
     m = result.measurements
-    specimens = len(set(m.specimen)) if m.specimen else 0
-    counts = f"{len(m)} length{'s' if len(m) > 1 else ''}" + (f", {specimens} specimen{'s' if specimens > 1 else ''}" * (specimens > 0))
+    specimens = len(set(m.specimen))
+    counts = _plural(len(m), "length") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
     lines = [
         "Interface stiffness from first-precursor lengths",
         f"  data    {m.source} ({counts})",
@@ -65,7 +65,8 @@ def _roots(result: FitResult) -> list[str]:
 def _quality(result: FitResult) -> str:
     if result.p_value is None:
         return f"Fit: chi-squared {result.chi2:.3g} with no degree of freedom: one length cannot test the model"
-    return f"Fit: chi-squared {result.chi2:.3g} for {result.dof} degrees of freedom (p = {result.p_value:.2g}); σ as given, not rescaled"
+    degrees = _plural(result.dof, "degree") + " of freedom"
+    return f"Fit: chi-squared {result.chi2:.3g} for {degrees} (p = {result.p_value:.2g}); σ as given, not rescaled"
 
 
 def _table(result: FitResult) -> list[str]:
@@ -126,3 +127,6 @@ def interval(piece: Interval) -> str:
         return f"above {piece.low:.4g}"
     return f"{piece.low:.4g} to {piece.high:.4g}"
 
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" + "s" * (count != 1)

@@ -216,8 +216,8 @@ def _notes(result: FitResult):
     p_value = result.p_value
     if p_value is not None and p_value < 1e-3:
         yield (
-            f"chi-squared is improbably large (p = {p_value:.1g}): the model does not describe these data with the stated σ, and "
-            "the errors, which rest on σ, are too small"
+            f"chi-squared is improbably large (p = {p_value:.1g}): the model does not describe these data with the stated σ, "
+            "and the errors, which rest on σ, are too small"
         )
     above = m.length - m.length_sigma > result.attainable
     if above.any():

@@ -1,7 +1,7 @@
 """Which values the data allow: the likelihood along one parameter, read off a scan that follows its every turn.
 
-The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open side. A
-curvature at the best point knows nothing of that; the set {θ : χ²(θ) − χ²_min ≤ Δ} does.
+The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
+side. A curvature at the best point knows nothing of that; the set {θ : χ²(θ) − χ²_min ≤ Δ} does.
 """
 
 from collections.abc import Callable
@@ -57,7 +57,7 @@ def peaks(curve: Curve, data: Data) -> np.ndarray:
     """θ at which some measurement's ℓ(θ) has its maximum, from sign changes of the slope, refined; shape (p,)."""
     rising, falling = curve.slope[:-1] > 0, curve.slope[1:] <= 0
     node, _ = np.nonzero(rising & falling)
-    found = [_bracketed_peak(curve.theta[i], curve.theta[i + 1], data) for i in np.unique(node)]
+    found = [_bracketed_peak(float(curve.theta[i]), float(curve.theta[i + 1]), data) for i in np.unique(node)]
     return np.unique(np.concatenate(found)) if found else np.empty(0)
 
 
@@ -102,13 +102,13 @@ def allowed(curve: Curve, data: Data, chi2_min: float, level: float) -> list[Int
     open_low, open_high = bool(inside[0]), bool(inside[-1])
     ends = [float(curve.theta[0])] * open_low + ends + [float(curve.theta[-1])] * open_high
     pairs = list(zip(ends[::2], ends[1::2], strict=True))
-    return [
-        Interval(low, high, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (low, high) in enumerate(pairs)
-    ]
+    return [Interval(low, high, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (low, high) in enumerate(pairs)]
 
 
 def find_crossing(f: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> float:
-    """Point between `low` and `high`, where `f` has different signs, at which it changes sign; `f` takes many points at once."""
+    """Point between `low` and `high`, where its signs differ, at which `f` changes sign; `f` takes many points at once."""
+    theta = value = np.empty(0)
+    i = 0
     for _ in range(CROSSING_ROUNDS):
         theta = np.linspace(low, high, CROSSING_PARTS)
         value = f(theta)

@@ -13,6 +13,7 @@ is imposed and u is free. For a semi-infinite chain e_m = 1.
 from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -130,21 +131,21 @@ def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"
     pinning : array, shape (sites,)
         u_b, in u_s.
     """
-    site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)[:, None]
-    echo, y = modes.echo_factor(site), modes.profile(site)
-    sources = pinning[:, None]
+    site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)
+    echo, y = jax.vmap(modes.echo_factor)(site), jax.vmap(modes.profile)(site)
+    sources = jnp.stack([pinning, pinning], axis=1)
 
     def accumulate(carry: Array, source: Array) -> tuple[Array, Array]:
         carry = carry - modes.gap * carry + source
         return carry, carry
 
     zero = jnp.zeros_like(modes.ratio)
-    up_to = lax.scan(accumulate, zero, jnp.broadcast_to(sources, y.shape))[1]
+    up_to = lax.scan(accumulate, zero, sources)[1]
     from_here = lax.scan(accumulate, zero, echo * sources, reverse=True)[1]
-    endless = modes.weight * (echo * up_to + from_here - echo * sources)
+    endless = echo * up_to + from_here - echo * sources
     amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
-    in_mode = endless + y * amplitude
-    return Fields(in_mode @ modes.upper, in_mode @ jnp.ones_like(modes.upper), pinning)
+    in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
+    return Fields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning)
 
 
 def check_right_end(right: RightEnd, sites: int | None) -> None:

@@ -194,8 +194,8 @@ def precursor_lengths(
         float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
     lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
-    _report_given_up(lengths, max_contacts, raises=False)
-    return lengths
+    _report_given_up(np.asarray(lengths), max_contacts, raises=False)
+    return np.asarray(lengths)
 
 
 def precursor_arrests(
@@ -239,7 +239,7 @@ def _parameters(slider: Slider) -> Float[Array, "... 3"]:
 @functools.cache
 def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
     def length(parameters: Float[Array, "3"]) -> Array:
-        return arrest(_slider(parameters), right, sites, max_contacts).length
+        return jnp.asarray(arrest(_slider(parameters), right, sites, max_contacts).length)
 
     return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
 
