@@ -10,12 +10,12 @@ import sys
 
 import click
 
+from slippulse_jax.commands.shared import FAILURE, INTERRUPTED
+
 COMMANDS = {
     "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
     "length": "Length of the first precursor of one slider.",
 }
-
-FAILURE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130
 
 
 class LazyGroup(click.Group):

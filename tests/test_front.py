@@ -132,7 +132,8 @@ def high_precision_length(height, stiffness, poisson, count):
             t_edge[m] += decay[m] * before
             decay[m] *= r[m]
         stress = sum(
-            w[m] * s_near[m] + decay[m] * (drive[m] + reflection[m][0] * t_edge[0] + reflection[m][1] * t_edge[1]) for m in (0, 1)
+            w[m] * s_near[m] + decay[m] * (drive[m] + reflection[m][0] * t_edge[0] + reflection[m][1] * t_edge[1])
+            for m in (0, 1)
         )
     return count - 1 + (before - 1) / (before - stress)
 

@@ -13,7 +13,9 @@ from slippulse_jax.lattice import precursor as module
 def test_fields_solve_the_chain(right):
     """u and u_t at every front position satisfy the matrix equations of the independent program."""
     n = 100
-    record = first_precursor(Slider(25, 0.03, 0.3), right=right, sites=None if right == "semi-infinite" else n, recorded_sites=n)
+    record = first_precursor(
+        Slider(25, 0.03, 0.3), right=right, sites=None if right == "semi-infinite" else n, recorded_sites=n
+    )
     matrix = plain_chain.chain_matrix(25, 0.03, 0.3, n, right)
     for position in (0, 1, 13, int(record.contacts_broken)):
         fields = record.fields_at(position)
@@ -76,7 +78,9 @@ def test_lengths_do_not_depend_on_the_batch(monkeypatch):
         np.testing.assert_array_equal(precursor_lengths(Slider(height[:size], stiffness[:size], 0.3)), whole[:size])
     order = rng.permutation(200)
     np.testing.assert_array_equal(precursor_lengths(Slider(height[order], stiffness[order], 0.3)), whole[order])
-    np.testing.assert_array_equal(precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole)
+    np.testing.assert_array_equal(
+        precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
+    )
     monkeypatch.setattr(module, "_LANES", 64)
     np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
     singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import click
 
-from slippulse_jax.cli import NOT_CONVERGED
-from slippulse_jax.commands.shared import as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.commands.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
 
 
 @click.command()

@@ -10,6 +10,8 @@ import click
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FAILURE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130
+
 FIGURE_FORMATS = ("png", "pdf", "svg")
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -18,7 +20,7 @@ as_json = click.option("--json", "as_json", is_flag=True, help="Print the result
 class BadInput(click.ClickException):
     """Input that cannot be used; exit status 2."""
 
-    exit_code = 2
+    exit_code = BAD_INPUT
 
 
 def print_json(content: dict[str, Any]) -> None:

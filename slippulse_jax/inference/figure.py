@@ -1,4 +1,4 @@
-"""The picture of a fit: data with the fitted curve and what no stiffness can reach, and what each length says of the stiffness."""
+"""The picture of a fit: data with the fitted curve, what no stiffness can reach, and what each length says of the stiffness."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,11 @@ from slippulse_jax.slider import Slider
 # Okabe and Ito's colours, told apart by all kinds of sight
 BLUE, VERMILION, GREY = "#0072B2", "#D55E00", "#666666"
 FAMILY = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+STIFFNESS_LABELS = {
+    "stiffness": "stiffness $k/K$",
+    "areal_stiffness": r"areal stiffness $k/\lambda_c^2$ (Pa/m)",
+    "areal_stiffness_over_young": r"areal stiffness over Young's modulus $(k/\lambda_c^2)/E$ (1/m)",
+}
 BAND_LEVEL = 0.95
 MOST_CURVES = 6
 
@@ -46,11 +51,11 @@ def draw_lengths(result: FitResult, ax: Axes) -> None:
             label = f"{BAND_LEVEL:.0%} band" if first and piece is result.level_intervals[BAND_LEVEL][0] else None
             ax.fill_between(x, family.min(axis=0), family.max(axis=0), color=BLUE, alpha=0.2, lw=0, label=label)
         longest = _longest(result, height, one) * y
+        beyond = "beyond any stiffness" if first else None
         ax.plot(x, longest, color=GREY, ls="--", lw=1)
-        ax.fill_between(x, longest, longest.max() * 1.12, color=GREY, alpha=0.15, lw=0, label="beyond any stiffness" if first else None)
-    ax.errorbar(
-        m.height * scale, m.length * scale, m.length_sigma * scale, fmt="o", ms=4, color=VERMILION, capsize=2, label="measured ± σ"
-    )
+        ax.fill_between(x, longest, longest.max() * 1.12, color=GREY, alpha=0.15, lw=0, label=beyond)
+    x, y, error = m.height * scale, m.length * scale, m.length_sigma * scale
+    ax.errorbar(x, y, error, fmt="o", ms=4, color=VERMILION, capsize=2, label="measured ± σ")
     ax.set_xlabel(f"height $H$ ({unit})" if m.in_si else r"height $H/\lambda_c$")
     ax.set_ylabel(f"precursor length ({unit})" if m.in_si else r"precursor length $\ell/\lambda_c$")
     ax.set_ylim(bottom=0)
@@ -75,14 +80,12 @@ def draw_information(result: FitResult, ax: Axes) -> None:
     for n, piece in enumerate(result.level_intervals[BAND_LEVEL]):
         ax.axvspan(piece.low, piece.high, color=GREY, alpha=0.3, lw=0, label=f"{BAND_LEVEL:.0%} interval" if n == 0 else None)
     ax.axvline(result.value, color="k", lw=0.8)
-    parameter = result.parameter
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
     reached = curve.length.max(axis=1) > 0
     ax.set_xlim(stiffness[reached][0], stiffness[-1])
     ax.set_ylim(bottom=0)
-    symbols = {"stiffness": "$k/K$", "areal_stiffness": r"areal stiffness $k/\lambda_c^2$ (Pa/m)"}
-    ax.set_xlabel("stiffness " + symbols["stiffness"] if parameter.name == "stiffness" else symbols.get(parameter.name, r"$(k/\lambda_c^2)/E$ (1/m)"))
+    ax.set_xlabel(STIFFNESS_LABELS[result.parameter.name])
     ax.set_ylabel(r"length over height $\ell/H$")
     ax.legend(frameon=False, fontsize="small", loc="upper left")
     ax.set_title("What each length says of the stiffness (bands: measured ± σ)", loc="left", fontsize="medium")
@@ -98,7 +101,8 @@ def _display_unit(result: FitResult) -> tuple[np.ndarray, str]:
 def _groups(result: FitResult) -> list[np.ndarray]:
     """Rows that lie on one curve of length against height: same ν, λc and E."""
     m = result.measurements
-    keys = np.stack([m.poisson, result.parameter.ratio_per_unit, m.correlation_length if m.in_si else np.ones(len(m))], axis=1)
+    correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
+    keys = np.stack([m.poisson, result.parameter.ratio_per_unit, correlation_length], axis=1)
     _, group = np.unique(keys, axis=0, return_inverse=True)
     return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
 

@@ -19,7 +19,7 @@ from slippulse_jax.inference.objective import (
 from slippulse_jax.inference.optimise import Minimum, Outcome, minimise
 from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
 from slippulse_jax.inference.result import FitResult, Identifiability, Root
-from slippulse_jax.inference.uncertainty import Interval, allowed, local_minima, merge, peaks, scan, threshold
+from slippulse_jax.inference.uncertainty import Interval, allowed, chi_squared_tail, local_minima, merge, peaks, scan, threshold
 from slippulse_jax.lattice.front import Arrest, FrontStatus
 from slippulse_jax.lattice.precursor import precursor_arrests
 from slippulse_jax.slider import Slider
@@ -81,7 +81,15 @@ def fit(
     intervals = {level: allowed(curve, data, chi2_min, level) for level in LEVELS}
     at_best = roots[0] if roots and roots[0].chi2 <= chi2_min + 1e-6 else None
     theta = np.log(at_best.value) if at_best else float(curve.theta[best])
-    identifiability, reason = _identifiability(at_best, roots, intervals, curve, data, parameter)
+    if at_best is None and unconverged:
+        identifiability, reason = Identifiability.NOT_CONVERGED, unconverged[0]
+    else:
+        identifiability, reason = _identifiability(at_best, roots, intervals, curve, data, parameter)
+    if identifiability is Identifiability.AT_MAXIMUM:
+        # around a maximum that the data lie far above, the rise of χ² measures the misfit and not the stiffness
+        for level in LEVELS:
+            if chi_squared_tail(chi2_min, len(measurements)) < 1 - level:
+                intervals[level] = []
     attainable, where = _attainable(curve, data)
     return FitResult(
         measurements=measurements,
@@ -176,13 +184,15 @@ def _identifiability(
     low_level, high_level = (intervals[level] for level in LEVELS)
     rivals = [root for root in roots if root.chi2 <= roots[0].chi2 + threshold(LEVELS[-1])]
     values = " and ".join(f"{root.value:.4g}" for root in rivals)
-    longest = float(np.max(data.length / curve.length.max(axis=0)))
+    if not curve.length.any():
+        return Identifiability.UNINFORMATIVE, "no stiffness in the range searched starts a domino: every length is zero"
     if len(high_level) == 1 and high_level[0].open_low and high_level[0].open_high:
         return Identifiability.UNINFORMATIVE, "the data allow every stiffness in the range searched"
     if best is None:
         end = "upper" if intervals[LEVELS[0]][-1].open_high else "lower"
         return Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched"
     if best.share_of_information < 0.5:
+        longest = float(np.max(data.length / curve.length.max(axis=0)))
         return Identifiability.AT_MAXIMUM, (
             f"the measured length is {longest:.3g} times the longest the model can give at any stiffness; at that maximum the "
             "length does not change with stiffness"

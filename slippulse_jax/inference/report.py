@@ -41,7 +41,8 @@ def _values(result: FitResult) -> list[str]:
         symbol, unit = symbols[name]
         rows.append(f"  {symbol:10s} {value_with_error(value, result.stderr[name])} {unit}".rstrip())
         for level, pieces in result.intervals[name].items():
-            rows.append(f"  {'':10s} {level:.0%} interval  {' or '.join(interval(piece) for piece in pieces)}")
+            text = " or ".join(interval(piece) for piece in pieces) or "none: no stiffness gives these lengths"
+            rows.append(f"  {'':10s} {level:.0%} interval  {text}")
     if "stiffness" not in result.values:
         ratio = result.parameter.ratio(result.value)
         rows.append(f"  {'k/K':10s} {ratio.min():.4g} to {ratio.max():.4g}, as λc and E differ between measurements")
@@ -113,8 +114,8 @@ def value_with_error(value: float, error: float | None) -> str:
         exponent = 0
     scaled, scaled_error = value / 10.0**exponent, error / 10.0**exponent
     digits = max(0, 1 - int(np.floor(np.log10(scaled_error))))
-    power = f"e{exponent}" if exponent else ""
-    return f"({scaled:.{digits}f} ± {scaled_error:.{digits}f}){power}"
+    text = f"{scaled:.{digits}f} ± {scaled_error:.{digits}f}"
+    return f"({text})e{exponent}" if exponent else text
 
 
 def interval(piece: Interval) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Curve
 from slippulse_jax.inference.parameters import Stiffness
-from slippulse_jax.inference.uncertainty import Interval
+from slippulse_jax.inference.uncertainty import Interval, chi_squared_tail
 from slippulse_jax.lattice.front import Arrest, FrontStatus
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ class Identifiability(enum.Enum):
     ONE_SIDED = "bounded on one side only"
     AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
     SKEWED = "identified, but not with a symmetric error"
-    UNINFORMATIVE = "not identifiable: every stiffness fits"
+    UNINFORMATIVE = "not identifiable: no stiffness is preferred"
+    NOT_CONVERGED = "the search did not converge"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,11 +103,7 @@ class FitResult:
     @property
     def p_value(self) -> float | None:
         """Probability of a χ² at least this large if model and σ are right; None without degrees of freedom."""
-        if self.dof == 0:
-            return None
-        from jax.scipy.special import gammaincc
-
-        return float(gammaincc(self.dof / 2, self.chi2 / 2))
+        return chi_squared_tail(self.chi2, self.dof) if self.dof else None
 
     @property
     def residuals(self) -> np.ndarray:

@@ -8,7 +8,9 @@ from collections.abc import Callable
 from statistics import NormalDist
 from typing import NamedTuple
 
+import jax
 import numpy as np
+from jax.scipy.special import gammaincc
 
 from slippulse_jax.inference.objective import Curve, Data, chi_squared, evaluate
 
@@ -28,6 +30,12 @@ class Interval(NamedTuple):
 def threshold(level: float) -> float:
     """Rise of χ² at the ends of an interval of this confidence level, one parameter: 1 at 68.27 %, 3.84 at 95 %."""
     return NormalDist().inv_cdf((1 + level) / 2) ** 2
+
+
+def chi_squared_tail(chi2: float, dof: int) -> float:
+    """Probability of a χ² with `dof` degrees of freedom at least this large."""
+    with jax.enable_x64(True):
+        return float(gammaincc(dof / 2, chi2 / 2))
 
 
 def scan(data: Data, bounds: tuple[float, float]) -> Curve:
