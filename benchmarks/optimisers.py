@@ -14,7 +14,7 @@ import optax
 from jax import lax
 
 from slippulse_jax import Slider
-from slippulse_jax.inference.objective import Data, half_chi_squared, lengths
+from slippulse_jax.inference.objective import Data, half_chi_squared, length_of
 from slippulse_jax.lattice.precursor import precursor_lengths
 
 STUDIES, HEIGHTS = 200, np.array([15.0, 25.0, 40.0])
@@ -33,6 +33,10 @@ def data(length, sigma) -> Data:
     return Data(HEIGHTS, np.full(3, 0.3), np.ones(3), length, sigma)
 
 
+def model(theta):
+    return jax.vmap(lambda h: length_of(h, jnp.exp(theta), 0.3))(HEIGHTS)
+
+
 def descend(optimiser: optax.GradientTransformationExtraArgs, natural: bool):
     """Steps of one optimiser from z0 until the position stops changing; returns θ and the number of steps."""
 
@@ -41,13 +45,13 @@ def descend(optimiser: optax.GradientTransformationExtraArgs, natural: bool):
             return BOX[0] + (BOX[1] - BOX[0]) * jax.nn.sigmoid(z)
 
         def f(z):
-            return half_chi_squared(inside(z), data(length, sigma))
+            return half_chi_squared(inside(z)[None], data(length, sigma))
 
         def step(carry):
             z, state, n, _ = carry
             value, grad = jax.value_and_grad(f)(z)
             if natural:  # divide by the Fisher information: a Gauss–Newton step
-                slope = jax.jacfwd(lambda x: lengths(inside(x), data(length, sigma)) / sigma)(z)
+                slope = jax.jacfwd(lambda x: model(inside(x)) / sigma)(z)
                 grad = grad / (jnp.sum(slope**2) + 1e-12)
             updates, state = optimiser.update(grad, state, z, value=value, grad=grad, value_fn=f)
             new = optax.apply_updates(z, updates)

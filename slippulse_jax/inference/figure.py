@@ -76,15 +76,17 @@ def draw_information(result: FitResult, ax: Axes) -> None:
         name = f"$H$ = {tall * scale[i]:.4g} {unit}" if m.in_si else rf"$H/\lambda_c$ = {tall:.4g}"
         ax.plot(stiffness, curve.length[:, i] / tall, color=color, label=name)
         low, high = (m.length[i] - m.length_sigma[i]) / tall, (m.length[i] + m.length_sigma[i]) / tall
-        ax.axhspan(low, high, color=color, alpha=0.15, lw=0)
+        ax.axhspan(float(low), float(high), color=color, alpha=0.15, lw=0)
     for n, piece in enumerate(result.level_intervals[BAND_LEVEL]):
         ax.axvspan(piece.low, piece.high, color=GREY, alpha=0.3, lw=0, label=f"{BAND_LEVEL:.0%} interval" if n == 0 else None)
     ax.axvline(result.value, color="k", lw=0.8)
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
-    reached = curve.length.max(axis=1) > 0
-    ax.set_xlim(stiffness[reached][0], stiffness[-1])
-    ax.set_ylim(bottom=0)
+    share = (curve.length / m.height).max(axis=1)
+    if share.any():
+        # from where a precursor is worth a hundredth of the longest; room above for the legend
+        ax.set_xlim(stiffness[share > 0.01 * share.max()][0], stiffness[-1])
+        ax.set_ylim(0, 1.25 * share.max())
     ax.set_xlabel(STIFFNESS_LABELS[result.parameter.name])
     ax.set_ylabel(r"length over height $\ell/H$")
     ax.legend(frameon=False, fontsize="small", loc="upper left")

@@ -120,7 +120,7 @@ def _roots(
         return [], []
     found = _descend(curve.theta[nodes], curve.theta[nodes - 1], curve.theta[nodes + 1], data, max_steps)
     roots, unconverged = [], []
-    for theta, value, curvature, outcome in zip(found.theta, found.value, found.curvature, found.outcome, strict=True):
+    for (theta,), value, ((curvature,),), outcome in zip(found.theta, found.value, found.hessian, found.outcome, strict=True):
         if outcome == Outcome.CONVERGED:
             here = evaluate(np.array([theta]), data)
             information = float(fisher_information(here, data)[0])
@@ -144,7 +144,7 @@ def _roots(
 def _descend(start: np.ndarray, low: np.ndarray, high: np.ndarray, data: Data, max_steps: int) -> Minimum:
     """Minima from all starts at once, as NumPy; padded to a power of two so that few shapes are compiled."""
     count = len(start)
-    padded = [np.resize(x, 1 << (count - 1).bit_length()) for x in (start, low, high)]
+    padded = [np.resize(x, 1 << (count - 1).bit_length())[:, None] for x in (start, low, high)]
     with jax.enable_x64(True):
         return Minimum(*(np.asarray(x)[:count] for x in _minimise_all(*padded, data, jnp.asarray(max_steps))))
 

@@ -1,6 +1,5 @@
 """How far a model with given stiffness is from the data: χ² and what it is made of, over a parameter θ = ln(stiffness)."""
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -8,20 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import Stiffness
-from slippulse_jax.lattice.precursor import precursor_length
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
 from slippulse_jax.slider import Slider
+
+AnyArray = Array | np.ndarray
 
 
 class Data(NamedTuple):
     """Arrays of shape (n,) that the compiled functions see; lengths in λc."""
 
-    height: Array | np.ndarray
-    poisson: Array | np.ndarray
-    ratio_per_unit: Array | np.ndarray
-    length: Array | np.ndarray
-    sigma: Array | np.ndarray
+    height: AnyArray
+    poisson: AnyArray
+    ratio_per_unit: AnyArray
+    length: AnyArray
+    sigma: AnyArray
 
 
 class Curve(NamedTuple):
@@ -38,14 +40,23 @@ def as_data(measurements: Measurements, parameter: Stiffness) -> Data:
     return Data(m.height, m.poisson, parameter.ratio_per_unit, m.length, m.length_sigma)
 
 
-def lengths(theta: Float[Array, ""], data: Data) -> Float[Array, " n"]:
-    """Model length of each measurement, in λc."""
-    return precursor_length(Slider(data.height, jnp.exp(theta) * data.ratio_per_unit, data.poisson))
+def length_of(height: AnyArray, stiffness: AnyArray, poisson: AnyArray) -> Array:
+    """Model length of one measurement, in λc; differentiable forward."""
+    return jnp.asarray(arrest(Slider(height, stiffness, poisson), "semi-infinite", None, DEFAULT_MAX_CONTACTS).length)
 
 
-def half_chi_squared(theta: Float[Array, ""], data: Data) -> Float[Array, ""]:
-    """χ²/2 = ½ Σ [(ℓ − measured)/σ]²."""
-    return jnp.sum(((lengths(theta, data) - data.length) / data.sigma) ** 2) / 2
+def half_chi_squared(theta: Float[Array, "1"], data: Data) -> Float[Array, ""]:
+    """χ²/2 = ½ Σ [(ℓ − measured)/σ]², differentiable in `theta` alone.
+
+    Derivatives are taken here, in the one parameter that is fitted, rather than in the three numbers of every slider: each pass
+    of the recursion then carries one tangent instead of three, and compiles in a fraction of the time.
+    """
+
+    def value(theta: Float[Array, "1"]) -> Float[Array, ""]:
+        model = jax.vmap(length_of)(data.height, jnp.exp(theta[0]) * data.ratio_per_unit, data.poisson)
+        return jnp.sum(((model - data.length) / data.sigma) ** 2) / 2
+
+    return by_forward_mode(value)(theta)
 
 
 def chi_squared(curve: Curve, data: Data) -> np.ndarray:
@@ -77,11 +88,9 @@ def evaluate(theta: np.ndarray, data: Data) -> Curve:
 _LANES = 512
 
 
-@functools.partial(jax.jit)
+@jax.jit
 def _length_and_slope(columns: Float[Array, "3 lanes"]) -> Float[Array, "2 lanes"]:
-    height, stiffness, poisson = columns
+    def value_and_slope(height: Array, stiffness: Array, poisson: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda k: length_of(height, k, poisson), (stiffness,), (stiffness,))
 
-    def length(log_factor: Array) -> Array:
-        return precursor_length(Slider(height, stiffness * jnp.exp(log_factor), poisson))
-
-    return jnp.stack(jax.jvp(length, (jnp.zeros_like(stiffness),), (jnp.ones_like(stiffness),)))
+    return jnp.stack(jax.vmap(value_and_slope)(*columns))

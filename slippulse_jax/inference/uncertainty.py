@@ -15,7 +15,7 @@ from jax.scipy.special import gammaincc
 from slippulse_jax.inference.objective import Curve, Data, chi_squared, evaluate
 
 NODE_SPACING = 0.1  # in ln(stiffness); ℓ(k/K) turns over a range of order one
-CROSSING_ROUNDS, CROSSING_PARTS = 4, 33  # each round divides a bracket by 32
+CROSSING_ROUNDS, CROSSING_PARTS = 2, 33  # each round divides a bracket, at most a node spacing wide, by 32
 
 
 class Interval(NamedTuple):
@@ -122,6 +122,6 @@ def find_crossing(f: Callable[[np.ndarray], np.ndarray], low: float, high: float
         value = f(theta)
         i = int(np.nonzero((value[1:] > 0) != (value[:-1] > 0))[0][0])
         low, high = float(theta[i]), float(theta[i + 1])
-    # the last bracket is a millionth of the first: a straight line is exact to rounding there
+    # nodes lie half a standard error apart here, so that the line is straight to 1e-6 of one
     share = value[i] / (value[i] - value[i + 1])
     return low + float(share) * (high - low)
