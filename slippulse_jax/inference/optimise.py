@@ -49,7 +49,8 @@ def minimise(objective: Objective, start: Array, low: Array, high: Array, *, max
 
     L-BFGS with optax's zoom line search, chosen by measurement (benchmarks/optimisers.py): it reaches every minimum, in seven
     steps, where Adam misses some in two hundred. Its backtracking search is no slower, but was seen to end above its start
-    where two roots lie close together. The box is mapped to the whole space, θ = low + (high − low)/(1 + e^{−z}), so that no step leaves it.
+    where two roots lie close together. The box is mapped to the whole space, θ = low + (high − low)/(1 + e^{−z}), so that no
+    step leaves it.
 
     A start is called converged only where the Newton decrement gᵀh⁻¹g says that the minimum is within 10⁻⁴ standard errors, and
     only if the Hessian h is positive: a plateau has neither gradient nor curvature and is called flat.
