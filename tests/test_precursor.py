@@ -6,7 +6,8 @@ import plain_chain
 import pytest
 
 from slippulse_jax import FrontStatus, Slider, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import precursor as module
+from slippulse_jax.lattice import lanes
+from slippulse_jax.lattice.precursor import precursor_arrests
 
 
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
@@ -81,7 +82,7 @@ def test_lengths_do_not_depend_on_the_batch(monkeypatch):
     np.testing.assert_array_equal(
         precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
     )
-    monkeypatch.setattr(module, "_LANES", 64)
+    monkeypatch.setattr(lanes, "CHUNKS", (64,))
     np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
     singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])
     np.testing.assert_allclose(whole[:20], singly, rtol=1e-12)
@@ -102,3 +103,18 @@ def test_status_messages_are_for_people():
     assert [status.value for status in FrontStatus] == list(range(6)), "values are stored in files: they never change"
     for status in FrontStatus:
         assert len(status.message) > 20
+
+
+def test_bulk_lengths_equal_the_recursion_everywhere():
+    """Two ways of writing the recursion, over the whole domain: lanes without a domino, tall ones, Poisson's ratio below zero."""
+    rng = np.random.default_rng(8)
+    n = 3000
+    sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
+    bulk, arrests = precursor_lengths(sliders), precursor_arrests(sliders)
+    assert (arrests.status == FrontStatus.NO_DOMINO).any()
+    assert arrests.length.max() > 1000
+    np.testing.assert_array_equal(np.maximum(np.ceil(bulk), 1), arrests.contacts_broken)
+    # on the softest interfaces the stress barely passes the threshold, and its last digit moves the crossing
+    firm = sliders.stiffness > 1e-5
+    np.testing.assert_allclose(bulk[firm], arrests.length[firm], rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(bulk, arrests.length, rtol=1e-8)

@@ -20,6 +20,7 @@ from slippulse_jax.lattice.front import (
     arrest,
     front_stress,
 )
+from slippulse_jax.lattice.lanes import length_rank, sorted_lengths
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -193,7 +194,12 @@ def precursor_lengths(
     numpy.ndarray
         float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
-    lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
+    check_right_end(right, sites)
+    _check_max_contacts(max_contacts)
+    if right == "semi-infinite":
+        lengths = sorted_lengths(_lanes(slider), max_contacts).reshape(slider.shape)
+    else:
+        lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
     _report_given_up(np.asarray(lengths), max_contacts, raises=False)
     return np.asarray(lengths)
 
@@ -211,9 +217,8 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     _check_max_contacts(max_contacts)
-    parameters = np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape) for x in _fields(slider)], axis=-1)
-    lanes = parameters.reshape(-1, 3)
-    order = np.argsort(_expected_length(lanes), kind="stable")
+    lanes = _lanes(slider).T
+    order = np.argsort(length_rank(lanes.T), kind="stable")
     result = Arrest(*(np.empty(len(lanes), dtype) for dtype in (np.int32, np.float64, np.int32, np.float64)))
     with jax.enable_x64(True):
         arrest_chunk = _chunk_function(right, sites, max_contacts)
@@ -230,6 +235,10 @@ _LANES = 1024  # lanes a chunk: the carried state of a chunk stays in the first-
 
 def _fields(slider: Slider) -> tuple[Any, Any, Any]:
     return slider.height, slider.stiffness, slider.poisson
+
+
+def _lanes(slider: Slider) -> Float[np.ndarray, "3 n"]:
+    return np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape).ravel() for x in _fields(slider)])
 
 
 def _parameters(slider: Slider) -> Float[Array, "... 3"]:
@@ -256,14 +265,6 @@ def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> C
 
 def _slider(parameters: Array) -> Slider:
     return Slider(parameters[0], parameters[1], parameters[2])
-
-
-def _expected_length(lanes: np.ndarray) -> np.ndarray:
-    """ln[2/(1+β)]/κ_2, the leading term of Eq. (25): good enough to put lanes of like length together."""
-    height, stiffness, poisson = lanes.T
-    b = 2 * (1 + poisson) * stiffness * height
-    kappa_2 = np.sqrt(b / (1 + b) / (2 * (1 + poisson))) / height
-    return np.log(2 / (1 + 1 / (1 + b))) / kappa_2
 
 
 def _check_max_contacts(max_contacts: int) -> None:
