@@ -7,7 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "slippulse_jax"
@@ -110,3 +112,21 @@ def test_fit_example_runs_and_recovers(name):
 
 def test_there_are_examples():
     assert {"pmma_block", "paper_printed_value"} <= set(EXAMPLES)
+
+
+NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_runs_and_is_committed_with_its_output(name):
+    path = ROOT / "notebooks" / name
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code), "commit notebooks executed"
+    assert path.stat().st_size < 300_000
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}).execute()
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS

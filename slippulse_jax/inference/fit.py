@@ -15,6 +15,7 @@ from slippulse_jax.inference.objective import (
     evaluate,
     fisher_information,
     half_chi_squared,
+    padded,
 )
 from slippulse_jax.inference.optimise import Minimum, Outcome, minimise
 from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
@@ -142,11 +143,11 @@ def _roots(
 
 
 def _descend(start: np.ndarray, low: np.ndarray, high: np.ndarray, data: Data, max_steps: int) -> Minimum:
-    """Minima from all starts at once, as NumPy; padded to a power of two so that few shapes are compiled."""
+    """Minima from all starts at once, as NumPy; repeated to a power of two so that few shapes are compiled."""
     count = len(start)
-    padded = [np.resize(x, 1 << (count - 1).bit_length())[:, None] for x in (start, low, high)]
+    boxes = [np.resize(x, max(2, 1 << (count - 1).bit_length()))[:, None] for x in (start, low, high)]
     with jax.enable_x64(True):
-        return Minimum(*(np.asarray(x)[:count] for x in _minimise_all(*padded, data, jnp.asarray(max_steps))))
+        return Minimum(*(np.asarray(x)[:count] for x in _minimise_all(*boxes, padded(data), jnp.asarray(max_steps))))
 
 
 @jax.jit

@@ -40,6 +40,14 @@ def as_data(measurements: Measurements, parameter: Stiffness) -> Data:
     return Data(m.height, m.poisson, parameter.ratio_per_unit, m.length, m.length_sigma)
 
 
+def padded(data: Data) -> Data:
+    """The same data in one of few shapes, so that little is compiled: copies of the last one with σ = ∞ weigh nothing."""
+    count = len(data.length)
+    size = max(8, 1 << (count - 1).bit_length())
+    repeated = Data(*(np.concatenate([column, np.repeat(column[-1:], size - count)]) for column in data))
+    return repeated._replace(sigma=np.concatenate([data.sigma, np.full(size - count, np.inf)]))
+
+
 def length_of(height: AnyArray, stiffness: AnyArray, poisson: AnyArray) -> Array:
     """Model length of one measurement, in λc; differentiable forward."""
     return jnp.asarray(arrest(Slider(height, stiffness, poisson), "semi-infinite", None, DEFAULT_MAX_CONTACTS).length)
