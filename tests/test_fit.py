@@ -87,6 +87,61 @@ def test_length_above_the_maximum_is_not_identifiable(excess):
         assert "none" in result.report()
 
 
+@pytest.mark.parametrize("sigma", [1.0, 0.1, 1e-3, 1e-6])
+@pytest.mark.parametrize("height", [10.0, 25.0])
+def test_length_exactly_at_the_maximum(height, sigma):
+    """χ² is zero and the slope too: no number, no failure of the search."""
+    peak = precursor_lengths(Slider(height, np.geomspace(0.01, 0.2, 20_001), 0.3)).max()
+    result = fit(Measurements(height=[height], poisson=0.3, length=peak, length_sigma=sigma))
+    assert result.converged
+    assert result.identifiability in (Identifiability.AT_MAXIMUM, Identifiability.SEVERAL_ROOTS, Identifiability.SKEWED)
+    assert result.stderr["stiffness"] is None
+    assert result.chi2 < 1e-3
+
+
+def test_minimum_at_the_step_where_the_domino_starts():
+    """ℓ jumps from 0 to 1 when the second contact starts to break: χ² can have its minimum at that step."""
+    m = Measurements(height=[9.3697, 3.3015, 8.7588], poisson=0.3, length=[5.2007, 1.0644, 5.2191], length_sigma=0.3)
+    result = fit(m)
+    assert result.converged
+    grid = np.geomspace(1e-4, 1, 4001)[:, None]
+    scan = (((precursor_lengths(Slider(m.height, grid, 0.3)) - m.length) / 0.3) ** 2).sum(axis=1)
+    assert result.chi2 <= scan.min() + 1e-6
+
+
+def test_short_sliders_with_noise_always_get_an_answer():
+    """H/λc 3–10, where whole contacts are large beside the length: the search ends, with a root or a reason."""
+    rng = np.random.default_rng(12)
+    for _ in range(40):
+        height = rng.uniform(3, 10, 3)
+        exact = precursor_lengths(Slider(height, np.exp(rng.uniform(*np.log([3e-3, 0.3]))), 0.3))
+        result = fit(
+            Measurements(
+                height=height, poisson=0.3, length=np.abs(exact + 0.5 * rng.standard_normal(3)) + 0.1, length_sigma=0.5
+            )
+        )
+        assert result.converged, result.report()
+        assert result.reason or result.log_stderr
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-7])
+def test_tiny_sigma_keeps_the_minimum(sigma):
+    m = study(np.array([15.0, 30.0, 60.0]), 0.003, 0.01)
+    result = fit(Measurements(height=m.height, poisson=0.3, length=m.length * [1.1, 0.95, 1.02], length_sigma=sigma))
+    assert result.identifiability is Identifiability.POOR_FIT
+    assert result.value == pytest.approx(0.0031, rel=0.05)
+
+
+def test_many_rows_of_few_heights_cost_little():
+    """3 000 measurements at three heights are three curves."""
+    rng = np.random.default_rng(5)
+    height = np.repeat([15.0, 30.0, 60.0], 1000)
+    exact = precursor_lengths(Slider(height, 0.004, 0.3))
+    result = fit(Measurements(height=height, poisson=0.3, length=exact + 0.5 * rng.standard_normal(3000), length_sigma=0.5))
+    assert abs(np.log(result.value / 0.004)) < 3 * result.log_stderr
+    assert result.log_stderr < 0.01
+
+
 def test_hopeless_sigma_allows_every_stiffness():
     result = fit(Measurements(height=[25.0], poisson=0.3, length=13.0, length_sigma=100.0))
     assert result.identifiability is Identifiability.UNINFORMATIVE
@@ -159,10 +214,14 @@ def test_units_of_the_result():
 def test_wrong_sigma_and_repeated_lines_are_remarked():
     m = study(np.array([15.0, 30.0, 60.0]), 0.003, 0.01)
     off = Measurements(height=m.height, poisson=0.3, length=m.length * [1.2, 1, 0.8], length_sigma=m.length_sigma)
-    assert any("improbably large" in note for note in fit(off).notes)
+    poor = fit(off)
+    assert poor.identifiability is Identifiability.POOR_FIT
+    assert poor.stderr["stiffness"] is None
+    assert poor.intervals["stiffness"][0.95] == []
+    assert "does not describe these data" in poor.report()
     twice = Measurements(height=[25, 25], poisson=0.3, length=20, length_sigma=1, other={"humidity": ["40", "50"]})
     notes = fit(twice).notes
-    assert any("repeat" in note for note in notes)
+    assert any("repeats another" in note or "repeat another" in note for note in notes)
     assert any("humidity" in note for note in notes)
 
 
@@ -182,6 +241,9 @@ def test_refused_requests():
         fit(m, free=("poisson",))
     with pytest.raises(ValueError, match="free = "):
         fit(m, free=())
+    assert fit(m, free="stiffness").value == fit(m).value
+    with pytest.raises(ValueError, match="must lie in 1e-30 to 1e3"):
+        fit(m, bounds=(1e-300, 1e300))
     with pytest.raises(ValueError, match=r"bounds = \(1, 0.1\) of stiffness"):
         fit(m, bounds=(1.0, 0.1))
     with pytest.raises(ValueError, match="max_steps = 0"):

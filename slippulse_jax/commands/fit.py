@@ -15,7 +15,7 @@ from slippulse_jax.commands.shared import NOT_CONVERGED, as_json, figure_path, p
     type=float,
     nargs=2,
     metavar="LOW HIGH",
-    help="Range of stiffness to search, in the unit of the result (Pa/m for data in SI, k/K otherwise).",
+    help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
 )
 @as_json
 @click.pass_context

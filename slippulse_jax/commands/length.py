@@ -52,7 +52,7 @@ def _form(given: dict[str, float | None]) -> dict[str, float]:
     form = {name: given[name] for name in (SI if si else DIMENSIONLESS)}
     missing = [_option(name) for name, value in form.items() if value is None]
     if missing:
-        raise click.UsageError(f"missing {', '.join(missing)}")
+        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the slider: see --help)")
     return {name: value for name, value in form.items() if value is not None}
 
 
@@ -103,7 +103,7 @@ def _text(result: dict[str, Any]) -> str:
     lines = [
         f"slider: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
         f"right end {result['right']}" + (f", {result['sites']} sites" if result["sites"] else ""),
-        f"ℓ   = {result['length']:.6f} λc{in_mm}",
+        f"ℓ   = {result['length']:.6f} λc{in_mm}" if math.isfinite(result["length"]) else "ℓ   = none",
         f"{count:20s} whole contacts broken",
         f"U0  = {result['load']:.6g} u_s".ljust(20) + " displacement of the left edge at nucleation",
         f"status: {result['message']}",

@@ -2,36 +2,25 @@
 
 from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.inference.identifiability import LEVELS, Identifiability, judge
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.objective import (
-    Curve,
-    Data,
-    as_data,
-    chi_squared,
-    evaluate,
-    fisher_information,
-    half_chi_squared,
-    padded,
-)
-from slippulse_jax.inference.optimise import Minimum, Outcome, minimise
+from slippulse_jax.inference.objective import Curve, Data, as_data, chi_squared, evaluate, near
+from slippulse_jax.inference.optimise import Local, Outcome, minimise
 from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
-from slippulse_jax.inference.result import FitResult, Identifiability, Root
+from slippulse_jax.inference.result import FitResult, Root
 from slippulse_jax.inference.uncertainty import Interval, allowed, chi_squared_tail, local_minima, merge, peaks, scan, threshold
 from slippulse_jax.lattice.front import Arrest, FrontStatus
 from slippulse_jax.lattice.precursor import precursor_arrests
 from slippulse_jax.slider import Slider
 
-LEVELS = (0.6827, 0.95)
 FREE_PARAMETERS = ("stiffness",)
 
 
 def fit(
     measurements: Measurements,
-    free: Sequence[str] = ("stiffness",),
+    free: str | Sequence[str] = ("stiffness",),
     *,
     bounds: tuple[float, float] | None = None,
     max_steps: int = 60,
@@ -40,7 +29,7 @@ def fit(
 
     The model is the first precursor of a uniform, relaxed interface on a semi-infinite slider, and all measurements share one
     stiffness: k/K where lengths are in λc, the areal stiffness k/λc² where they are in SI. χ² = Σ[(ℓ − measured)/σ]² is
-    scanned over the whole range of stiffness, each of its minima is refined by gradient descent (optax L-BFGS, all starts at
+    scanned over the whole range of stiffness, each of its minima is refined by gradient descent (optax, all starts at
     once), and the intervals are the sets of values that χ² allows, in as many pieces as there are.
 
     Parameters
@@ -65,9 +54,10 @@ def fit(
     ValueError
         If something else than the stiffness is asked for, or the bounds make no range.
     """
+    free = (free,) if isinstance(free, str) else tuple(free)
     unknown = [name for name in free if name not in FREE_PARAMETERS]
     if unknown or not free:
-        raise ValueError(f"free = {tuple(free)!r}: this version fits {', '.join(FREE_PARAMETERS)}")
+        raise ValueError(f"free = {free!r}: this version fits {', '.join(FREE_PARAMETERS)}")
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
     parameter = stiffness_parameter(measurements, bounds)
@@ -80,17 +70,20 @@ def fit(
     best = int(np.argmin(chi2))
     chi2_min = float(chi2[best])
     intervals = {level: allowed(curve, data, chi2_min, level) for level in LEVELS}
-    at_best = roots[0] if roots and roots[0].chi2 <= chi2_min + 1e-6 else None
+    at_best = roots[0] if roots and roots[0].chi2 <= _close_to(chi2_min) else None
     theta = np.log(at_best.value) if at_best else float(curve.theta[best])
     if at_best is None and unconverged:
         identifiability, reason = Identifiability.NOT_CONVERGED, unconverged[0]
     else:
-        identifiability, reason = _identifiability(at_best, roots, intervals, curve, data, parameter)
+        identifiability, reason = judge(at_best, roots, intervals, curve, data, parameter.unit)
     if identifiability is Identifiability.AT_MAXIMUM:
         # around a maximum that the data lie far above, the rise of χ² measures the misfit and not the stiffness
-        for level in LEVELS:
-            if chi_squared_tail(chi2_min, len(measurements)) < 1 - level:
-                intervals[level] = []
+        intervals = {
+            level: pieces if chi_squared_tail(chi2_min, len(measurements)) >= 1 - level else []
+            for level, pieces in intervals.items()
+        }
+    elif identifiability is Identifiability.POOR_FIT:
+        intervals = dict.fromkeys(LEVELS, [])
     attainable, where = _attainable(curve, data)
     return FitResult(
         measurements=measurements,
@@ -119,43 +112,33 @@ def _roots(
     nodes = local_minima(chi2)
     if not len(nodes):
         return [], []
-    found = _descend(curve.theta[nodes], curve.theta[nodes - 1], curve.theta[nodes + 1], data, max_steps)
+    box = curve.theta[nodes], curve.theta[nodes - 1], curve.theta[nodes + 1]
+    found = minimise(lambda theta: near(theta, data), *box, max_steps=max_steps)
     roots, unconverged = [], []
-    for (theta,), value, ((curvature,),), outcome in zip(found.theta, found.value, found.hessian, found.outcome, strict=True):
-        if outcome == Outcome.CONVERGED:
-            here = evaluate(np.array([theta]), data)
-            information = float(fisher_information(here, data)[0])
-            ratio = parameter.ratio(float(np.exp(theta)))
+    for i, outcome in enumerate(found.outcome):
+        local = Local(*(x[i] for x in found.local))
+        if outcome in (Outcome.CONVERGED, Outcome.KINK):
+            value = float(np.exp(found.theta[i]))
+            ratio = parameter.ratio(value)
+            smooth = outcome == Outcome.CONVERGED
             roots.append(
                 Root(
-                    value=float(np.exp(theta)),
-                    chi2=float(2 * value),
-                    # χ²/2 has curvature Σ(ℓ'/σ)² + Σ r ℓ''/σ: without the first term the length does not tell
-                    log_stderr=information**-0.5 if information > 0 else None,
-                    share_of_information=information / float(curvature),
+                    value=value,
+                    chi2=float(2 * local.value),
+                    log_stderr=float(local.information) ** -0.5 if smooth else None,
+                    share_of_information=float(local.information / max(local.curvature, local.information)) if smooth else None,
                     ratio=ratio,
                     rebreaks=np.asarray(_fitted(measurements, ratio).status) == FrontStatus.REBREAK,
                 )
             )
-        elif 2 * value <= chi2.min() + threshold(LEVELS[-1]):
+        elif 2 * local.value <= _close_to(float(chi2.min())) + threshold(LEVELS[-1]):
             unconverged.append(Outcome(int(outcome)).message)
     return sorted(roots, key=lambda root: root.chi2), unconverged
 
 
-def _descend(start: np.ndarray, low: np.ndarray, high: np.ndarray, data: Data, max_steps: int) -> Minimum:
-    """Minima from all starts at once, as NumPy; repeated to a power of two so that few shapes are compiled."""
-    count = len(start)
-    boxes = [np.resize(x, max(2, 1 << (count - 1).bit_length()))[:, None] for x in (start, low, high)]
-    with jax.enable_x64(True):
-        return Minimum(*(np.asarray(x)[:count] for x in _minimise_all(*boxes, padded(data), jnp.asarray(max_steps))))
-
-
-@jax.jit
-def _minimise_all(start, low, high, data: Data, max_steps) -> Minimum:
-    def one(start, low, high):
-        return minimise(lambda theta: half_chi_squared(theta, data), start, low, high, max_steps=max_steps)
-
-    return jax.vmap(one)(start, low, high)
+def _close_to(chi2: float) -> float:
+    """A χ² that rounding cannot tell from this one."""
+    return chi2 * (1 + 1e-9) + 1e-6
 
 
 def _with_valleys(curve: Curve, roots: list[Root], data: Data) -> Curve:
@@ -171,46 +154,6 @@ def _with_valleys(curve: Curve, roots: list[Root], data: Data) -> Curve:
     extra = np.concatenate(theta)
     extra = extra[(extra > curve.theta[0]) & (extra < curve.theta[-1])]
     return merge(curve, evaluate(extra, data)) if len(extra) else curve
-
-
-def _identifiability(
-    best: Root | None,
-    roots: list[Root],
-    intervals: dict[float, list[Interval]],
-    curve: Curve,
-    data: Data,
-    parameter: Stiffness,
-) -> tuple[Identifiability, str]:
-    """Whether there is a number to report with a standard error, and if not, why."""
-    low_level, high_level = (intervals[level] for level in LEVELS)
-    rivals = [root for root in roots if root.chi2 <= roots[0].chi2 + threshold(LEVELS[-1])]
-    values = " and ".join(f"{root.value:.4g}" for root in rivals)
-    if not curve.length.any():
-        return Identifiability.UNINFORMATIVE, "no stiffness in the range searched starts a domino: every length is zero"
-    if len(high_level) == 1 and high_level[0].open_low and high_level[0].open_high:
-        return Identifiability.UNINFORMATIVE, "the data allow every stiffness in the range searched"
-    if best is None:
-        end = "upper" if intervals[LEVELS[0]][-1].open_high else "lower"
-        return Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched"
-    if best.share_of_information < 0.5:
-        longest = float(np.max(data.length / curve.length.max(axis=0)))
-        return Identifiability.AT_MAXIMUM, (
-            f"the measured length is {longest:.3g} times the longest the model can give at any stiffness; at that maximum the "
-            "length does not change with stiffness"
-        )
-    if len(rivals) > 1:
-        joined = "; the interval joins them" if len(high_level) == 1 else ""
-        return Identifiability.SEVERAL_ROOTS, f"the lengths fit at {values} {parameter.unit}".rstrip() + joined
-    if any(piece.open_low or piece.open_high for piece in high_level):
-        return Identifiability.ONE_SIDED, "the data bound the stiffness on one side only"
-    assert best.log_stderr is not None
-    widths = [abs(end - np.log(best.value)) / best.log_stderr for end in (low_level[0].low, low_level[-1].high)]
-    if len(low_level) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
-        return Identifiability.SKEWED, (
-            "the likelihood is far from a normal curve (its 68 % interval reaches "
-            f"{widths[0]:.2g} and {widths[1]:.2g} curvature standard errors); use the intervals"
-        )
-    return Identifiability.IDENTIFIED, ""
 
 
 def _attainable(curve: Curve, data: Data) -> tuple[np.ndarray, np.ndarray]:

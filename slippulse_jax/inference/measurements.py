@@ -113,6 +113,9 @@ def _check_domain(values: dict[str, float], where: str, columns: dict[str, tuple
         if not (np.isfinite(value) and inside(value)):
             column, text = columns.get(name, (name, f"{value:g}"))
             raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
+    if 0 < values["length_sigma"] < 1e-9 * values["length"]:
+        column, text = columns.get("length_sigma", ("length_sigma", f"{values['length_sigma']:g}"))
+        raise MeasurementError(f"{where}, column {column}: {text}: below a billionth of the length, which nothing measures")
 
 
 def read_measurements(path: str | os.PathLike[str]) -> Measurements:
@@ -205,6 +208,13 @@ def _check_header(header: list[str], where: str) -> bool:
     for column, count in Counter(header).items():
         if count > 1:
             raise MeasurementError(f"{where}, column {column or '(no name)'}: there {count} times")
+    folded = {
+        known.casefold(): known for known in (*SI_COLUMNS, *DIMENSIONLESS_COLUMNS, YOUNG_COLUMN, "specimen", "provenance")
+    }
+    for column in header:
+        meant = folded.get(column.casefold(), column)
+        if meant != column and meant not in header:
+            raise MeasurementError(f"{where}, column {column}: did you mean {meant}? Upper and lower case count in units")
     only_si = [c for c in SI_COLUMNS if c not in DIMENSIONLESS_COLUMNS and c in header]
     only_plain = [c for c in DIMENSIONLESS_COLUMNS if c not in SI_COLUMNS and c in header]
     if only_si and only_plain:
@@ -213,7 +223,7 @@ def _check_header(header: list[str], where: str) -> bool:
     missing = [column for column in wanted if column not in header]
     if missing:
         expected = f"the columns {', '.join(wanted)}" if only_si or only_plain else _forms()
-        raise MeasurementError(f"{where}: no column {', '.join(missing)}; expected {expected}")
+        raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
     return bool(only_si)
 
 

@@ -30,7 +30,7 @@ class Stiffness:
 
 
 def stiffness_parameter(measurements: Measurements, bounds: tuple[float, float] | None = None) -> Stiffness:
-    """Parameter for these data, with bounds wide enough that nothing the model can say lies beyond them.
+    """Parameter for these data; by default from where no domino starts up to k/K = `STIFFEST`.
 
     Parameters
     ----------
@@ -54,4 +54,9 @@ def stiffness_parameter(measurements: Measurements, bounds: tuple[float, float] 
     low, high = bounds
     if not 0 < low < high < np.inf:
         raise ValueError(f"bounds = ({low:g}, {high:g}) of {name}: must be positive, finite and in increasing order")
+    softest, stiffest = (low * per_unit).min(), (high * per_unit).max()
+    if softest < 1e-30 or stiffest > 1e3:
+        raise ValueError(
+            f"bounds = ({low:g}, {high:g}) of {name} mean k/K from {softest:g} to {stiffest:g}: must lie in 1e-30 to 1e3"
+        )
     return Stiffness(name, symbol, unit, per_unit, (low, high))

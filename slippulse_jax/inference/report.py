@@ -15,6 +15,7 @@ def report(result: FitResult) -> str:
         "Interface stiffness from first-precursor lengths",
         f"  data    {m.source} ({counts})",
         "  model   first self-healing precursor, uniform relaxed interface, semi-infinite slider",
+        f"  range   {_searched(result)}",
         "",
         f"{_headline(result)}",
         *_values(result),
@@ -41,7 +42,7 @@ def _values(result: FitResult) -> list[str]:
         symbol, unit = symbols[name]
         rows.append(f"  {symbol:10s} {value_with_error(value, result.stderr[name])} {unit}".rstrip())
         for level, pieces in result.intervals[name].items():
-            text = " or ".join(interval(piece) for piece in pieces) or "none: no stiffness gives these lengths"
+            text = " or ".join(interval(piece) for piece in pieces) or "none: no stiffness gives these lengths within σ"
             rows.append(f"  {'':10s} {level:.0%} interval  {text}")
     if "stiffness" not in result.values:
         ratio = result.parameter.ratio(result.value)
@@ -59,7 +60,7 @@ def _roots(result: FitResult) -> list[str]:
     for root in result.roots:
         again = "; edge contact breaks again before the arrest" if root.rebreaks.any() else ""
         value = f"{value_with_error(root.value, root.stderr)} {unit}".rstrip()
-        rows.append(f"    {value}  (chi-squared + {root.chi2 - result.chi2:.3g}{again})")
+        rows.append(f"    {value}  (chi-squared + {max(0.0, root.chi2 - result.chi2):.2f}{again})")
     return rows
 
 
@@ -67,7 +68,7 @@ def _quality(result: FitResult) -> str:
     if result.p_value is None:
         return f"Fit: chi-squared {result.chi2:.3g} with no degree of freedom: one length cannot test the model"
     degrees = _plural(result.dof, "degree") + " of freedom"
-    return f"Fit: chi-squared {result.chi2:.3g} for {degrees} (p = {result.p_value:.2g}); σ as given, not rescaled"
+    return f"Fit: chi-squared {result.chi2:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
 
 
 def _table(result: FitResult) -> list[str]:
@@ -127,6 +128,19 @@ def interval(piece: Interval) -> str:
     if piece.open_high:
         return f"above {piece.low:.4g}"
     return f"{piece.low:.4g} to {piece.high:.4g}"
+
+
+def _probability(p_value: float) -> str:
+    return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
+
+
+def _searched(result: FitResult) -> str:
+    low, high = result.parameter.bounds
+    stiffest = result.parameter.ratio(high).max()
+    return (
+        f"{result.parameter.symbol} from {low:.2g} to {high:.2g} {result.parameter.unit}".rstrip()
+        + f" (k/K up to {stiffest:.3g})"
+    )
 
 
 def _plural(count: int, noun: str) -> str:

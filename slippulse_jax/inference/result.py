@@ -1,13 +1,13 @@
 """What a fit found: values, errors, intervals, roots, and whether the data can tell at all."""
 
 import dataclasses
-import enum
 import hashlib
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.inference.identifiability import Identifiability
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Curve
 from slippulse_jax.inference.parameters import Stiffness
@@ -18,27 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Identifiability(enum.Enum):
-    """Whether the data determine the stiffness; the value is what the report says."""
-
-    IDENTIFIED = "identified"
-    SEVERAL_ROOTS = "not identifiable as one number: more than one stiffness fits"
-    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
-    ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
-    SKEWED = "identified, but not with a symmetric error"
-    UNINFORMATIVE = "not identifiable: no stiffness is preferred"
-    NOT_CONVERGED = "the search did not converge"
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Root:
     """One minimum of χ²."""
 
     value: float
     chi2: float
-    log_stderr: float | None  # standard error of ln(value) from the Fisher information; None where the length does not respond
-    share_of_information: float  # of the curvature of χ²/2, what the response of the length makes up; 1 at a good root
+    log_stderr: float | None  # standard error of ln(value) from the Fisher information; None at a corner of ℓ
+    share_of_information: float | None  # what the response of the length makes up of the curvature of χ²/2; 1 at a good root
     ratio: np.ndarray  # k/K of each measurement
     rebreaks: np.ndarray  # whether the edge contact would break again before the front stops
 
@@ -129,6 +116,10 @@ class FitResult:
 
         return report(self)
 
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
+        return f"FitResult({self.identifiability.name}: {values}; report() says more)"
+
     def __str__(self) -> str:
         return self.report()
 
@@ -150,13 +141,14 @@ class FitResult:
             "roots": [
                 {
                     "values": self._by_name(root.value),
-                    "stderr": root.stderr,
-                    "delta_chi2": root.chi2 - self.chi2,
+                    "stderr": _by_ratio(self._by_name(root.value), root),
+                    "delta_chi2": _finite(root.chi2 - self.chi2),
                     "rebreaks": bool(root.rebreaks.any()),
                 }
                 for root in self.roots
             ],
-            "chi2": self.chi2,
+            "searched": dict(zip(("low", "high"), p.bounds, strict=True)),
+            "chi2": _finite(self.chi2),
             "dof": self.dof,
             "p_value": self.p_value,
             "measurements": [
@@ -203,25 +195,18 @@ def _notes(result: FitResult):
     kinds = sorted({text for text in m.provenance if text})
     if kinds and kinds != ["measured"]:
         yield f"provenance: {', '.join(kinds)}"
-    rows = list(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.length_sigma, strict=True))
-    repeated = [i for i, row in enumerate(rows) if row in rows[:i]]
-    if repeated:
-        which = f"line {m.lines[repeated[0]]}" if m.lines else f"measurement {repeated[0]}"
-        yield f"{len(repeated)} measurement(s) repeat an earlier one exactly ({which}): each counts as a measurement of its own"
+    rows = set(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.length_sigma, strict=True))
+    if len(rows) < len(m):
+        yield f"{len(m) - len(rows)} measurement(s) repeat another one exactly: each counts as a measurement of its own"
     if m.in_si and m.young is None:
         yield "no young_GPa: the areal stiffness in Pa/m cannot be had, only its ratio to Young's modulus"
-    p_value = result.p_value
-    if p_value is not None and p_value < 1e-3:
-        yield (
-            f"chi-squared is improbably large (p = {p_value:.1g}): the model does not describe these data with the stated σ, "
-            "and the errors, which rest on σ, are too small"
-        )
     above = m.length - m.length_sigma > result.attainable
     if above.any():
         i = int(np.argmax(m.length / result.attainable))
         where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
         yield (
-            f"{int(above.sum())} length(s) lie more than σ above the longest that any stiffness gives; worst at {where}: "
+            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
+            f"worst at {where}: "
             f"{m.length[i]:.6g} λc, attainable {result.attainable[i]:.6g} λc"
         )
     if any(root.rebreaks.any() for root in result.roots[:1]):
@@ -231,6 +216,10 @@ def _notes(result: FitResult):
         )
     for outcome in result.outcomes:
         yield f"a start {outcome}"
+
+
+def _by_ratio(values: dict[str, float], root: Root) -> dict[str, float | None]:
+    return {name: None if root.log_stderr is None else value * root.log_stderr for name, value in values.items()}
 
 
 def _finite(x: float) -> float | None:

@@ -12,9 +12,10 @@ import jax
 import numpy as np
 from jax.scipy.special import gammaincc
 
-from slippulse_jax.inference.objective import Curve, Data, chi_squared, evaluate
+from slippulse_jax.inference.objective import Curve, Data, chi_squared, distinct_curves, evaluate
 
 NODE_SPACING = 0.1  # in ln(stiffness); ℓ(k/K) turns over a range of order one
+CROWDED_CURVES = 24
 CROSSING_ROUNDS, CROSSING_PARTS = 2, 33  # each round divides a bracket, at most a node spacing wide, by 32
 
 
@@ -39,14 +40,17 @@ def chi_squared_tail(chi2: float, dof: int) -> float:
 
 
 def scan(data: Data, bounds: tuple[float, float]) -> Curve:
-    """Curve over ln(bounds), with extra nodes crowded around the peak of every measurement's ℓ(θ).
+    """Curve over ln(bounds), with extra nodes crowded around the peak of every ℓ(θ), of up to `CROWDED_CURVES` of them.
 
     Two roots either side of a peak may lie closer together than any fixed spacing; the crowding resolves them down to 10⁻⁴.
+    With more curves than that, each with a peak of its own, no one of them makes a pair of roots.
     """
     low, high = np.log(bounds)
     nodes = np.linspace(low, high, max(200, int((high - low) / NODE_SPACING)))
     curve = evaluate(nodes, data)
     offsets = np.concatenate([[0.0], np.geomspace(1e-4, NODE_SPACING, 16)])
+    if len(distinct_curves(data)[0]) > CROWDED_CURVES:
+        return curve
     around = [peak + sign * offsets for peak in peaks(curve, data) for sign in (-1, 1)]
     if not around:
         return curve
@@ -57,8 +61,7 @@ def scan(data: Data, bounds: tuple[float, float]) -> Curve:
 def merge(*curves: Curve) -> Curve:
     """Nodes of all the curves, in order of θ, each once."""
     theta, keep = np.unique(np.concatenate([c.theta for c in curves]), return_index=True)
-    length, slope = (np.concatenate([getattr(c, name) for c in curves])[keep] for name in ("length", "slope"))
-    return Curve(theta, length, slope)
+    return Curve(theta, *(np.concatenate(columns)[keep] for columns in list(zip(*curves, strict=True))[1:]))
 
 
 def peaks(curve: Curve, data: Data) -> np.ndarray:

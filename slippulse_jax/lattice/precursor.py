@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
@@ -43,7 +44,6 @@ class FirstPrecursor(eqx.Module):
     length: Float[Array, ""]  # ℓ, the continuous length
     load: Float[Array, ""]  # U0, displacement of the left edge at nucleation
     status: Int[Array, ""]  # a FrontStatus
-    edge_stress: Float[Array, ""]  # stress on contact 0 at arrest, the largest behind the front
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
 
@@ -51,6 +51,20 @@ class FirstPrecursor(eqx.Module):
         """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
         broken = jnp.arange(self.front_stress.shape[0]) < front_position
         return equilibrium_fields(self.modes, self.load, jnp.where(broken, self.front_stress, 0))
+
+    @property
+    def edge_stress(self) -> Float[Array, ""]:
+        """Stress on contact 0 at arrest, the largest behind the front; in σ_s."""
+        return self.arrest.stress[0]
+
+    def __str__(self) -> str:
+        if isinstance(self.length, Tracer) or self.length.ndim:
+            return repr(self)
+        status = FrontStatus(int(self.status))
+        return (
+            f"first precursor: {int(self.contacts_broken)} contacts broken, length {float(self.length):.6g} λc, "
+            f"load at nucleation {float(self.load):.6g} u_s; {status.message}"
+        )
 
     @property
     def nucleation(self) -> Fields:
@@ -74,7 +88,9 @@ def precursor_length(
 
     ℓ is where the stress on the contact ahead, drawn as a straight line between the last contact that broke and the
     first that did not, falls to its threshold. The whole-contact count of the paper is s0 = ceil(ℓ) (for s0 > 1), and
-    Λ = s0 λc. Where the neighbour of the edge contact does not break there is no domino: s0 = 1, ℓ = 0, and ℓ is flat.
+    Λ = s0 λc. Where the neighbour of the edge contact does not break there is no domino: s0 = 1, ℓ = 0, and ℓ is flat; where
+    it starts to break, ℓ jumps from 0 to 1. On tall and stiff sliders the contact at the edge may be back at its threshold
+    before the front stops: ℓ is the length of that front, and `first_precursor` says so by its status.
 
     Parameters
     ----------
@@ -102,8 +118,8 @@ def precursor_length(
     Notes
     -----
     Differentiable in (height, stiffness, poisson) to any order, forward and reverse: the crossing is differentiated
-    implicitly, by one pass of the recursion that carries three tangents. ℓ is continuous in the parameters and smooth
-    between sites; where ℓ passes through a whole number the straight line changes, and the derivative returned is that
+    implicitly, by one pass of the recursion that carries three tangents. From 1 on ℓ is continuous in the parameters, and
+    smooth between sites; where ℓ passes through a whole number the straight line changes, and the derivative returned is that
     of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
 
     In single precision the error stays below 0.01 λc up to H/λc = 1000 and reaches 3e-4 of the length at H/λc = 1e5:
@@ -113,8 +129,9 @@ def precursor_length(
     _check_max_contacts(max_contacts)
     _warn_single_precision(slider)
     length = _length_function(right, sites, max_contacts)(_parameters(slider))
-    if not isinstance(length, Tracer):
-        _report_given_up(np.asarray(length), max_contacts, raises=length.ndim == 0)
+    if not isinstance(length, Tracer) and np.isnan(length).any():
+        status = _status_function(right, sites, max_contacts)(_parameters(slider))
+        _report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
     return length
 
 
@@ -149,7 +166,9 @@ def first_precursor(
     if slider.shape != ():
         raise ValueError(f"first_precursor takes one slider, got a batch of shape {slider.shape}: use jax.vmap")
     _warn_single_precision(slider)
-    modes, ended = _arrest_function(right, sites, max_contacts)(slider)
+    # the count has no derivative and must not stop that of the rest: the length brings its own
+    ended = _arrest_function(right, sites, max_contacts)(lax.stop_gradient(_parameters(slider)))
+    modes = lattice_modes(slider, right, sites)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
         if sites is None and traced:
@@ -159,11 +178,10 @@ def first_precursor(
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
     return FirstPrecursor(
         slider=slider,
-        contacts_broken=ended.contacts_broken,
-        length=ended.length,
+        contacts_broken=jnp.asarray(ended.contacts_broken),
+        length=_length_function(right, sites, max_contacts)(_parameters(slider)),
         load=modes.load,
-        status=ended.status,
-        edge_stress=ended.edge_stress,
+        status=jnp.asarray(ended.status),
         front_stress=front_stress(modes, recorded_sites),
         modes=modes,
     )
@@ -200,7 +218,9 @@ def precursor_lengths(
         lengths = sorted_lengths(_lanes(slider), max_contacts).reshape(slider.shape)
     else:
         lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
-    _report_given_up(np.asarray(lengths), max_contacts, raises=False)
+    if np.isnan(lengths).any():
+        # in double precision every slider that could be made is one
+        _report_without_length(np.where(np.isnan(lengths), FrontStatus.LIMIT, 0), max_contacts, raises=False)
     return np.asarray(lengths)
 
 
@@ -238,6 +258,8 @@ def _fields(slider: Slider) -> tuple[Any, Any, Any]:
 
 
 def _lanes(slider: Slider) -> Float[np.ndarray, "3 n"]:
+    if any(isinstance(x, Tracer) for x in _fields(slider)):
+        raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use precursor_length there")
     return np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape).ravel() for x in _fields(slider)])
 
 
@@ -254,13 +276,21 @@ def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> C
 
 
 @functools.cache
+def _status_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
+    def status(parameters: Float[Array, "3"]) -> Array:
+        return jnp.asarray(arrest(_slider(parameters), right, sites, max_contacts).status)
+
+    return jax.jit(jnp.vectorize(status, signature="(n)->()"))
+
+
+@functools.cache
 def _chunk_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Arrest]:
     return jax.jit(jax.vmap(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts)))
 
 
 @functools.cache
-def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Slider], Any]:
-    return eqx.filter_jit(lambda slider: (lattice_modes(slider, right, sites), arrest(slider, right, sites, max_contacts)))
+def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Arrest]:
+    return jax.jit(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts))
 
 
 def _slider(parameters: Array) -> Slider:
@@ -272,19 +302,18 @@ def _check_max_contacts(max_contacts: int) -> None:
         raise ValueError(f"max_contacts = {max_contacts}: must be at least 1 and below 2**31 - 1")
 
 
-def _report_given_up(lengths: np.ndarray, max_contacts: int, *, raises: bool) -> None:
-    given_up = np.isnan(lengths)
-    if not given_up.any():
-        return
-    if raises:
-        raise FrontNotArrested(f"{FrontStatus.LIMIT.message}; max_contacts = {max_contacts}")
-    first = tuple(int(i) for i in np.argwhere(given_up)[0])
-    warnings.warn(
-        f"{int(given_up.sum())} of {lengths.size} fronts, the first at index {first}, have no length (NaN): "
-        f"{FrontStatus.LIMIT.message}; max_contacts = {max_contacts}",
-        RuntimeWarning,
-        stacklevel=3,
-    )
+def _report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool) -> None:
+    """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
+    for kind in (FrontStatus.LIMIT, FrontStatus.INVALID):
+        lanes = status == kind
+        if not lanes.any():
+            continue
+        why = kind.message + (f"; max_contacts = {max_contacts}" if kind is FrontStatus.LIMIT else "")
+        if raises:
+            raise FrontNotArrested(why) if kind is FrontStatus.LIMIT else ValueError(why)
+        first = tuple(int(i) for i in np.argwhere(lanes)[0])
+        message = f"{int(lanes.sum())} of {lanes.size} fronts, the first at index {first}, have no length (NaN): {why}"
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
 @functools.lru_cache(maxsize=1)
