@@ -297,11 +297,10 @@ def rupture(
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """ℓ, or 0, inf or NaN as the status has it; never a derivative where there is no length."""
-    no_number = jnp.select(
-        [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH], [0.0, jnp.inf], jnp.nan
-    )
-    return jnp.where(status == RuptureStatus.ARRESTED, length, no_number * (1 + jnp.abs(length)))
+    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
+    arrested = status == RuptureStatus.ARRESTED
+    reasons = [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH]
+    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
 
 
 def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:

@@ -85,16 +85,16 @@ def _length(theta: Float[Array, "4"], max_contacts: int) -> tuple[Array, Array]:
     first = advance(modes, nucleate(modes))  # contact 0 breaks whole
     start = Fading(first, _first_step(rule, first.stress, one))
     # what is left beyond: at most its broken fraction times the sum of a decay no slower than ρ_2 < 1
-    negligible = jnp.finfo(one.dtype).eps ** 2
+    negligible = 1e-4 * jnp.finfo(one.dtype).eps
 
     def fading(now: Fading) -> Array:
-        return (rule.broken(now.front.stress, one) > negligible) & (now.front.position < max_contacts)
+        return rule.broken(now.front.stress, one) > negligible
 
     def step(now: Fading) -> Fading:
         after = smooth_advance(modes, rule, now.front, one, 0 * one)
         return Fading(after, now.length + rule.overloaded_length(now.front.stress, after.stress, one, one))
 
-    end = lax.while_loop(fading, step, start)
+    end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
     valid = in_domain(slider) & (theta[3] > 0)
     status = jnp.select(
         [~valid | ~jnp.isfinite(end.length), fading(end)], [FrontStatus.INVALID, FrontStatus.LIMIT], FrontStatus.ARRESTED
