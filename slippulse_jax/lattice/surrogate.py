@@ -83,7 +83,7 @@ def _length(theta: Float[Array, "4"], max_contacts: int) -> tuple[Array, Array]:
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
     first = advance(modes, nucleate(modes))  # contact 0 breaks whole
-    start = Fading(first, _first_step(rule, first.stress, one))
+    start = Fading(first, first_step(rule, first.stress, one))
     # what is left beyond: at most its broken fraction times the sum of a decay no slower than ρ_2 < 1
     negligible = 1e-4 * jnp.finfo(one.dtype).eps
 
@@ -107,7 +107,8 @@ def _unchecked(theta: Array) -> tuple[Slider, SmoothBreak]:
     return Slider(height=theta[0], stiffness=theta[1], poisson=theta[2]), SmoothBreak(width=theta[3])
 
 
-def _first_step(rule: SmoothBreak, stress: Array, threshold: Array) -> Array:
+def first_step(rule: SmoothBreak, stress: Array, threshold: Array) -> Array:
+    """Length from a contact that breaks whole to its neighbour: all or, where the neighbour holds, nothing."""
     return jax.nn.sigmoid((stress - threshold) / jnp.asarray(rule.width))
 
 
@@ -160,10 +161,10 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int |
     after_state = State(state.pinning + slip, state.load)
     after = equilibrium(safe, after_state)
 
-    # from a triggered contact, which breaks whole, to its neighbour: the step of `_first_step`
+    # from a triggered contact, which breaks whole, to its neighbour: the step of `first_step`
     theta = safe.threshold
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
-    from_trigger = jax.vmap(lambda a, b: _first_step(rule, a, b))(t[1:], theta[1:])
+    from_trigger = jax.vmap(lambda a, b: first_step(rule, a, b))(t[1:], theta[1:])
     reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
     length = jnp.where(trigger >= 0, trigger, 0) + jnp.where(
         reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0
