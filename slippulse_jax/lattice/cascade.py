@@ -20,7 +20,6 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
-from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
@@ -231,7 +230,7 @@ def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -
     return lax.platform_dependent(chain, state, trigger, cpu=_lane_by_lane(one), default=one)
 
 
-_undifferentiated = jax.custom_jvp(_hard_rupture, nondiff_argnums=(0,))
+_undifferentiated = jax.custom_jvp(jax.jit(_hard_rupture, static_argnums=0), nondiff_argnums=(0,))
 
 
 @_undifferentiated.defjvp
@@ -322,6 +321,11 @@ def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
         if one was over threshold already.
     """
     _check(chain, state)
+    return _nucleate(chain, state)
+
+
+@jax.jit
+def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     now = equilibrium(chain, state).stress
     per_load = (equilibrium(chain, State(state.pinning, state.load + 1)).stress - now) * (chain.contact > 0)
     pulled = per_load > 0

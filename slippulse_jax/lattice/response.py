@@ -84,9 +84,7 @@ def propagators(chain: Chain) -> Propagators:
     stiff = site.layer[0] + site.across[0]
     at_edge = jnp.zeros(2, P.dtype).at[1].set(1 / jnp.where(stiff > 0, stiff, jnp.inf))
     zero = jnp.zeros((1, 2, 2), P.dtype)
-    return Propagators(
-        jnp.concatenate([P, zero]), jnp.concatenate([zero, Q.at[0].set(held)]), source.at[0].set(at_edge)
-    )
+    return Propagators(jnp.concatenate([P, zero]), jnp.concatenate([zero, Q.at[0].set(held)]), source.at[0].set(at_edge))
 
 
 def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:

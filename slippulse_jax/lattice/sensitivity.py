@@ -1,8 +1,11 @@
 """Which contacts hold the front: the derivative of a first precursor's length in every contact's threshold and prestress.
 
-The stress on contact s when the front reaches it is linear in what the contacts before it gave up, t(s) = φ_s + D(s) (θ_0 − φ_0)
-+ Σ_{j<s} K(s, j) g(j), with g = t under the hard rule, p(t) t under the smooth one, D the drive and K the kernel of
-`slippulse_jax.lattice.front`. With λ_s the derivative of ℓ in the stress on contact s, everything it causes included,
+The stress on contact s when the front reaches it is linear in what the contacts before it gave up,
+
+    t(s) = φ_s + D(s) (θ_0 − φ_0) + Σ_{j<s} K(s, j) g(j),
+
+with g = t under the hard rule, p(t) t under the smooth one, D the drive and K the kernel of `slippulse_jax.lattice.front`.
+With λ_s the derivative of ℓ in the stress on contact s, everything it causes included,
 
     λ_s = ∂ℓ/∂t_s + g'(t_s) Σ_{i>s} K(i, s) λ_i,        K(i, s) = Σ_m w_m r_m^{i−s} + Σ_mn r_m^i R_mn r_n^s,
 
@@ -177,4 +180,3 @@ def _arriving(modes: Modes, near: Array, edge: Array, profile: Array) -> Array:
 def _one_back(modes: Modes, near: Array) -> Array:
     """r_m A_m; written with the gap, as in `slippulse_jax.lattice.front.advance`."""
     return near - modes.gap * near
-

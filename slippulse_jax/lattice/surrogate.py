@@ -125,6 +125,7 @@ def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Arr
 # --- any chain -------------------------------------------------------------------------------------------------------
 
 
+@jax.jit
 def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int | Array = -1) -> Rupture:
     """One rupture of any chain under a smooth rule, differentiable in every field of chain, state and rule.
 
@@ -166,9 +167,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int |
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
     from_trigger = jax.vmap(lambda a, b: first_step(rule, a, b))(t[1:], theta[1:])
     reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
-    length = jnp.where(trigger >= 0, trigger, 0) + jnp.where(
-        reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0
-    ).sum()
+    length = (
+        jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()
+    )
 
     most = p > 0.5
     endings = {
