@@ -1,6 +1,6 @@
 """Tables and figures of docs/surrogate.md, docs/cascade.md and docs/sensitivity.md: run it, and they are up to date.
 
-    python docs/make_cascade_pages.py
+python docs/make_cascade_pages.py
 """
 
 from pathlib import Path
@@ -34,20 +34,21 @@ def picture(figure, name):
     plt.close(figure)
 
 
+hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), "semi-infinite", None, 100_000).length))
+smooth = jax.jit(lambda h, q, w: smooth_length(sp.Slider(h, q, 0.3), sp.SmoothBreak(width=w))[0])
+
+
 def lengths(height, stiffness, width=None):
-    shape = np.broadcast_shapes(np.shape(height), np.shape(stiffness))
-    h, q = (jnp.asarray(np.broadcast_to(x, shape).ravel(), float) for x in (height, stiffness))
-    if width is None:
-        one = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), "semi-infinite", None, 100_000).length))
-        return np.asarray(one(h, q)).reshape(shape)
-    one = jax.jit(lambda h, q, w: smooth_length(sp.Slider(h, q, 0.3), sp.SmoothBreak(width=w))[0])
-    return np.asarray(one(h, q, width)).reshape(shape)
+    """ℓ, or ℓ_w, of sliders with ν = 0.3; all shapes that broadcast."""
+    given = (height, stiffness) if width is None else (height, stiffness, width)
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in given))
+    return np.asarray((hard if width is None else smooth)(*(x.ravel() for x in numbers))).reshape(numbers[0].shape)
 
 
 def bias():
     """Over the range of the paper's Fig. 3: H/λc from 5 to 50, k/K from 0.003 to 0.03."""
-    height = np.linspace(5, 50, 91)
-    stiffness = np.geomspace(0.003, 0.03, 21)
+    height = np.linspace(5, 50, 46)
+    stiffness = np.geomspace(0.003, 0.03, 11)
     h, q = np.meshgrid(height, stiffness)
     exact = lengths(h, q)
     rows = []
@@ -56,13 +57,24 @@ def bias():
         worst = np.abs(relative).max()
         rows.append(
             (f"{w:g}", f"{100 * relative.mean():+.3g}", f"{100 * np.abs(relative).mean():.3g}", f"{100 * worst:.3g}")
-            + tuple(f"{lengths(a, b, w) - lengths(a, b):+.3g}" for a, b in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)))
+            + tuple(
+                f"{lengths(a, b, w) - lengths(a, b):+.3g}" for a, b in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003))
+            )
         )
-    header = ("$w$ (σ_s)", "mean bias, %", "mean size, %", "largest, %", "(10, 0.03), λc", "(25, 0.03), λc", "(50, 0.03), λc", "(25, 0.003), λc")
+    header = (
+        "$w$ (σ_s)",
+        "mean bias, %",
+        "mean size, %",
+        "largest, %",
+        "(10, 0.03), λc",
+        "(25, 0.03), λc",
+        "(50, 0.03), λc",
+        "(25, 0.003), λc",
+    )
     table("surrogate_bias", header, rows)
 
     rng = np.random.default_rng(0)
-    h, q = rng.uniform(5, 50, 4000), 10 ** rng.uniform(np.log10(0.003), np.log10(0.03), 4000)
+    h, q = rng.uniform(5, 50, 2000), 10 ** rng.uniform(np.log10(0.003), np.log10(0.03), 2000)
     exact = lengths(h, q)
     widths = 10.0 ** -np.arange(1.0, 5.1, 0.5)
     size = [np.abs(lengths(h, q, w) - exact).mean() for w in widths]
@@ -77,13 +89,24 @@ def bias():
     colours = ("#000000", "#0072B2", "#009E73", "#E69F00", "#D55E00")
     for w, colour in zip((None, 1e-3, 3e-3, 1e-2, 3e-2), colours, strict=True):
         line = lengths(height, 0.03, w)
-        left.plot(height, line, color=colour, lw=2 if w is None else 1.2, label="hard" if w is None else f"w = {w:g} $\\sigma_s$")
+        left.plot(
+            height, line, color=colour, lw=2 if w is None else 1.2, label="hard" if w is None else f"w = {w:g} $\\sigma_s$"
+        )
     left.set(xlabel="height, $H/\\lambda_c$", ylabel="length, $\\ell/\\lambda_c$", title="k/K = 0.03, ν = 0.3")
     left.legend(frameon=False)
     for (a, b), colour, marker in zip(((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)), colours, "osv^", strict=False):
         ws = np.geomspace(1e-5, 1, 60)
-        one = np.array([lengths(a, b, w) for w in ws])
-        right.loglog(ws, np.abs(one / lengths(a, b) - 1) + 1e-12, color=colour, marker=marker, markevery=6, ms=4, lw=1, label=f"H/λc = {a:g}, k/K = {b:g}")
+        one = lengths(a, b, ws)
+        right.loglog(
+            ws,
+            np.abs(one / lengths(a, b) - 1) + 1e-12,
+            color=colour,
+            marker=marker,
+            markevery=6,
+            ms=4,
+            lw=1,
+            label=f"H/λc = {a:g}, k/K = {b:g}",
+        )
     right.loglog(widths, np.array(size) / exact.mean(), "k--", lw=2, label="mean over Fig. 3's range")
     right.loglog(widths[4:], 0.3 * (widths[4:] / widths[4]) ** 2 * size[4] / exact.mean(), ":", color="0.4", label="slope 2")
     right.set(xlabel="width, $w/\\sigma_s$", ylabel="bias, $|\\ell_w - \\ell|/\\ell$", ylim=(1e-8, 2))
@@ -93,7 +116,6 @@ def bias():
 
 def float32_errors():
     rows = []
-    rng = np.random.default_rng(1)
     for height, stiffness in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)):
 
         def run(height, stiffness, poisson):
@@ -101,16 +123,13 @@ def float32_errors():
             state, site = sp.nucleate(c, sp.relaxed(c))
             return sp.equilibrium(c, state), sp.rupture(c, state, trigger=site)
 
-        def smooth(height, stiffness, poisson, width):
-            return smooth_length(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sp.SmoothBreak(width=width))[0]
-
         numbers = [jnp.asarray(x) for x in (height, stiffness, 0.3)]
         at_rest, event = jax.jit(run)(*numbers)
-        length = jax.jit(smooth)(*numbers, jnp.asarray(0.01))
+        length = smooth(*numbers[:2], jnp.asarray(0.01))
         with jax.enable_x64(False):
             single = [jnp.asarray(np.float32(x)) for x in (height, stiffness, 0.3)]
             at_rest32, event32 = jax.jit(run)(*single)
-            length32 = jax.jit(smooth)(*single, jnp.asarray(np.float32(0.01)))
+            length32 = smooth(*single[:2], jnp.asarray(np.float32(0.01)))
         rows.append(
             (
                 f"{height:g}, {stiffness:g}",
@@ -122,7 +141,6 @@ def float32_errors():
                 f"{float(length32) - float(length):+.1e}",
             )
         )
-    del rng
     header = ("H/λc, k/K", "u, u_s", "imbalance / load", "breaks", "ℓ, λc", "drift, σ_s", "ℓ_w (w = 0.01), λc")
     table("float32", header, rows)
 
@@ -135,7 +153,11 @@ def drift():
         n, u = int(found.breaks), float(jnp.abs(found.after.layer).max())
         eps = np.finfo(float).eps
         rows.append((sites, n, int(found.broken.max()), f"{float(found.drift):.1e}", f"{n * 16 * eps:.1e}", f"{u * eps:.1e}"))
-    table("drift", ("N", "breaks", "of one contact, at most", "drift found, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"), rows)
+    table(
+        "drift",
+        ("N", "breaks", "of one contact, at most", "drift found, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"),
+        rows,
+    )
 
 
 def pictures():
