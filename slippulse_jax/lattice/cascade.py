@@ -13,6 +13,7 @@ what is seen is far less; the final fields are solved afresh, and `Rupture.drift
 
 import enum
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -127,7 +128,7 @@ def advance(resp: Response, threshold: Array, contact: Array, now: Progress, tri
     )
 
 
-def run(resp: Response, stress: Array, threshold: Array, contact: Array, trigger: Array, max_breaks: int) -> Progress:
+def run(max_breaks: int, resp: Response, stress: Array, threshold: Array, contact: Array, trigger: Array) -> Progress:
     """Break contacts until none is over threshold, or `max_breaks` have broken; `trigger` first unless negative."""
     worst = (stress - threshold).max(-1)
     none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
@@ -153,25 +154,54 @@ def run(resp: Response, stress: Array, threshold: Array, contact: Array, trigger
     return end._replace(stress=end.stress + (end.inbox[:, :, None] * resp.read).sum(1))
 
 
-def _one_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
-    before = equilibrium(chain, state)
+def _lane_by_lane(f: Callable, *given: Any) -> Any:
+    """f(*given), under ``jax.vmap`` for each lane in turn, as if alone: so the bits cannot depend on the batch.
+
+    On a CPU, where a lane that is done costs nothing this way, and lanes in step cost more. An accelerator runs them in step.
+    """
+    return lax.platform_dependent(*given, cpu=_one_by_one(f), default=f)
+
+
+def _one_by_one(f: Callable) -> Callable:
+    one = custom_vmap(f)
+
+    @one.def_vmap
+    def _rule(axis_size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
+        leaves, tree = jax.tree.flatten(args)
+        batched = jax.tree.leaves(in_batched)
+        # a loop over one lane would be compiled as no loop, and might round otherwise: never fewer than two
+        twice = [jnp.concatenate([x, x]) if b and axis_size == 1 else x for x, b in zip(leaves, batched, strict=True)]
+
+        def lane(mapped: list) -> Any:
+            mapped = list(mapped)
+            return one(*jax.tree.unflatten(tree, [mapped.pop(0) if b else x for x, b in zip(twice, batched, strict=True)]))
+
+        out = lax.map(lane, [x for x, b in zip(twice, batched, strict=True) if b])
+        return jax.tree.map(lambda x: x[:axis_size], out), jax.tree.map(lambda _: True, out)
+
+    return one
+
+
+def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
+    # the response is not that of a lane where all share one chain: it is then worked out once
+    before = _lane_by_lane(equilibrium, chain, state)
     good = before.status == EquilibriumStatus.SOLVED
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    resp = response(safe)
+    resp = _lane_by_lane(response, chain)
     size, n = resp.near.shape[1], chain.sites
     threshold = jnp.where(safe.contact > 0, safe.threshold, jnp.inf)  # a detached contact has nothing to break
-    done = run(
+    done = _lane_by_lane(
+        partial(run, max_breaks),
         resp,
         into_blocks(jnp.where(good, before.stress, 0), size),
         into_blocks(jnp.where(good, threshold, jnp.inf), size, jnp.inf),
         into_blocks(safe.contact, size),
         jnp.where(good, trigger, -1),
-        max_breaks,
     )
     stress = done.stress.reshape(-1)[:n]
     slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
+    after = _lane_by_lane(equilibrium, safe, after_state)
     ahead = jnp.minimum(done.furthest + 1, n - 1)
     short_by = stress[ahead] - safe.threshold[ahead]
     endings = {
@@ -199,35 +229,6 @@ def _one_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) ->
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )
-
-
-def _lane_by_lane(one: Callable) -> Callable:
-    """`one`, under ``jax.vmap`` run for each lane in turn, as if alone: so the bits cannot depend on the batch."""
-    one = custom_vmap(one)
-
-    @one.def_vmap
-    def _rule(axis_size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
-        leaves, tree = jax.tree.flatten(args)
-        batched = jax.tree.leaves(in_batched)
-        # a loop over one lane would be compiled as no loop, and might round otherwise: never fewer than two
-        twice = [jnp.concatenate([x, x]) if b and axis_size == 1 else x for x, b in zip(leaves, batched, strict=True)]
-
-        def lane(mapped: list) -> Any:
-            mapped = list(mapped)
-            return one(*jax.tree.unflatten(tree, [mapped.pop(0) if b else x for x, b in zip(twice, batched, strict=True)]))
-
-        out = lax.map(lane, [x for x, b in zip(twice, batched, strict=True) if b])
-        return jax.tree.map(lambda x: x[:axis_size], out), jax.tree.map(lambda _: True, out)
-
-    return one
-
-
-def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
-    # On a CPU a lane that is done costs nothing this way, and lanes in step cost more; an accelerator runs them in step.
-    def one(*args: Any) -> Rupture:
-        return _one_rupture(max_breaks, *args)
-
-    return lax.platform_dependent(chain, state, trigger, cpu=_lane_by_lane(one), default=one)
 
 
 _undifferentiated = jax.custom_jvp(jax.jit(_hard_rupture, static_argnums=0), nondiff_argnums=(0,))
