@@ -93,6 +93,6 @@ def sensitivity(ax: "Axes", found: Sensitivity, *, sites: int | None = None) -> 
     length = float(found.length)
     if np.isfinite(length):
         ax.axvline(length, color=GREEN, linestyle="--", linewidth=1, label=f"$\\ell = {length:.2f}\\,\\lambda_c$")
-    ax.set_yscale("symlog", linthresh=max(1.0, float(np.abs(phi).max()) / 10))
+    ax.set_yscale("symlog", linthresh=1, linscale=0.7)
     ax.set(xlabel=DISTANCE, ylabel="change of length, $\\lambda_c/\\sigma_s$")
     ax.legend(frameon=False)
