@@ -24,12 +24,14 @@ WIDTHS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
 
 
 def table(name, header, rows):
+    """A Markdown table, to be included by a page."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     lines += ["| " + " | ".join(map(str, row)) + " |" for row in rows]
     (HERE / "tables" / f"{name}.md").write_text("\n".join(lines) + "\n")
 
 
 def picture(figure, name):
+    """A figure as a PNG, to be shown by a page."""
     figure.savefig(HERE / "figures" / f"{name}.png", dpi=110)
     plt.close(figure)
 
@@ -115,6 +117,7 @@ def bias():
 
 
 def float32_errors():
+    """First precursors in float32 against float64."""
     rows = []
     for height, stiffness in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)):
 
@@ -146,6 +149,7 @@ def float32_errors():
 
 
 def drift():
+    """Error accumulated over many breaks of one rupture."""
     rows = []
     for sites, load, most in ((300, 20.0, 10**3), (300, 2e3, 10**4), (3000, 2e5, 10**5)):
         c = sp.chain(FIG2, sites=sites, right="free")
@@ -161,6 +165,7 @@ def drift():
 
 
 def pictures():
+    """A rupture and the sensitivity of its length."""
     c = sp.chain(FIG2, sites=200)
     state, site = sp.nucleate(c, sp.relaxed(c))
     event = sp.rupture(c, state, trigger=site)

@@ -183,15 +183,19 @@ def _one_by_one(f: Callable) -> Callable:
 
 
 def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
-    # the response is not that of a lane where all share one chain: it is then worked out once
-    before = _lane_by_lane(equilibrium, chain, state)
+    # where all lanes share one chain its response is worked out once
+    resp = _lane_by_lane(response, chain)
+    return _lane_by_lane(partial(_one_rupture, max_breaks), resp, chain, state, trigger)
+
+
+def _one_rupture(max_breaks: int, resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+    before = equilibrium(chain, state)
     good = before.status == EquilibriumStatus.SOLVED
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    resp = _lane_by_lane(response, chain)
     size, n = resp.near.shape[1], chain.sites
     threshold = jnp.where(safe.contact > 0, safe.threshold, jnp.inf)  # a detached contact has nothing to break
-    done = _lane_by_lane(
-        partial(run, max_breaks),
+    done = run(
+        max_breaks,
         resp,
         into_blocks(jnp.where(good, before.stress, 0), size),
         into_blocks(jnp.where(good, threshold, jnp.inf), size, jnp.inf),
@@ -201,7 +205,7 @@ def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -
     stress = done.stress.reshape(-1)[:n]
     slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
-    after = _lane_by_lane(equilibrium, safe, after_state)
+    after = equilibrium(safe, after_state)
     ahead = jnp.minimum(done.furthest + 1, n - 1)
     short_by = stress[ahead] - safe.threshold[ahead]
     endings = {
