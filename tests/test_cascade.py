@@ -235,8 +235,8 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
     loads = np.linspace(2.5, 9.0, 24)
     one = run(jax.device_put(loads, devices[0]))
     two = [run(jax.device_put(part, device)) for part, device in zip(np.split(loads, 2), devices)]
-    for a, b, c in zip(*map(jax.tree.leaves, (one, *two))):
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes() + np.asarray(c).tobytes()
+    for a, first, second in zip(*map(jax.tree.leaves, (one, *two))):
+        assert np.asarray(a).tobytes() == np.asarray(first).tobytes() + np.asarray(second).tobytes()
     mesh = jax.make_mesh((2,), ("lanes",), axis_types=(jax.sharding.AxisType.Auto,))
     spec = PartitionSpec("lanes")
     shared = jax.jit(jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))(loads)
@@ -257,10 +257,9 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
 # --- what it refuses and how it ends ---------------------------------------------------------------------------------
 
 
-def energy_at(height, rule=None):
+def energy_at(height):
     c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
-    state, site = nucleate(c, relaxed(c))
-    return rupture(c, state, trigger=site, **({} if rule is None else {"rule": rule})).energy
+    return rupture(c, relaxed(c, 3.5)).energy
 
 
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian])
@@ -285,20 +284,20 @@ def test_how_a_rupture_ends():
         found = rupture(c, relaxed(c, load), **options)
         return RuptureStatus(int(found.status)), float(found.length), found
 
-    semi, free = chain(FIG2, sites=60), chain(FIG2, sites=30, right="free")
+    semi, free = chain(FIG2, sites=40), chain(FIG2, sites=40, right="free")
     status, length, found = ends(semi, 1.0)
     assert (status, length, int(found.breaks), int(found.extent)) == (RuptureStatus.NOTHING_BROKE, 0.0, 0, 0)
     assert not found.slip.any()
     assert ends(semi, 3.5)[0] == RuptureStatus.ARRESTED
     status, length, found = ends(free, 9.0)
-    assert (status, length, int(found.extent)) == (RuptureStatus.RAN_THROUGH, np.inf, 30)
+    assert (status, length, int(found.extent)) == (RuptureStatus.RAN_THROUGH, np.inf, 40)
     status, length, _ = ends(free, 9.0, max_breaks=5)
     assert status == RuptureStatus.LIMIT
     assert np.isnan(length)
-    cut = np.ones(29)
+    cut = np.ones(39)
     cut[9] = 0
-    contact = np.where(np.arange(30) < 10, 0.03, 0)
-    floating = chain(FIG2, sites=30, right="free", contact=contact, layer=cut, upper=25 * cut)
+    contact = np.where(np.arange(40) < 10, 0.03, 0)
+    floating = chain(FIG2, sites=40, right="free", contact=contact, layer=cut, upper=25 * cut)
     status, length, found = ends(floating, 9.0)
     assert status == RuptureStatus.SINGULAR
     assert int(found.breaks) == 0
@@ -306,9 +305,9 @@ def test_how_a_rupture_ends():
 
 
 def test_a_detached_contact_never_breaks_and_the_front_may_pass_it():
-    contact = np.full(60, 0.03)
+    contact = np.full(40, 0.03)
     contact[5] = 0
-    c = chain(FIG2, sites=60, contact=contact)
+    c = chain(FIG2, sites=40, contact=contact)
     state, site = nucleate(c, relaxed(c))
     found = rupture(c, state, trigger=site)
     assert found.broken[5] == 0
@@ -333,7 +332,7 @@ def test_float32():
     with jax.enable_x64(False):
         c = chain(sp.Slider(height=np.float32(25), stiffness=np.float32(0.03), poisson=np.float32(0.3)), sites=200)
         state, site = nucleate(c, relaxed(c))
-        found = rupture(c, state, trigger=site)
+        found = jax.jit(lambda s, i: rupture(c, s, trigger=i, max_breaks=100))(state, site)
         assert found.after.stress.dtype == jnp.float32
     assert found.breaks == 26
     np.testing.assert_allclose(found.length, 25.789811275, atol=2e-3)
