@@ -16,7 +16,13 @@ PACKAGE = ROOT / "slippulse_jax"
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "quantities": 0, "derivatives": 0, "files": 0, "slider": 1, "lattice": 2, "theory": 2, "inference": 3, "commands": 5, "cli": 6,
+    "quantities": 0, "derivatives": 0, "files": 0,
+    "slider": 1, "rules": 1,
+    "lattice": 2, "theory": 2,
+    "inference": 3,
+    "plot": 4,
+    "commands": 5,
+    "cli": 6,
 }  # fmt: skip
 
 
