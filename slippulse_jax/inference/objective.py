@@ -11,9 +11,10 @@ from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import Local
 from slippulse_jax.inference.parameters import Stiffness
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
+from slippulse_jax.lattice.precursor import precursor_lengths
 from slippulse_jax.slider import Slider
 
-LANES = 512  # lanes a chunk
+LANES = 32  # of a chunk in which derivatives are taken: a few starts times a few heights
 
 
 class Data(NamedTuple):
@@ -27,12 +28,10 @@ class Data(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """The model along the parameter: nodes θ of shape (g,), ℓ, dℓ/dθ and d²ℓ/dθ² of shape (g, n), in λc."""
+    """The model along the parameter: nodes θ of shape (g,) and lengths of shape (g, n), in λc."""
 
     theta: np.ndarray
     length: np.ndarray
-    slope: np.ndarray
-    bend: np.ndarray
 
 
 def as_data(measurements: Measurements, parameter: Stiffness) -> Data:
@@ -54,10 +53,29 @@ def chi_squared(curve: Curve, data: Data) -> np.ndarray:
     return (((curve.length - data.length) / data.sigma) ** 2).sum(axis=1)
 
 
+def evaluate(theta: np.ndarray, data: Data) -> Curve:
+    """Lengths at the nodes, each (node, distinct curve) a lane of `precursor_lengths`."""
+    theta = np.asarray(theta, dtype=np.float64)
+    first, own = distinct_curves(data)
+    stiffness = np.exp(theta)[:, None] * data.ratio_per_unit[first]
+    return Curve(theta, precursor_lengths(Slider(data.height[first], stiffness, data.poisson[first]))[:, own])
+
+
 def near(theta: np.ndarray, data: Data) -> Local:
     """χ²/2, its derivatives and the Fisher information at each θ."""
-    curve = evaluate(theta, data)
-    residual, slope, bend = (curve.length - data.length) / data.sigma, curve.slope / data.sigma, curve.bend / data.sigma
+    first, own = distinct_curves(data)
+    shape = (len(theta), len(first))
+    lanes = (data.height[first], np.exp(theta)[:, None] * data.ratio_per_unit[first], data.poisson[first])
+    columns = np.stack([np.broadcast_to(lane, shape).ravel() for lane in lanes])
+    derived = np.empty((3, columns.shape[1]))
+    with jax.enable_x64(True):
+        for start in range(0, columns.shape[1], LANES):
+            chosen = columns[:, start : start + LANES]
+            count = chosen.shape[1]
+            padded = np.concatenate([chosen, np.repeat(chosen[:, -1:], LANES - count, axis=1)], axis=1)
+            derived[:, start : start + count] = np.asarray(_length_and_derivatives(padded))[:, :count]
+    length, slope, bend = (x.reshape(shape)[:, own] for x in derived)
+    residual, slope, bend = (length - data.length) / data.sigma, slope / data.sigma, bend / data.sigma
     information = (slope**2).sum(axis=1)
     return Local(
         value=(residual**2).sum(axis=1) / 2,
@@ -65,24 +83,6 @@ def near(theta: np.ndarray, data: Data) -> Local:
         curvature=information + (residual * bend).sum(axis=1),
         information=information,
     )
-
-
-def evaluate(theta: np.ndarray, data: Data) -> Curve:
-    """Lengths and their first two derivatives at the nodes; each (node, distinct curve) a lane, in chunks of one shape."""
-    theta = np.asarray(theta, dtype=np.float64)
-    first, own = distinct_curves(data)
-    shape = (len(theta), len(first))
-    lanes = (data.height[first], np.exp(theta)[:, None] * data.ratio_per_unit[first], data.poisson[first])
-    columns = np.stack([np.broadcast_to(lane, shape).ravel() for lane in lanes])
-    result = np.empty((3, columns.shape[1]))
-    with jax.enable_x64(True):
-        for start in range(0, columns.shape[1], LANES):
-            chosen = columns[:, start : start + LANES]
-            count = chosen.shape[1]
-            padded = np.concatenate([chosen, np.repeat(chosen[:, -1:], LANES - count, axis=1)], axis=1)
-            result[:, start : start + count] = np.asarray(_length_and_derivatives(padded))[:, :count]
-    length, slope, bend = (x.reshape(shape)[:, own] for x in result)
-    return Curve(theta, length, slope, bend)
 
 
 @jax.jit

@@ -61,28 +61,28 @@ def scan(data: Data, bounds: tuple[float, float]) -> Curve:
 def merge(*curves: Curve) -> Curve:
     """Nodes of all the curves, in order of θ, each once."""
     theta, keep = np.unique(np.concatenate([c.theta for c in curves]), return_index=True)
-    return Curve(theta, *(np.concatenate(columns)[keep] for columns in list(zip(*curves, strict=True))[1:]))
+    return Curve(theta, np.concatenate([c.length for c in curves])[keep])
 
 
 def peaks(curve: Curve, data: Data) -> np.ndarray:
-    """θ at which some measurement's ℓ(θ) has its maximum, from sign changes of the slope, refined; shape (p,)."""
-    rising, falling = curve.slope[:-1] > 0, curve.slope[1:] <= 0
-    node, _ = np.nonzero(rising & falling)
-    found = [_bracketed_peak(float(curve.theta[i]), float(curve.theta[i + 1]), data) for i in np.unique(node)]
+    """θ at which some measurement's ℓ(θ) has its maximum, to a thousandth of the node spacing; shape (p,)."""
+    first, _ = distinct_curves(data)
+    top = np.unique(curve.length[:, first].argmax(axis=0))
+    inner = top[(top > 0) & (top < len(curve.theta) - 1)]
+    found = [_bracketed_peak(float(curve.theta[i - 1]), float(curve.theta[i + 1]), data) for i in inner]
     return np.unique(np.concatenate(found)) if found else np.empty(0)
 
 
 def _bracketed_peak(low: float, high: float, data: Data) -> np.ndarray:
-    """Peaks of the measurements whose slope changes sign between `low` and `high`, to 10⁻⁵ of the bracket."""
+    """Peaks of the measurements that have theirs between `low` and `high`."""
     fine = evaluate(np.linspace(low, high, 65), data)
+    first, _ = distinct_curves(data)
+    top = np.unique(fine.length[:, first].argmax(axis=0))
     result = []
-    for slope in fine.slope.T:
-        inside = np.nonzero((slope[:-1] > 0) & (slope[1:] <= 0))[0]
-        for i in inside:
-            # the slope is close to linear over a 64th of a node spacing, but jumps at a kink: stay within the cell
-            share = slope[i] / (slope[i] - slope[i + 1])
-            result.append(fine.theta[i] + share * (fine.theta[i + 1] - fine.theta[i]))
-    return np.array(result)
+    for i in top[(top > 0) & (top < 64)]:
+        closer = evaluate(np.linspace(fine.theta[i - 1], fine.theta[i + 1], 33), data)
+        result.append(closer.theta[np.unique(closer.length[:, first].argmax(axis=0))])
+    return np.concatenate(result) if result else np.empty(0)
 
 
 def local_minima(chi2: np.ndarray) -> np.ndarray:
