@@ -80,8 +80,8 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     The residual is that of the displacements returned. One unit in the last place of u_t, times K_L, is a force: a short
     chain that moves as one under a load small beside K_L u_t cannot be in balance to better than that.
     """
-    valid = _all_numbers(chain, state)
-    safe, state = _or_harmless(valid, chain, state)
+    valid = all_numbers(chain, state)
+    safe, state = or_harmless(valid, chain, state)
     (upper, layer), converged = solve(safe, state)
     pull = imbalance(safe, state, (upper, layer))
     force = safe.contact_force(layer - state.pinning)
@@ -197,7 +197,7 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
     return x, jnp.sqrt(now) <= rounding * scale * (1 + chain.upper.max())
 
 
-def _all_numbers(chain: Chain, state: State) -> Array:
+def all_numbers(chain: Chain, state: State) -> Array:
     """Whether the values, traced ones included, are those of a chain and its state."""
     leaves = [x for x in jax.tree.leaves((chain, state)) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.inexact)]
     finite = jnp.stack([jnp.isfinite(x).all() for x in leaves]).all()
@@ -205,6 +205,6 @@ def _all_numbers(chain: Chain, state: State) -> Array:
     return finite & jnp.stack(positive).all() & (chain.stiffness > 0)
 
 
-def _or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
+def or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
     """The chain and state, or ones instead where they are not valid: no NaN goes into a loop or a derivative."""
     return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), (chain, state))
