@@ -60,7 +60,7 @@ class SmoothBreak(eqx.Module):
         w = jnp.asarray(self.width)
         a, b = (before - threshold_before) / w, (after - threshold_after) / w
         # the junctions with thresholds below zero that the logistic law would count, and its normalisation
-        cut = (sigmoid(-threshold_before / w) + sigmoid(-threshold_after / w)) / 2
+        cut = _mean_sigmoid(-threshold_before / w, -threshold_after / w)
         return (_mean_sigmoid(a, b) - cut) / (1 - cut)
 
 

@@ -227,13 +227,19 @@ def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     value = jax.jit(along)
     forward = jax.jit(jax.vmap(lambda p, v: jax.jvp(lambda x: from_parameters(law, x), (p,), (v,))[1]))(points, ways)
     gradient = jax.jit(jax.vmap(jax.grad(lambda x: from_parameters(law, x))))(points)
-    reverse = sum(jnp.sum((g * v).reshape(200, -1), axis=1) for g, v in zip(*map(jax.tree.leaves, (gradient, ways)), strict=True))
+    reverse = sum(
+        jnp.sum((g * v).reshape(200, -1), axis=1) for g, v in zip(*map(jax.tree.leaves, (gradient, ways)), strict=True)
+    )
     scale = sum(
         jnp.sum(jnp.abs(g * v).reshape(200, -1), axis=1) for g, v in zip(*map(jax.tree.leaves, (gradient, ways)), strict=True)
     )
     # fourth-order differences: truncation and rounding both far below 1e-6 at this step
     h = 1e-3
-    difference = (8 * (value(points, ways, h) - value(points, ways, -h)) - value(points, ways, 2 * h) + value(points, ways, -2 * h)) / 12 / h
+    difference = (
+        (8 * (value(points, ways, h) - value(points, ways, -h)) - value(points, ways, 2 * h) + value(points, ways, -2 * h))
+        / 12
+        / h
+    )
     assert np.abs((forward - reverse) / scale).max() < 1e-12
     assert np.abs((forward - difference) / scale).max() < 1e-6
     assert all(np.all(np.any(g.reshape(200, -1) != 0, axis=1)) for g in jax.tree.leaves(gradient))

@@ -12,14 +12,14 @@ what is seen is far less; the final fields are solved afresh, and `Rupture.drift
 """
 
 import enum
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.custom_batching import sequential_vmap
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
-from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
@@ -153,21 +153,84 @@ def run(resp: Response, stress: Array, threshold: Array, contact: Array, trigger
     return end._replace(stress=end.stress + (end.inbox[:, :, None] * resp.read).sum(1))
 
 
-def _events(max_breaks: int, chain: Chain, stress: Array, trigger: Array) -> Progress:
-    resp, _ = response(chain)
-    size = resp.near.shape[1]
-    threshold = jnp.where(chain.contact > 0, chain.threshold, jnp.inf)  # a detached contact has nothing to break
-    blocks = into_blocks(stress, size), into_blocks(threshold, size, jnp.inf), into_blocks(chain.contact, size)
+def _one_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
+    before = equilibrium(chain, state)
+    good = before.status == EquilibriumStatus.SOLVED
+    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
+    resp = response(safe)
+    size, n = resp.near.shape[1], chain.sites
+    threshold = jnp.where(safe.contact > 0, safe.threshold, jnp.inf)  # a detached contact has nothing to break
+    done = run(
+        resp,
+        into_blocks(jnp.where(good, before.stress, 0), size),
+        into_blocks(jnp.where(good, threshold, jnp.inf), size, jnp.inf),
+        into_blocks(safe.contact, size),
+        jnp.where(good, trigger, -1),
+        max_breaks,
+    )
+    stress = done.stress.reshape(-1)[:n]
+    slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
+    after_state = State(state.pinning + slip, state.load)
+    after = equilibrium(safe, after_state)
+    ahead = jnp.minimum(done.furthest + 1, n - 1)
+    short_by = stress[ahead] - safe.threshold[ahead]
+    endings = {
+        RuptureStatus.INVALID: before.status == EquilibriumStatus.INVALID,
+        RuptureStatus.SINGULAR: ~good,
+        RuptureStatus.NOTHING_BROKE: done.breaks == 0,
+        RuptureStatus.LIMIT: done.bound.max() >= 0,
+        RuptureStatus.RAN_THROUGH: done.furthest == n - 1,
+    }
+    status = jnp.select(list(endings.values()), list(endings), RuptureStatus.ARRESTED).astype(jnp.int32)
+    length = done.furthest + done.overload / (done.overload - jnp.minimum(short_by, 0))
+    return Rupture(
+        state=after_state,
+        before=before,
+        after=after,
+        order=done.order,
+        released=done.released,
+        breaks=done.breaks,
+        broken=jnp.zeros_like(slip).at[done.order].add(done.order >= 0, mode="drop"),
+        slip=slip,
+        stress_drop=before.stress - after.stress,
+        energy=done.energy * safe.stiffness**2,
+        extent=done.furthest + 1,
+        length=length_or_reason(status, length),
+        drift=jnp.abs(stress - after.stress).max(),
+        status=status,
+    )
 
-    def lane(resp: Response, stress: Array, threshold: Array, contact: Array, trigger: Array) -> Progress:
-        return run(resp, stress, threshold, contact, trigger, max_breaks)
 
-    # On a CPU lanes run one after the other, each as if alone: a lane that is done costs nothing. An accelerator runs
-    # them in step.
-    return lax.platform_dependent(resp, *blocks, trigger, cpu=sequential_vmap(lane), default=lane)
+def _lane_by_lane(one: Callable) -> Callable:
+    """`one`, under ``jax.vmap`` run for each lane in turn, as if alone: so the bits cannot depend on the batch."""
+    one = custom_vmap(one)
+
+    @one.def_vmap
+    def _rule(axis_size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
+        leaves, tree = jax.tree.flatten(args)
+        batched = jax.tree.leaves(in_batched)
+        # a loop over one lane would be compiled as no loop, and might round otherwise: never fewer than two
+        twice = [jnp.concatenate([x, x]) if b and axis_size == 1 else x for x, b in zip(leaves, batched, strict=True)]
+
+        def lane(mapped: list) -> Any:
+            mapped = list(mapped)
+            return one(*jax.tree.unflatten(tree, [mapped.pop(0) if b else x for x, b in zip(twice, batched, strict=True)]))
+
+        out = lax.map(lane, [x for x, b in zip(twice, batched, strict=True) if b])
+        return jax.tree.map(lambda x: x[:axis_size], out), jax.tree.map(lambda _: True, out)
+
+    return one
 
 
-_undifferentiated = jax.custom_jvp(_events, nondiff_argnums=(0,))
+def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
+    # On a CPU a lane that is done costs nothing this way, and lanes in step cost more; an accelerator runs them in step.
+    def one(*args: Any) -> Rupture:
+        return _one_rupture(max_breaks, *args)
+
+    return lax.platform_dependent(chain, state, trigger, cpu=_lane_by_lane(one), default=one)
+
+
+_undifferentiated = jax.custom_jvp(jax.jit(_hard_rupture, static_argnums=0), nondiff_argnums=(0,))
 
 
 @_undifferentiated.defjvp
@@ -229,61 +292,14 @@ def rupture(
 
         return smooth_rupture(chain, state, rule, trigger)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
-    before = equilibrium(chain, state)
-    good = before.status == EquilibriumStatus.SOLVED
-    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    trigger = jnp.where(good, jnp.asarray(trigger, jnp.int32), -1)
-    done: Progress = _undifferentiated(max_breaks, safe, jnp.where(good, before.stress, 0.0), trigger)
-
-    n = chain.sites
-    stress = done.stress.reshape(-1)[:n]
-    slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
-    after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
-    ahead = jnp.minimum(done.furthest + 1, n - 1)
-    short_by = stress[ahead] - safe.threshold[ahead]
-    status = jnp.select(
-        [
-            before.status == EquilibriumStatus.INVALID,
-            ~good,
-            done.breaks == 0,
-            done.bound.max() >= 0,
-            done.furthest == n - 1,
-        ],
-        [
-            RuptureStatus.INVALID,
-            RuptureStatus.SINGULAR,
-            RuptureStatus.NOTHING_BROKE,
-            RuptureStatus.LIMIT,
-            RuptureStatus.RAN_THROUGH,
-        ],
-        RuptureStatus.ARRESTED,
-    ).astype(jnp.int32)
-    length = done.furthest + done.overload / (done.overload - jnp.minimum(short_by, 0))
-    return Rupture(
-        state=after_state,
-        before=before,
-        after=after,
-        order=done.order,
-        released=done.released,
-        breaks=done.breaks,
-        broken=jnp.zeros_like(slip).at[done.order].add(done.order >= 0, mode="drop"),
-        slip=slip,
-        stress_drop=before.stress - after.stress,
-        energy=done.energy * safe.stiffness**2,
-        extent=done.furthest + 1,
-        length=length_or_reason(status, length),
-        drift=jnp.abs(stress - after.stress).max(),
-        status=status,
-    )
+    return _undifferentiated(max_breaks, chain, state, jnp.asarray(trigger, jnp.int32))
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """ℓ, or 0, inf or NaN as the status has it; never a derivative where there is no length."""
-    no_number = jnp.select(
-        [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH], [0.0, jnp.inf], jnp.nan
-    )
-    return jnp.where(status == RuptureStatus.ARRESTED, length, no_number * (1 + jnp.abs(length)))
+    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
+    arrested = status == RuptureStatus.ARRESTED
+    reasons = [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH]
+    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
 
 
 def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
@@ -305,6 +321,11 @@ def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
         if one was over threshold already.
     """
     _check(chain, state)
+    return _nucleate(chain, state)
+
+
+@jax.jit
+def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     now = equilibrium(chain, state).stress
     per_load = (equilibrium(chain, State(state.pinning, state.load + 1)).stress - now) * (chain.contact > 0)
     pulled = per_load > 0

@@ -54,7 +54,7 @@ class Chain(eqx.Module):
     threshold: Float[Array, " N"] = quantity_field("\\theta_i", "\\sigma_s")
     prestress: Float[Array, " N"] = quantity_field("\\varphi_i", "\\sigma_s")
     stiffness: Float[Array, ""] = quantity_field("k", "K", "cra41")
-    end: Springs
+    end: Springs = eqx.field(kw_only=True)  # what lies beyond the last site
     law: ForceLaw | None = None
 
     @property
@@ -148,7 +148,7 @@ def chain(
         prestress=along("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
         stiffness=q,
         end=ends[right](),
-        law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),
+        law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
     )
 
 

@@ -55,6 +55,7 @@ class Equilibrium(NamedTuple):
     status: Int[Array, ""]
 
 
+@jax.jit
 def equilibrium(chain: Chain, state: State) -> Equilibrium:
     """Equilibrium of a chain in a given state.
 
@@ -108,7 +109,7 @@ def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
     return (start[0] + moved[0], moved[1]), jnp.ones((), bool)
 
 
-@solve.defjvp
+@solve.defjvp  # pyright: ignore[reportArgumentType]
 def _implicit_derivative(primals, tangents):
     """0 = d imbalance = −(tangent stiffness) dx + ∂imbalance, at the solution x, which is itself differentiable again."""
     chain, state = primals
@@ -191,7 +192,9 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
 
     n = jnp.zeros((), jnp.int32)
     x, now, n, _ = lax.while_loop(going, step, (start, size(start), n, jnp.ones((), bool)))
-    largest = jnp.maximum(jnp.abs(chain.contact_force(x[1] - state.pinning)).max(), jnp.abs(chain.upper[0] * (x[0][0] - x[0][1])))
+    largest = jnp.maximum(
+        jnp.abs(chain.contact_force(x[1] - state.pinning)).max(), jnp.abs(chain.upper[0] * (x[0][0] - x[0][1]))
+    )
     rounding = 1e3 * jnp.finfo(now.dtype).eps * chain.sites**0.5
     scale = largest + jnp.finfo(now.dtype).tiny
     return x, jnp.sqrt(now) <= rounding * scale * (1 + chain.upper.max())

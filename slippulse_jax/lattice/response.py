@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.lattice.chain import Chain, Springs
-from slippulse_jax.lattice.elimination import Elimination, Pair, beside, eliminate, solve_pair, through
+from slippulse_jax.lattice.elimination import Pair, beside, eliminate, solve_pair, through
 
 
 class Response(NamedTuple):
@@ -48,7 +48,7 @@ def block_size(sites: int) -> int:
     return size
 
 
-def propagators(chain: Chain) -> tuple[Propagators, Elimination]:
+def propagators(chain: Chain) -> Propagators:
     """One elimination from each end."""
     right = eliminate(chain, chain.contact)
     site = beside(right.beyond, chain.across, chain.contact)
@@ -84,9 +84,7 @@ def propagators(chain: Chain) -> tuple[Propagators, Elimination]:
     stiff = site.layer[0] + site.across[0]
     at_edge = jnp.zeros(2, P.dtype).at[1].set(1 / jnp.where(stiff > 0, stiff, jnp.inf))
     zero = jnp.zeros((1, 2, 2), P.dtype)
-    return Propagators(
-        jnp.concatenate([P, zero]), jnp.concatenate([zero, Q.at[0].set(held)]), source.at[0].set(at_edge)
-    ), right
+    return Propagators(jnp.concatenate([P, zero]), jnp.concatenate([zero, Q.at[0].set(held)]), source.at[0].set(at_edge))
 
 
 def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
@@ -96,9 +94,9 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain) -> tuple[Response, Array]:
-    """The response of a chain with linear contacts, and whether a part of it floats."""
-    links, elimination = propagators(chain)
+def response(chain: Chain) -> Response:
+    """The response of a chain with linear contacts."""
+    links = propagators(chain)
     size = block_size(chain.sites)
     P, Q, v = (into_blocks(x, size) for x in links)
     q = into_blocks(chain.contact, size)
@@ -120,7 +118,7 @@ def response(chain: Chain) -> tuple[Response, Array]:
         leave=jnp.concatenate([leave, leave_left], -1),
         pass_on=jnp.concatenate([pass_on, pass_on_left], 2),
         reach=read.max(-1),
-    ), elimination.floating
+    )
 
 
 def _one_way(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"]) -> tuple[Array, Array, Array, Array]:
