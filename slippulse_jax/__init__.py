@@ -13,12 +13,19 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.measurements import Measurements as Measurements
     from slippulse_jax.inference.measurements import read_measurements as read_measurements
     from slippulse_jax.inference.result import FitResult as FitResult
+    from slippulse_jax.interface import Interface as Interface
+    from slippulse_jax.interface import Profile as Profile
+    from slippulse_jax.lattice.ageing import Ageing as Ageing
     from slippulse_jax.lattice.cascade import nucleate as nucleate
     from slippulse_jax.lattice.cascade import rupture as rupture
     from slippulse_jax.lattice.chain import State as State
     from slippulse_jax.lattice.chain import chain as chain
     from slippulse_jax.lattice.chain import relaxed as relaxed
     from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
+    from slippulse_jax.lattice.events import Adiabatic as Adiabatic
+    from slippulse_jax.lattice.events import Spring as Spring
+    from slippulse_jax.lattice.events import Steps as Steps
+    from slippulse_jax.lattice.events import series as series
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
@@ -29,18 +36,23 @@ if TYPE_CHECKING:
     from slippulse_jax.rules import HardBreak as HardBreak
     from slippulse_jax.rules import SmoothBreak as SmoothBreak
     from slippulse_jax.slider import Slider as Slider
-
 _HOME = {
+    "Adiabatic": "lattice.events",
+    "Ageing": "lattice.ageing",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
     "FrontStatus": "lattice.front",
     "HardBreak": "rules",
+    "Interface": "interface",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
+    "Profile": "interface",
     "Slider": "slider",
     "SmoothBreak": "rules",
+    "Spring": "lattice.events",
     "State": "lattice.chain",
+    "Steps": "lattice.events",
     "chain": "lattice.chain",
     "equilibrium": "lattice.equilibrium",
     "first_precursor": "lattice.precursor",
@@ -53,6 +65,7 @@ _HOME = {
     "relaxed": "lattice.chain",
     "rupture": "lattice.cascade",
     "sensitivity": "lattice.sensitivity",
+    "series": "lattice.events",
 }
 
 __all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -13,6 +13,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice import interface_front
 from slippulse_jax.lattice.front import (
     DEFAULT_MAX_CONTACTS,
     Arrest,
@@ -45,9 +47,17 @@ class FirstPrecursor(eqx.Module):
     edge_stress: Float[Array, ""]  # stress on contact 0 at arrest, the largest behind the front
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
+    interface: Interface | Profile | None = None
 
     def fields_at(self, front_position: int | Array) -> Fields:
-        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
+        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest.
+
+        On an interface with prestress φ the contact stress is `Fields.stress` + φ.
+        """
+        if self.interface is not None:
+            sites = self.front_stress.shape[0]
+            pinning = interface_front.pinning(self.modes, self.interface, sites, jnp.asarray(front_position))
+            return equilibrium_fields(self.modes, self.load, pinning)
         broken = jnp.arange(self.front_stress.shape[0]) < front_position
         return equilibrium_fields(self.modes, self.load, jnp.where(broken, self.front_stress, 0))
 
@@ -65,6 +75,7 @@ class FirstPrecursor(eqx.Module):
 def precursor_length(
     slider: Slider,
     *,
+    interface: Interface | Profile | None = None,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -79,6 +90,9 @@ def precursor_length(
     ----------
     slider : Slider
         One slider or a batch; ℓ has its shape.
+    interface : Interface or Profile, optional
+        Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
+        broadcasts with the slider; a `Profile` belongs to one slider.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : int, optional
@@ -89,7 +103,7 @@ def precursor_length(
     Returns
     -------
     array
-        ℓ ≥ 0; inf where the front reaches the right end of a finite chain; NaN in the lanes of a batch, or under
+        ℓ ≥ 0; inf where the front reaches the right end of a finite chain or runs away on a prestressed interface; NaN in the lanes of a batch, or under
         ``jit`` and ``vmap``, where the front was given up or the (traced) slider is not physical. A length that is not
         finite has no finite derivative.
 
@@ -111,7 +125,10 @@ def precursor_length(
     check_right_end(right, sites)
     _check_max_contacts(max_contacts)
     _warn_single_precision(slider)
-    length = _length_function(right, sites, max_contacts)(_parameters(slider))
+    if interface is None:
+        length = _length_function(right, sites, max_contacts)(_parameters(slider))
+    else:
+        length = _length_on(interface, slider, right, sites, max_contacts)
     if not isinstance(length, Tracer):
         _report_given_up(np.asarray(length), max_contacts, raises=length.ndim == 0)
     return length
@@ -120,6 +137,7 @@ def precursor_length(
 def first_precursor(
     slider: Slider,
     *,
+    interface: Interface | Profile | None = None,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -131,7 +149,7 @@ def first_precursor(
     ----------
     slider : Slider
         One slider (fields of shape ()); ``jax.vmap`` over a batch.
-    right, sites, max_contacts
+    interface, right, sites, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
         Number of sites on which stress and fields are given: the whole of a finite chain by default, four times the
@@ -148,7 +166,9 @@ def first_precursor(
     if slider.shape != ():
         raise ValueError(f"first_precursor takes one slider, got a batch of shape {slider.shape}: use jax.vmap")
     _warn_single_precision(slider)
-    modes, ended = _arrest_function(right, sites, max_contacts)(slider)
+    if interface is not None and interface.shape != ():
+        raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
+    modes, ended = _arrest_function(right, sites, max_contacts)(slider, interface)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
         if sites is None and traced:
@@ -156,21 +176,28 @@ def first_precursor(
         recorded_sites = sites if sites is not None else max(4 * int(ended.contacts_broken), 16)
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
+    if interface is None:
+        stress, load = front_stress(modes, recorded_sites), modes.load
+    else:
+        stress, _ = interface_front.front_stress(modes, interface, recorded_sites)
+        load = modes.load * interface_front.nucleate(modes, interface)[1]
     return FirstPrecursor(
         slider=slider,
         contacts_broken=ended.contacts_broken,
         length=ended.length,
-        load=modes.load,
+        load=load,
         status=ended.status,
         edge_stress=ended.edge_stress,
-        front_stress=front_stress(modes, recorded_sites),
+        front_stress=stress,
         modes=modes,
+        interface=interface,
     )
 
 
 def precursor_lengths(
     slider: Slider,
     *,
+    interface: Interface | None = None,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -185,7 +212,7 @@ def precursor_lengths(
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    right, sites, max_contacts
+    interface, right, sites, max_contacts
         As for `precursor_length`.
 
     Returns
@@ -193,7 +220,7 @@ def precursor_lengths(
     numpy.ndarray
         float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
-    lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
+    lengths = precursor_arrests(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts).length
     _report_given_up(np.asarray(lengths), max_contacts, raises=False)
     return np.asarray(lengths)
 
@@ -201,6 +228,7 @@ def precursor_lengths(
 def precursor_arrests(
     slider: Slider,
     *,
+    interface: Interface | None = None,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -211,18 +239,21 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     _check_max_contacts(max_contacts)
-    parameters = np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape) for x in _fields(slider)], axis=-1)
-    lanes = parameters.reshape(-1, 3)
+    shape = slider.shape if interface is None else np.broadcast_shapes(slider.shape, interface.shape)
+    fields = _fields(slider) if interface is None else (*_fields(slider), interface.prestress, interface.threshold_slope)
+    parameters = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape) for x in fields], axis=-1)
+    lanes = parameters.reshape(-1, len(fields))
     order = np.argsort(_expected_length(lanes), kind="stable")
     result = Arrest(*(np.empty(len(lanes), dtype) for dtype in (np.int32, np.float64, np.int32, np.float64)))
     with jax.enable_x64(True):
-        arrest_chunk = _chunk_function(right, sites, max_contacts)
+        delay = None if interface is None else interface.repin_delay
+        arrest_chunk = _chunk_function(delay, right, sites, max_contacts)
         for start in range(0, len(lanes), _LANES):
             chosen = order[start : start + _LANES]
             padded = np.resize(chosen, _LANES)
             for column, values in zip(result, arrest_chunk(lanes[padded]), strict=True):
                 column[chosen] = np.asarray(values)[: len(chosen)]
-    return Arrest(*(column.reshape(slider.shape) for column in result))
+    return Arrest(*(column.reshape(shape) for column in result))
 
 
 _LANES = 1024  # lanes a chunk: the carried state of a chunk stays in the first-level cache
@@ -244,14 +275,53 @@ def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> C
     return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
 
 
-@functools.cache
-def _chunk_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Arrest]:
-    return jax.jit(jax.vmap(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts)))
+def _length_on(
+    interface: Interface | Profile, slider: Slider, right: RightEnd, sites: int | None, max_contacts: int
+) -> Array:
+    if isinstance(interface, Interface):
+        shape = np.broadcast_shapes(slider.shape, interface.shape)
+        fields = (*_fields(slider), interface.prestress, interface.threshold_slope)
+        parameters = jnp.stack([jnp.broadcast_to(jnp.asarray(x), shape) for x in fields], axis=-1)
+        return _interface_length_function(interface.repin_delay, right, sites, max_contacts)(parameters)
+    if slider.shape != ():
+        raise ValueError(f"a Profile belongs to one slider, got a batch of shape {slider.shape}: use jax.vmap")
+    return jnp.asarray(_arrest_function(right, sites, max_contacts)(slider, interface)[1].length)
 
 
 @functools.cache
-def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Slider], Any]:
-    return eqx.filter_jit(lambda slider: (lattice_modes(slider, right, sites), arrest(slider, right, sites, max_contacts)))
+def _interface_length_function(
+    delay: int, right: RightEnd, sites: int | None, max_contacts: int
+) -> Callable[[Array], Array]:
+    def length(parameters: Float[Array, "5"]) -> Array:
+        return jnp.asarray(_arrest_of(parameters, delay, right, sites, max_contacts).length)
+
+    return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
+
+
+def _arrest_of(parameters: Array, delay: int | None, right: RightEnd, sites: int | None, max_contacts: int) -> Arrest:
+    """`arrest` of (height, stiffness, poisson), or with prestress and threshold slope beside them where there is a delay."""
+    if delay is None:
+        return arrest(_slider(parameters), right, sites, max_contacts)
+    interface = Interface(parameters[3], parameters[4], delay)
+    return interface_front.arrest(_slider(parameters), interface, right, sites, max_contacts)
+
+
+@functools.cache
+def _chunk_function(
+    delay: int | None, right: RightEnd, sites: int | None, max_contacts: int
+) -> Callable[[np.ndarray], Arrest]:
+    return jax.jit(jax.vmap(lambda parameters: _arrest_of(parameters, delay, right, sites, max_contacts)))
+
+
+@functools.cache
+def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[..., Any]:
+    def both(slider: Slider, interface: Interface | Profile | None) -> tuple[Modes, Arrest]:
+        modes = lattice_modes(slider, right, sites)
+        if interface is None:
+            return modes, arrest(slider, right, sites, max_contacts)
+        return modes, interface_front.arrest(slider, interface, right, sites, max_contacts)
+
+    return eqx.filter_jit(both)
 
 
 def _slider(parameters: Array) -> Slider:
@@ -260,7 +330,7 @@ def _slider(parameters: Array) -> Slider:
 
 def _expected_length(lanes: np.ndarray) -> np.ndarray:
     """ln[2/(1+β)]/κ_2, the leading term of Eq. (25): good enough to put lanes of like length together."""
-    height, stiffness, poisson = lanes.T
+    height, stiffness, poisson = lanes.T[:3]
     b = 2 * (1 + poisson) * stiffness * height
     kappa_2 = np.sqrt(b / (1 + b) / (2 * (1 + poisson))) / height
     return np.log(2 / (1 + 1 / (1 + b))) / kappa_2
