@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.chain import State as State
     from slippulse_jax.lattice.chain import chain as chain
     from slippulse_jax.lattice.chain import relaxed as relaxed
+    from slippulse_jax.lattice.distribution import ThresholdDistribution as ThresholdDistribution
+    from slippulse_jax.lattice.distribution import force_law as force_law
+    from slippulse_jax.lattice.dynamics import CrackLike as CrackLike
+    from slippulse_jax.lattice.dynamics import SelfHealing as SelfHealing
+    from slippulse_jax.lattice.dynamics import simulate_inertial as simulate_inertial
     from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
     from slippulse_jax.lattice.events import Adiabatic as Adiabatic
     from slippulse_jax.lattice.events import Spring as Spring
@@ -39,6 +44,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Adiabatic": "lattice.events",
     "Ageing": "lattice.ageing",
+    "CrackLike": "lattice.dynamics",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
@@ -48,15 +54,18 @@ _HOME = {
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
     "Profile": "interface",
+    "SelfHealing": "lattice.dynamics",
     "Slider": "slider",
     "SmoothBreak": "rules",
     "Spring": "lattice.events",
     "State": "lattice.chain",
     "Steps": "lattice.events",
+    "ThresholdDistribution": "lattice.distribution",
     "chain": "lattice.chain",
     "equilibrium": "lattice.equilibrium",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
+    "force_law": "lattice.distribution",
     "nucleate": "lattice.cascade",
     "plot": "plot",
     "precursor_length": "lattice.precursor",
@@ -66,6 +75,7 @@ _HOME = {
     "rupture": "lattice.cascade",
     "sensitivity": "lattice.sensitivity",
     "series": "lattice.events",
+    "simulate_inertial": "lattice.dynamics",
 }
 
 __all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

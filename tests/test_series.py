@@ -52,7 +52,7 @@ def test_against_dense_program(protocol, right, ageing):
 def energies(catalogue):
     n = int(catalogue.count)
     stored = np.diff(np.append(0, catalogue.stored[:n]))
-    return abs(catalogue.work - np.append(stored, np.zeros(0)) - catalogue.broken - catalogue.relaxed)[:n]
+    return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
 
 
 @pytest.mark.parametrize("protocol", [sp.Adiabatic(), sp.Steps(0.5), sp.Spring(10.0)])
@@ -68,7 +68,8 @@ def test_energy_of_every_event(protocol, ageing):
 
 def test_stored_energy_is_that_of_the_springs():
     chain = sp.chain(sp.Slider(*FIG2), sites=60, right="free")
-    got = sp.series(chain, events=40)
+    got = sp.series(chain, events=15)
+    assert int(got.count) == 15
     at_end = sp.equilibrium(chain, got.state)
     u_t, u = np.asarray(at_end.upper), np.asarray(at_end.layer)
     springs = (25 * np.diff(u_t) ** 2).sum() + (np.diff(u) ** 2).sum() + (chain.across * (u_t - u) ** 2).sum()

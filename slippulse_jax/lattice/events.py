@@ -268,7 +268,7 @@ def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol,
             following = jnp.where(over.max() >= 0, following, -1)
             if recorded:
                 at = jnp.where(here.total < recorded, here.total, recorded)
-                log = (log[0].at[at].set(chosen - ahead, mode="drop"), log[1].at[at].set(now.event, mode="drop"))
+                log = (log[0].at[at].set((chosen - ahead).astype(jnp.int32), mode="drop"), log[1].at[at].set(now.event, mode="drop"))
             moved = after.pinning.reshape(-1)[chosen] - here.pinning.reshape(-1)[chosen]
             return (after, following, n + 1, broken + b, loosened + r, jnp.minimum(left, chosen), jnp.maximum(right, chosen),
                     slipped + moved, log)  # fmt: skip
