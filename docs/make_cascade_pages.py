@@ -1,6 +1,6 @@
 """Tables and figures of docs/surrogate.md, docs/cascade.md and docs/sensitivity.md: run it, and they are up to date.
 
-    python docs/make_cascade_pages.py
+python docs/make_cascade_pages.py
 """
 
 from pathlib import Path
@@ -56,9 +56,20 @@ def bias():
         worst = np.abs(relative).max()
         rows.append(
             (f"{w:g}", f"{100 * relative.mean():+.3g}", f"{100 * np.abs(relative).mean():.3g}", f"{100 * worst:.3g}")
-            + tuple(f"{lengths(a, b, w) - lengths(a, b):+.3g}" for a, b in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)))
+            + tuple(
+                f"{lengths(a, b, w) - lengths(a, b):+.3g}" for a, b in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003))
+            )
         )
-    header = ("$w$ (σ_s)", "mean bias, %", "mean size, %", "largest, %", "(10, 0.03), λc", "(25, 0.03), λc", "(50, 0.03), λc", "(25, 0.003), λc")
+    header = (
+        "$w$ (σ_s)",
+        "mean bias, %",
+        "mean size, %",
+        "largest, %",
+        "(10, 0.03), λc",
+        "(25, 0.03), λc",
+        "(50, 0.03), λc",
+        "(25, 0.003), λc",
+    )
     table("surrogate_bias", header, rows)
 
     rng = np.random.default_rng(0)
@@ -77,13 +88,24 @@ def bias():
     colours = ("#000000", "#0072B2", "#009E73", "#E69F00", "#D55E00")
     for w, colour in zip((None, 1e-3, 3e-3, 1e-2, 3e-2), colours, strict=True):
         line = lengths(height, 0.03, w)
-        left.plot(height, line, color=colour, lw=2 if w is None else 1.2, label="hard" if w is None else f"w = {w:g} $\\sigma_s$")
+        left.plot(
+            height, line, color=colour, lw=2 if w is None else 1.2, label="hard" if w is None else f"w = {w:g} $\\sigma_s$"
+        )
     left.set(xlabel="height, $H/\\lambda_c$", ylabel="length, $\\ell/\\lambda_c$", title="k/K = 0.03, ν = 0.3")
     left.legend(frameon=False)
     for (a, b), colour, marker in zip(((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)), colours, "osv^", strict=False):
         ws = np.geomspace(1e-5, 1, 60)
         one = np.array([lengths(a, b, w) for w in ws])
-        right.loglog(ws, np.abs(one / lengths(a, b) - 1) + 1e-12, color=colour, marker=marker, markevery=6, ms=4, lw=1, label=f"H/λc = {a:g}, k/K = {b:g}")
+        right.loglog(
+            ws,
+            np.abs(one / lengths(a, b) - 1) + 1e-12,
+            color=colour,
+            marker=marker,
+            markevery=6,
+            ms=4,
+            lw=1,
+            label=f"H/λc = {a:g}, k/K = {b:g}",
+        )
     right.loglog(widths, np.array(size) / exact.mean(), "k--", lw=2, label="mean over Fig. 3's range")
     right.loglog(widths[4:], 0.3 * (widths[4:] / widths[4]) ** 2 * size[4] / exact.mean(), ":", color="0.4", label="slope 2")
     right.set(xlabel="width, $w/\\sigma_s$", ylabel="bias, $|\\ell_w - \\ell|/\\ell$", ylim=(1e-8, 2))
@@ -135,7 +157,11 @@ def drift():
         n, u = int(found.breaks), float(jnp.abs(found.after.layer).max())
         eps = np.finfo(float).eps
         rows.append((sites, n, int(found.broken.max()), f"{float(found.drift):.1e}", f"{n * 16 * eps:.1e}", f"{u * eps:.1e}"))
-    table("drift", ("N", "breaks", "of one contact, at most", "drift found, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"), rows)
+    table(
+        "drift",
+        ("N", "breaks", "of one contact, at most", "drift found, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"),
+        rows,
+    )
 
 
 def pictures():

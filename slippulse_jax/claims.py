@@ -250,7 +250,7 @@ def _series_without_ageing() -> Finding:
 @claim("C14", "with ageing precursors grow until one spans the interface")
 def _series_with_ageing() -> Finding:
     aged = series(chain(fig2(), sites=150), events=3000, ageing=Ageing(0.3, 3.0))
-    n = int(aged.count)
+    n = int(aged.number)
     extent, breaks = np.asarray(aged.extent)[:n], np.asarray(aged.breaks)[:n]
     record = np.maximum.accumulate(np.where(breaks >= 10, extent, 0))
     large = extent[(breaks >= 10) & (extent == record)]
@@ -285,7 +285,9 @@ def _no_upper_layer() -> Finding:
     q, n = 0.03, 200
     a = np.diag(np.full(n, 2 + q)) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
     push = np.linalg.solve(a, np.eye(n)[0])  # u_1 … u_n per u_0
-    text = f"contact 1 carries {push[0]:.4f} σ_s when contact 0 breaks at u_0 = u_s, and as much after: u_0 is held, nothing moves"
+    text = (
+        f"contact 1 carries {push[0]:.4f} σ_s when contact 0 breaks at u_0 = u_s, and as much after: u_0 is held, nothing moves"
+    )
     return Finding(text, _verdict(bool(push[0] < 1)))
 
 

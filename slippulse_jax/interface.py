@@ -105,7 +105,9 @@ class Profile(eqx.Module):
         if np.ndim(self.threshold) != 1:
             raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,)")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):
-            raise ValueError(f"Profile.prestress has shape {np.shape(self.prestress)}: must be () or {np.shape(self.threshold)}")
+            raise ValueError(
+                f"Profile.prestress has shape {np.shape(self.prestress)}: must be () or {np.shape(self.threshold)}"
+            )
         if self.repin_delay < 0:
             raise ValueError(f"Profile.repin_delay = {self.repin_delay}: must be 0 or more")
         if not isinstance(self.threshold, Tracer) and not (np.asarray(self.threshold) > 0).all():

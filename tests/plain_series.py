@@ -53,6 +53,7 @@ class PlainSeries:
             return self.load + max(rise.min(), 0), int(rise.argmin())
         best = (np.inf, -1)
         for i in range(self.n):
+
             def gap(d, i=i):
                 age = self.load + d - self.born[i]
                 return self.theta[i] * (1.0 if np.isinf(age) else self.strength(age)) - now[i] - c[i] * d

@@ -71,7 +71,7 @@ def test_with_ageing_precursors_grow_until_one_spans():
     """C14: thresholds reborn at 0.3 σ_s and recovering over 3 u_s of load, N = 150."""
     got = sp.series(sp.chain(FIG2, sites=150), events=3000, ageing=sp.Ageing(0.3, 3.0))
     assert int(got.status) == SeriesStatus.SPANNED
-    n = int(got.count)
+    n = int(got.number)
     assert int(got.extent[0]) == 34
     furthest = np.maximum.accumulate(np.asarray(got.extent)[:n])
     assert furthest[-1] == 150
@@ -81,7 +81,11 @@ def test_with_ageing_precursors_grow_until_one_spans():
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [({"newborn": 0.0, "scale": 1.0}, "newborn"), ({"newborn": 0.5, "scale": -1.0}, "scale"), ({"newborn": 0.5, "scale": 1.0, "law": "linear"}, "law")],
+    [
+        ({"newborn": 0.0, "scale": 1.0}, "newborn"),
+        ({"newborn": 0.5, "scale": -1.0}, "scale"),
+        ({"newborn": 0.5, "scale": 1.0, "law": "linear"}, "law"),
+    ],
 )
 def test_errors(wrong, message):
     with pytest.raises(ValueError, match=message):

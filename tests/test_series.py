@@ -50,7 +50,7 @@ def test_against_dense_program(protocol, right, ageing):
 
 
 def energies(catalogue):
-    n = int(catalogue.count)
+    n = int(catalogue.number)
     stored = np.diff(np.append(0, catalogue.stored[:n]))
     return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
 
@@ -62,14 +62,14 @@ def test_energy_of_every_event(protocol, ageing):
     chain = sp.chain(sp.Slider(*FIG2), sites=150)
     got = sp.series(chain, protocol, events=150, ageing=ageing)
     assert energies(got).max() < 1e-9
-    assert (np.asarray(got.broken)[: int(got.count)] > 0).all()
-    assert (np.asarray(got.relaxed)[: int(got.count)] > -1e-12).all()
+    assert (np.asarray(got.broken)[: int(got.number)] > 0).all()
+    assert (np.asarray(got.relaxed)[: int(got.number)] > -1e-12).all()
 
 
 def test_stored_energy_is_that_of_the_springs():
     chain = sp.chain(sp.Slider(*FIG2), sites=60, right="free")
     got = sp.series(chain, events=15)
-    assert int(got.count) == 15
+    assert int(got.number) == 15
     at_end = sp.equilibrium(chain, got.state)
     u_t, u = np.asarray(at_end.upper), np.asarray(at_end.layer)
     springs = (25 * np.diff(u_t) ** 2).sum() + (np.diff(u) ** 2).sum() + (chain.across * (u_t - u) ** 2).sum()

@@ -69,7 +69,7 @@ class Ageing(eqx.Module):
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
     def growth(self, age: Array, velocity: Array | float = 1.0) -> Array:
-        """d strength / d age, per load."""
+        """D strength / d age, per load."""
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau

@@ -49,7 +49,9 @@ class ThresholdDistribution(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.kind not in get_args(Kind):
-            raise ValueError(f"ThresholdDistribution.kind = {self.kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}")
+            raise ValueError(
+                f"ThresholdDistribution.kind = {self.kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}"
+            )
         if not isinstance(self.width, Tracer):
             most = {"normal": np.inf, "uniform": 1 / np.sqrt(3) + 1e-15, "weibull": 1.0}[self.kind]
             if not np.all((np.asarray(self.width) > 0) & (np.asarray(self.width) <= most)):

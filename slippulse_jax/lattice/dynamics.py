@@ -2,8 +2,8 @@ r"""The chain with inertia: both layers have mass, contacts break in time, and w
 
 A block of the interfacial layer has mass m = 1, one of the upper layer H/λc, so that sound travels one site per time unit
 √(m/K) in both. Positions and velocities go forward by velocity Verlet, which is symplectic, between two exact half steps of
-viscous damping. Every loss is booked where it occurs: the kinetic energy a damping step takes, the stretch a contact loses as it
-breaks, the friction of a contact that slides. What is left over is the integrator's error, of second order in the step.
+viscous damping. Every loss is booked where it occurs: the kinetic energy a damping step takes, the stretch a contact loses
+as it breaks, the friction of a contact that slides. What is left over is the integrator's error, of second order in the step.
 
 A general-purpose integrator would not do better here: the right-hand side jumps at every break, which must happen between two
 steps of one fixed size, and a method of higher order loses its order there.
@@ -163,7 +163,9 @@ def simulate_inertial(
         state, found = nucleate(chain, relaxed(chain))
         trigger = found if trigger is None else trigger
     trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
-    return _simulate(safety, chain, state, jnp.asarray(duration), jnp.asarray(damping), rule, jnp.asarray(velocity), trigger, rest)
+    return _simulate(
+        safety, chain, state, jnp.asarray(duration), jnp.asarray(damping), rule, jnp.asarray(velocity), trigger, rest
+    )
 
 
 def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
@@ -281,7 +283,9 @@ def _simulate(
         return now._replace(worst=jnp.maximum(now.worst, jnp.abs(energy - initial - work + broken + damped + rubbed)))
 
     def going(now: _Now) -> Array:
-        quiet = (kinetic(now.v) < rest) & (overloaded(now).max() < 0) & (damping > 0) & (now.since > 10 * dt) & ~now.sliding.any()
+        quiet = (
+            (kinetic(now.v) < rest) & (overloaded(now).max() < 0) & (damping > 0) & (now.since > 10 * dt) & ~now.sliding.any()
+        )
         return (now.n < steps) & ~quiet
 
     zero = jnp.zeros_like(dt)

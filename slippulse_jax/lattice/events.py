@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
@@ -93,7 +94,7 @@ Protocol = Adiabatic | Steps | Spring
 class Catalogue(NamedTuple):
     """Events of a series in order; displacements in u_s, stresses in σ_s, forces in K u_s, energies in K u_s².
 
-    Rows beyond `count` are empty: kind −1, numbers NaN or 0.
+    Rows beyond `number` are empty: kind −1, numbers NaN or 0.
     """
 
     load: Float[Array, " E"]  # U (of the driver, with a spring)
@@ -110,7 +111,7 @@ class Catalogue(NamedTuple):
     broken: Float[Array, " E"]  # energy of the stretch of the contacts that broke
     relaxed: Float[Array, " E"]  # energy given up as the chain relaxed after the breaks
     kind: Int[Array, " E"]  # an EventClass
-    count: Int[Array, ""]
+    number: Int[Array, ""]  # of events
     break_site: Int[Array, " L"]  # every break in order, as far as `recorded_breaks` goes; −1 beyond
     break_event: Int[Array, " L"]
     state: State  # at the end
@@ -135,7 +136,7 @@ class _Now(NamedTuple):
 
 
 _EMPTY = {"kind": -1, "site": -1, "leftmost": -1, "extent": 0, "breaks": 0}
-_ROWS = Catalogue._fields[: Catalogue._fields.index("count")]
+_ROWS = Catalogue._fields[: Catalogue._fields.index("number")]
 
 
 def series(
@@ -186,15 +187,18 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         value = getattr(protocol, name, 1.0)
-        if not isinstance(value, jax.core.Tracer) and not np.all(np.asarray(value) > 0):
+        if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
             raise ValueError(f"{type(protocol).__name__}.{name} = {value}: must be positive")
     max_breaks = 50 * chain.sites if max_breaks is None else max_breaks
     shape = (events, max_breaks, recorded_breaks, stop_when_spanning)
     return _hard_series(shape, chain, protocol, ageing)
 
 
-def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol, ageing: Ageing | None) -> Catalogue:
+def _series(  # noqa: C901 - one loop in a loop, and the helpers that share its constants
+    shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol, ageing: Ageing | None
+) -> Catalogue:
     events, max_breaks, recorded, stop = shape
+    velocity = jnp.asarray(protocol.velocity)
     sites = chain.sites
     ahead = int(isinstance(protocol, Spring))  # sites put before the chain's own
     if isinstance(protocol, Spring):
@@ -213,17 +217,19 @@ def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol,
     edge_gain = k * per_load * soft  # force on the edge per stress given up
     index = jnp.arange(q.size).reshape(q.shape)
     stiff = pushed.push - at_rest.push
-    valid = (at_rest.status == EquilibriumStatus.SOLVED) & (chain.threshold > at_rest.stress).all() & (chain.threshold > 0).all()
+    valid = (
+        (at_rest.status == EquilibriumStatus.SOLVED) & (chain.threshold > at_rest.stress).all() & (chain.threshold > 0).all()
+    )
 
     def strength(now: _Now) -> Array:
-        return threshold if ageing is None else threshold * ageing.strength(now.load - now.born, protocol.velocity)
+        return threshold if ageing is None else threshold * ageing.strength(now.load - now.born, velocity)
 
     def next_load(now: _Now) -> Array:
         if ageing is None:
             pulled = per_load > 0
             missing = jnp.where(pulled, (threshold - now.stress) / jnp.where(pulled, per_load, 1), jnp.inf)
         else:
-            missing = next_crossing(ageing, now.stress, per_load, threshold, now.load - now.born, protocol.velocity)
+            missing = next_crossing(ageing, now.stress, per_load, threshold, now.load - now.born, velocity)
         return jnp.maximum(missing, 0)
 
     def break_one(now: _Now, where: Array, event: Array) -> tuple[_Now, Array, Array]:
@@ -268,7 +274,10 @@ def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol,
             following = jnp.where(over.max() >= 0, following, -1)
             if recorded:
                 at = jnp.where(here.total < recorded, here.total, recorded)
-                log = (log[0].at[at].set((chosen - ahead).astype(jnp.int32), mode="drop"), log[1].at[at].set(now.event, mode="drop"))
+                log = (
+                    log[0].at[at].set((chosen - ahead).astype(jnp.int32), mode="drop"),
+                    log[1].at[at].set(now.event, mode="drop"),
+                )
             moved = after.pinning.reshape(-1)[chosen] - here.pinning.reshape(-1)[chosen]
             return (after, following, n + 1, broken + b, loosened + r, jnp.minimum(left, chosen), jnp.maximum(right, chosen),
                     slipped + moved, log)  # fmt: skip
@@ -302,15 +311,14 @@ def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol,
         rows = {name: now.rows[name].at[at].set(row[name].astype(now.rows[name].dtype), mode="drop") for name in _ROWS}
         endings = [~found, unfinished >= 0, spanned & stop]
         ended = jnp.select(endings, [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED], -1)
-        return after._replace(
-            rows=rows | {"log": log}, event=now.event + found, stored=stored, ended=ended.astype(jnp.int32)
-        )
+        return after._replace(rows=rows | {"log": log}, event=now.event + found, stored=stored, ended=ended.astype(jnp.int32))
 
     dtype = chain.contact.dtype
     stress = into_blocks(at_rest.stress, size)
     whole = jnp.zeros((), jnp.int32)
     rows: dict[str, Any] = {
-        name: jnp.full(events, _EMPTY[name], jnp.int32) if name in _EMPTY else jnp.full(events, jnp.nan, dtype) for name in _ROWS
+        name: jnp.full(events, _EMPTY[name], jnp.int32) if name in _EMPTY else jnp.full(events, jnp.nan, dtype)
+        for name in _ROWS
     }
     rows["log"] = (jnp.full(recorded, -1, jnp.int32),) * 2
     now = _Now(
@@ -333,7 +341,7 @@ def _series(shape: tuple[int, int, int, bool], chain: Chain, protocol: Protocol,
     log = end.rows.pop("log")
     status = jnp.where(end.ended < 0, SeriesStatus.DONE, end.ended)
     return Catalogue(
-        **end.rows, count=end.event, break_site=log[0], break_event=log[1],
+        **end.rows, number=end.event, break_site=log[0], break_event=log[1],
         state=State(state.pinning[ahead:], state.load), drift=drift, status=status,
     )  # fmt: skip
 

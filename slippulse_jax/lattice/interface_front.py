@@ -1,7 +1,7 @@
 r"""The first precursor on an interface with prestress, varying thresholds or delayed repinning, by a recursion of fixed size.
 
-A contact that carries the prestress φ and is pinned at p carries t = u − p + φ, in σ_s; when it breaks and repins, p grows by t.
-A detached contact carries t = 0, as one pinned at p = u + φ does. So with a delay of n sites the n contacts behind the front
+A contact that carries the prestress φ and is pinned at p carries t = u − p + φ, in σ_s; when it breaks and repins, p grows by
+t. A detached contact carries t = 0, as one pinned at p = u + φ does. So with a delay of n sites the n contacts behind the front
 are pinning points that follow the layer, p = u + φ, and those before them are at rest. In modes,
 
     t(s) = φ_s + Σ_m e_m(s) [ w_m S_m + r_m^s (A C_m + Σ_n R_mn T_n) ] + Σ_{window} G_sj p_j,        A = θ_0 − φ_0,
@@ -99,9 +99,7 @@ def nucleate(modes: Modes, interface: Interface | Profile) -> tuple[DelayedFront
     threshold = interface.threshold_at(zero)
     drive = threshold - interface.prestress_at(zero)
     pair, window = jnp.zeros_like(modes.ratio), jnp.zeros(interface.repin_delay, modes.load.dtype)
-    start = DelayedFront(
-        jnp.zeros((), jnp.int32), threshold + zero, threshold + zero, pair, pair, window
-    )
+    start = DelayedFront(jnp.zeros((), jnp.int32), threshold + zero, threshold + zero, pair, pair, window)
     return start, drive + zero
 
 
@@ -178,7 +176,7 @@ def edge_stress(modes: Modes, interface: Interface | Profile, drive: Array, fron
 
 
 def _edge_pinning(modes: Modes, interface: Interface | Profile, drive: Array, front: DelayedFront) -> Array:
-    """p of contact 0 where it had been detached for n sites: run the first n breaks again."""
+    """P of contact 0 where it had been detached for n sites: run the first n breaks again."""
     n = front.window.shape[0]
     start, drive = nucleate(modes, interface)
     for _ in range(n):
@@ -186,7 +184,9 @@ def _edge_pinning(modes: Modes, interface: Interface | Profile, drive: Array, fr
     return start.window[0]
 
 
-def front_stress(modes: Modes, interface: Interface | Profile, count: int) -> tuple[Float[Array, " count"], Float[Array, " count"]]:
+def front_stress(
+    modes: Modes, interface: Interface | Profile, count: int
+) -> tuple[Float[Array, " count"], Float[Array, " count"]]:
     """t(0) … t(count − 1) as the front comes to each contact, past the arrest too, and their thresholds."""
     start, drive = nucleate(modes, interface)
 

@@ -103,7 +103,8 @@ def precursor_length(
     Returns
     -------
     array
-        ℓ ≥ 0; inf where the front reaches the right end of a finite chain or runs away on a prestressed interface; NaN in the lanes of a batch, or under
+        ℓ ≥ 0; inf where the front reaches the right end of a finite chain or runs away on a prestressed interface; NaN in the
+        lanes of a batch, or under
         ``jit`` and ``vmap``, where the front was given up or the (traced) slider is not physical. A length that is not
         finite has no finite derivative.
 
@@ -275,9 +276,7 @@ def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> C
     return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
 
 
-def _length_on(
-    interface: Interface | Profile, slider: Slider, right: RightEnd, sites: int | None, max_contacts: int
-) -> Array:
+def _length_on(interface: Interface | Profile, slider: Slider, right: RightEnd, sites: int | None, max_contacts: int) -> Array:
     if isinstance(interface, Interface):
         shape = np.broadcast_shapes(slider.shape, interface.shape)
         fields = (*_fields(slider), interface.prestress, interface.threshold_slope)
@@ -289,9 +288,7 @@ def _length_on(
 
 
 @functools.cache
-def _interface_length_function(
-    delay: int, right: RightEnd, sites: int | None, max_contacts: int
-) -> Callable[[Array], Array]:
+def _interface_length_function(delay: int, right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
     def length(parameters: Float[Array, "5"]) -> Array:
         return jnp.asarray(_arrest_of(parameters, delay, right, sites, max_contacts).length)
 
@@ -307,9 +304,7 @@ def _arrest_of(parameters: Array, delay: int | None, right: RightEnd, sites: int
 
 
 @functools.cache
-def _chunk_function(
-    delay: int | None, right: RightEnd, sites: int | None, max_contacts: int
-) -> Callable[[np.ndarray], Arrest]:
+def _chunk_function(delay: int | None, right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Arrest]:
     return jax.jit(jax.vmap(lambda parameters: _arrest_of(parameters, delay, right, sites, max_contacts)))
 
 
