@@ -154,7 +154,7 @@ def _eq25(slider: Slider) -> np.ndarray:
 @claim("C7", "Eqs. (58) and (25) agree with the numerics (Fig. 3)")
 def _formula() -> Finding:
     with np.errstate(invalid="ignore"):
-        sliders = Slider(np.linspace(10, 50, 9), np.array([[0.003], [0.01], [0.03]]), 0.3)
+        sliders = Slider(np.linspace(10, 50, 9)[None, :], np.array([[0.003], [0.01], [0.03]]), 0.3)
         ratio = _eq25(sliders) / precursor_lengths(sliders)
     text = (
         f"Eq. (25) over the lattice, H/λc = 10–50, k/K = 0.003–0.03: {ratio.min():.3f} to {ratio.max():.3f}. Eq. (58) as printed "
@@ -293,7 +293,7 @@ def _no_upper_layer() -> Finding:
 
 @claim("C17", "(λc κ_2)^-1 ≈ √(2(1+ν) + h/q)/h, with h = λc/H, q = k/K (label cra44)")
 def _long_length() -> Finding:
-    height, stiffness = np.geomspace(10, 1e5, 41), np.geomspace(1e-4, 0.1, 31)[:, None]
+    height, stiffness = np.geomspace(10, 1e5, 41)[None, :], np.geomspace(1e-4, 0.1, 31)[:, None]
     slider = Slider(height, stiffness, 0.3)
     approximate = np.sqrt(2 * 1.3 + 1 / (height * stiffness)) * height
     ratio = approximate * np.asarray(slider.kappa_2)
