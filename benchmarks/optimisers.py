@@ -14,8 +14,9 @@ import optax
 from jax import lax
 
 from slippulse_jax import Slider
-from slippulse_jax.inference.objective import Data, half_chi_squared, length_of
-from slippulse_jax.lattice.precursor import precursor_lengths
+from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.lattice.bulk import precursor_lengths
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
 
 STUDIES, HEIGHTS = 200, np.array([15.0, 25.0, 40.0])
 BOX = np.log([1e-4, 2e-2])
@@ -29,8 +30,12 @@ def studies(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return exact + sigma * rng.standard_normal(exact.shape), sigma
 
 
-def data(length, sigma) -> Data:
-    return Data(HEIGHTS, np.full(3, 0.3), np.ones(3), length, sigma)
+def length_of(height, stiffness, poisson):
+    return arrest(Slider(height, stiffness, poisson), "semi-infinite", None, DEFAULT_MAX_CONTACTS).length
+
+
+def half_chi_squared(theta, length, sigma):
+    return by_forward_mode(lambda x: jnp.sum(((model(x[0]) - length) / sigma) ** 2) / 2)(theta[None])
 
 
 def model(theta):
@@ -45,7 +50,7 @@ def descend(optimiser: optax.GradientTransformationExtraArgs, natural: bool):
             return BOX[0] + (BOX[1] - BOX[0]) * jax.nn.sigmoid(z)
 
         def f(z):
-            return half_chi_squared(inside(z)[None], data(length, sigma))
+            return half_chi_squared(inside(z), length, sigma)
 
         def step(carry):
             z, state, n, _ = carry

@@ -13,18 +13,30 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.measurements import Measurements as Measurements
     from slippulse_jax.inference.measurements import read_measurements as read_measurements
     from slippulse_jax.inference.result import FitResult as FitResult
+    from slippulse_jax.interface import Interface as Interface
+    from slippulse_jax.interface import Profile as Profile
+    from slippulse_jax.lattice.ageing import Ageing as Ageing
+    from slippulse_jax.lattice.bulk import precursor_lengths as precursor_lengths
     from slippulse_jax.lattice.cascade import nucleate as nucleate
     from slippulse_jax.lattice.cascade import rupture as rupture
     from slippulse_jax.lattice.chain import State as State
     from slippulse_jax.lattice.chain import chain as chain
     from slippulse_jax.lattice.chain import relaxed as relaxed
+    from slippulse_jax.lattice.distribution import ThresholdDistribution as ThresholdDistribution
+    from slippulse_jax.lattice.distribution import force_law as force_law
+    from slippulse_jax.lattice.dynamics import CrackLike as CrackLike
+    from slippulse_jax.lattice.dynamics import SelfHealing as SelfHealing
+    from slippulse_jax.lattice.dynamics import simulate_inertial as simulate_inertial
     from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
+    from slippulse_jax.lattice.events import Adiabatic as Adiabatic
+    from slippulse_jax.lattice.events import Spring as Spring
+    from slippulse_jax.lattice.events import Steps as Steps
+    from slippulse_jax.lattice.events import series as series
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
     from slippulse_jax.lattice.precursor import first_precursor as first_precursor
     from slippulse_jax.lattice.precursor import precursor_length as precursor_length
-    from slippulse_jax.lattice.precursor import precursor_lengths as precursor_lengths
     from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
     from slippulse_jax.rules import HardBreak as HardBreak
     from slippulse_jax.rules import SmoothBreak as SmoothBreak
@@ -32,28 +44,40 @@ if TYPE_CHECKING:
 
 
 _HOME = {
+    "Adiabatic": "lattice.events",
+    "Ageing": "lattice.ageing",
+    "CrackLike": "lattice.dynamics",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
     "FrontStatus": "lattice.front",
     "HardBreak": "rules",
+    "Interface": "interface",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
+    "Profile": "interface",
+    "SelfHealing": "lattice.dynamics",
     "Slider": "slider",
     "SmoothBreak": "rules",
+    "Spring": "lattice.events",
     "State": "lattice.chain",
+    "Steps": "lattice.events",
+    "ThresholdDistribution": "lattice.distribution",
     "chain": "lattice.chain",
     "equilibrium": "lattice.equilibrium",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
+    "force_law": "lattice.distribution",
     "nucleate": "lattice.cascade",
     "plot": "plot",
     "precursor_length": "lattice.precursor",
-    "precursor_lengths": "lattice.precursor",
+    "precursor_lengths": "lattice.bulk",
     "read_measurements": "inference.measurements",
     "relaxed": "lattice.chain",
     "rupture": "lattice.cascade",
     "sensitivity": "lattice.sensitivity",
+    "series": "lattice.events",
+    "simulate_inertial": "lattice.dynamics",
 }
 
 __all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -13,6 +13,8 @@ import click
 from slippulse_jax.commands.shared import FAILURE, INTERRUPTED
 
 COMMANDS = {
+    "series": "A series of precursors, as a catalogue of events.",
+    "claims": "Measure the claims of the paper, one by one.",
     "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
     "length": "Length of the first precursor of one slider.",
 }

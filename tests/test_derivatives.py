@@ -7,7 +7,7 @@ import plain_chain
 import pytest
 
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.lattice.precursor import precursor_arrests
+from slippulse_jax.lattice.bulk import precursor_arrests
 
 STEP = 1e-30
 

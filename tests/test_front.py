@@ -7,8 +7,8 @@ import plain_chain
 import pytest
 
 from slippulse_jax import FrontNotArrested, FrontStatus, Slider, first_precursor, precursor_length
+from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.front import arrest
-from slippulse_jax.lattice.precursor import precursor_arrests
 
 # physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
 PRINTED = [

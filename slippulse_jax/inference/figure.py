@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from slippulse_jax.inference.result import FitResult
-from slippulse_jax.lattice.precursor import precursor_lengths
+from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.slider import Slider
 
 # Okabe and Ito's colours, told apart by all kinds of sight

@@ -11,8 +11,8 @@ from slippulse_jax.inference.optimise import Local, Outcome, minimise
 from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
 from slippulse_jax.inference.result import FitResult, Root
 from slippulse_jax.inference.uncertainty import Interval, allowed, chi_squared_tail, local_minima, merge, peaks, scan, threshold
+from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.front import Arrest, FrontStatus
-from slippulse_jax.lattice.precursor import precursor_arrests
 from slippulse_jax.slider import Slider
 
 FREE_PARAMETERS = ("stiffness",)

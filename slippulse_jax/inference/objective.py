@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import Local
 from slippulse_jax.inference.parameters import Stiffness
+from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
-from slippulse_jax.lattice.precursor import precursor_lengths
 from slippulse_jax.slider import Slider
 
 LANES = 32  # of a chunk in which derivatives are taken: a few starts times a few heights

@@ -1,9 +1,7 @@
-"""The first precursor as users ask for it: its length, the full record, and lengths by the million."""
+"""The first precursor as users ask for it: its length, and the full record."""
 
 import functools
 import warnings
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,17 +11,19 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.lattice.front import (
-    DEFAULT_MAX_CONTACTS,
-    Arrest,
-    FrontStatus,
-    arrest,
-    front_stress,
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice import interface_front
+from slippulse_jax.lattice.compiled import (
+    Configuration,
+    arrest_function,
+    length_function,
+    parameters,
+    profile_function,
+    smooth_function,
+    status_function,
 )
-from slippulse_jax.lattice.lanes import length_rank, sorted_lengths
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus, front_stress
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
-from slippulse_jax.lattice.surrogate import smooth_length
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
@@ -50,9 +50,17 @@ class FirstPrecursor(eqx.Module):
     status: Int[Array, ""]  # a FrontStatus
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
+    interface: Interface | Profile | None = None
 
     def fields_at(self, front_position: int | Array) -> Fields:
-        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
+        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest.
+
+        On an interface with prestress φ the contact stress is `Fields.stress` + φ.
+        """
+        if self.interface is not None:
+            sites = self.front_stress.shape[0]
+            pinning = interface_front.pinning(self.modes, self.interface, sites, jnp.asarray(front_position))
+            return equilibrium_fields(self.modes, self.load, pinning)
         broken = jnp.arange(self.front_stress.shape[0]) < front_position
         return equilibrium_fields(self.modes, self.load, jnp.where(broken, self.front_stress, 0))
 
@@ -84,6 +92,7 @@ class FirstPrecursor(eqx.Module):
 def precursor_length(
     slider: Slider,
     *,
+    interface: Interface | Profile | None = None,
     rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
@@ -101,6 +110,9 @@ def precursor_length(
     ----------
     slider : Slider
         One slider or a batch; ℓ has its shape.
+    interface : Interface or Profile, optional
+        Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
+        broadcasts with the slider; a `Profile` belongs to one slider.
     rule : HardBreak or SmoothBreak
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
         length has no kinks, a bias that the documentation gives, and a derivative in the width too; semi-infinite chains only.
@@ -134,21 +146,32 @@ def precursor_length(
     above 1000 a warning says so, once. Work under ``jax.enable_x64(True)`` there.
     """
     check_right_end(right, sites)
-    _check_max_contacts(max_contacts)
+    check_max_contacts(max_contacts)
     check_rule(rule)
     _warn_single_precision(slider)
+    configuration = right, sites, max_contacts
     if isinstance(rule, SmoothBreak):
-        return _smooth_length(slider, rule, right, max_contacts)
-    length = _length_function(right, sites, max_contacts)(_parameters(slider))
+        length, status = _smooth(slider, interface, rule, configuration)
+    elif isinstance(interface, Profile):
+        _check_one(slider, "a Profile belongs to one slider")
+        ended = profile_function(configuration)(slider, interface)
+        length, status = jnp.asarray(ended.length), ended.status
+    else:
+        which = 0 if interface is None else interface.repin_delay, configuration
+        lanes = parameters(slider, interface)
+        length = length_function(*which)(lanes)
+        # only looked at where a length is missing
+        missing = not isinstance(length, Tracer) and np.isnan(length).any()
+        status = status_function(*which)(lanes) if missing else None
     if not isinstance(length, Tracer) and np.isnan(length).any():
-        status = _status_function(right, sites, max_contacts)(_parameters(slider))
-        _report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
+        report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
     return length
 
 
 def first_precursor(
     slider: Slider,
     *,
+    interface: Interface | Profile | None = None,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -160,7 +183,7 @@ def first_precursor(
     ----------
     slider : Slider
         One slider (fields of shape ()); ``jax.vmap`` over a batch.
-    right, sites, max_contacts
+    interface, right, sites, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
         Number of sites on which stress and fields are given: the whole of a finite chain by default, four times the
@@ -173,13 +196,12 @@ def first_precursor(
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """
     check_right_end(right, sites)
-    _check_max_contacts(max_contacts)
-    if slider.shape != ():
-        raise ValueError(f"first_precursor takes one slider, got a batch of shape {slider.shape}: use jax.vmap")
+    check_max_contacts(max_contacts)
+    _check_one(slider, "first_precursor takes one slider")
+    if interface is not None and interface.shape != ():
+        raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
     _warn_single_precision(slider)
-    # the count has no derivative and must not stop that of the rest: the length brings its own
-    ended = _arrest_function(right, sites, max_contacts)(lax.stop_gradient(_parameters(slider)))
-    modes = lattice_modes(slider, right, sites)
+    ended = _count(slider, interface, (right, sites, max_contacts))
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
         if sites is None and traced:
@@ -187,147 +209,60 @@ def first_precursor(
         recorded_sites = sites if sites is not None else max(4 * int(ended.contacts_broken), 16)
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
+    modes = lattice_modes(slider, right, sites)
+    if interface is None:
+        stress, load = front_stress(modes, recorded_sites), modes.load
+    else:
+        stress, _ = interface_front.front_stress(modes, interface, recorded_sites)
+        load = modes.load * interface_front.nucleate(modes, interface)[1]
+    if isinstance(interface, Profile):
+        length = jnp.asarray(profile_function((right, sites, max_contacts))(slider, interface).length)
+    else:
+        delay = 0 if interface is None else interface.repin_delay
+        length = length_function(delay, (right, sites, max_contacts))(parameters(slider, interface))
     return FirstPrecursor(
         slider=slider,
         contacts_broken=jnp.asarray(ended.contacts_broken),
-        length=_length_function(right, sites, max_contacts)(_parameters(slider)),
-        load=modes.load,
+        length=length,
+        load=load,
         status=jnp.asarray(ended.status),
-        front_stress=front_stress(modes, recorded_sites),
+        front_stress=stress,
         modes=modes,
+        interface=interface,
     )
 
 
-def precursor_lengths(
-    slider: Slider,
-    *,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
-) -> np.ndarray:
-    """Lengths ℓ of a batch of any size, in λc, as NumPy float64.
-
-    The same numbers as `precursor_length` in double precision whatever the JAX flags, computed lane by lane in the
-    order of their expected length and in chunks of one fixed shape, so that no lane waits for a much longer one. A
-    result never depends on the rest of the batch. Not traceable: inside ``jit`` use ``jax.vmap`` of `precursor_length`.
-
-    Parameters
-    ----------
-    slider : Slider
-        Fields of any shapes that broadcast.
-    right, sites, max_contacts
-        As for `precursor_length`.
-
-    Returns
-    -------
-    numpy.ndarray
-        float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
-    """
-    check_right_end(right, sites)
-    _check_max_contacts(max_contacts)
-    if right == "semi-infinite":
-        lengths = sorted_lengths(_lanes(slider), max_contacts).reshape(slider.shape)
-    else:
-        lengths = precursor_arrests(slider, right=right, sites=sites, max_contacts=max_contacts).length
-    if np.isnan(lengths).any():
-        # in double precision every slider that could be made is one
-        _report_without_length(np.where(np.isnan(lengths), FrontStatus.LIMIT, 0), max_contacts, raises=False)
-    return np.asarray(lengths)
+def _count(slider: Slider, interface: Interface | Profile | None, configuration: Configuration) -> Arrest:
+    """Count and status, which have no derivative and must not stop those of the rest."""
+    slider, interface = lax.stop_gradient((slider, interface))
+    if isinstance(interface, Profile):
+        return profile_function(configuration)(slider, interface)
+    delay = 0 if interface is None else interface.repin_delay
+    return arrest_function(delay, configuration)(parameters(slider, interface))
 
 
-def precursor_arrests(
-    slider: Slider,
-    *,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
-) -> Arrest:
-    """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
-
-    What `precursor_lengths` computes, with all that is known of each lane; nothing is raised or warned about a lane.
-    """
-    check_right_end(right, sites)
-    _check_max_contacts(max_contacts)
-    lanes = _lanes(slider).T
-    order = np.argsort(length_rank(lanes.T), kind="stable")
-    result = Arrest(*(np.empty(len(lanes), dtype) for dtype in (np.int32, np.float64, np.int32, np.float64)))
-    with jax.enable_x64(True):
-        arrest_chunk = _chunk_function(right, sites, max_contacts)
-        for start in range(0, len(lanes), _LANES):
-            chosen = order[start : start + _LANES]
-            padded = np.resize(chosen, _LANES)
-            for column, values in zip(result, arrest_chunk(lanes[padded]), strict=True):
-                column[chosen] = np.asarray(values)[: len(chosen)]
-    return Arrest(*(column.reshape(slider.shape) for column in result))
+def _smooth(
+    slider: Slider, interface: Interface | Profile | None, rule: SmoothBreak, configuration: Configuration
+) -> tuple[Array, Array]:
+    right, _, max_contacts = configuration
+    if right != "semi-infinite" or interface is not None:
+        given = f"right = {right!r}" if interface is None else f"interface = {interface!r}"
+        raise ValueError(f"{given}: a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
+    return smooth_function(max_contacts)(slider, rule)
 
 
-_LANES = 1024  # lanes a chunk: the carried state of a chunk stays in the first-level cache
+def _check_one(slider: Slider, why: str) -> None:
+    if slider.shape != ():
+        raise ValueError(f"{why}, got a batch of shape {slider.shape}: use jax.vmap")
 
 
-def _smooth_length(slider: Slider, rule: SmoothBreak, right: RightEnd, max_contacts: int) -> Float[Array, "..."]:
-    if right != "semi-infinite":
-        raise ValueError(f"right = {right!r}: a smooth rule in the fast recursion needs a semi-infinite chain; use sp.rupture")
-    length, status = _smooth_function(max_contacts)(slider, rule)
-    if not isinstance(length, Tracer) and np.isnan(length).any():
-        _report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
-    return length
-
-
-@functools.cache
-def _smooth_function(max_contacts: int) -> Callable[[Slider, SmoothBreak], tuple[Array, Array]]:
-    return eqx.filter_jit(lambda slider, rule: smooth_length(slider, rule, max_contacts=max_contacts))
-
-
-def _fields(slider: Slider) -> tuple[Any, Any, Any]:
-    return slider.height, slider.stiffness, slider.poisson
-
-
-def _lanes(slider: Slider) -> Float[np.ndarray, "3 n"]:
-    if any(isinstance(x, Tracer) for x in _fields(slider)):
-        raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use precursor_length there")
-    return np.stack([np.broadcast_to(np.asarray(x, np.float64), slider.shape).ravel() for x in _fields(slider)])
-
-
-def _parameters(slider: Slider) -> Float[Array, "... 3"]:
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(x), slider.shape) for x in _fields(slider)], axis=-1)
-
-
-@functools.cache
-def _length_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
-    def length(parameters: Float[Array, "3"]) -> Array:
-        return jnp.asarray(arrest(_slider(parameters), right, sites, max_contacts).length)
-
-    return jax.jit(jnp.vectorize(by_forward_mode(length), signature="(n)->()"))
-
-
-@functools.cache
-def _status_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Array]:
-    def status(parameters: Float[Array, "3"]) -> Array:
-        return jnp.asarray(arrest(_slider(parameters), right, sites, max_contacts).status)
-
-    return jax.jit(jnp.vectorize(status, signature="(n)->()"))
-
-
-@functools.cache
-def _chunk_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[np.ndarray], Arrest]:
-    return jax.jit(jax.vmap(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts)))
-
-
-@functools.cache
-def _arrest_function(right: RightEnd, sites: int | None, max_contacts: int) -> Callable[[Array], Arrest]:
-    return jax.jit(lambda parameters: arrest(_slider(parameters), right, sites, max_contacts))
-
-
-def _slider(parameters: Array) -> Slider:
-    return Slider(parameters[0], parameters[1], parameters[2])
-
-
-def _check_max_contacts(max_contacts: int) -> None:
+def check_max_contacts(max_contacts: int) -> None:
+    """Refuse a cap on breaks that is none, or that a 32-bit count cannot hold."""
     if not 1 <= max_contacts < 2**31 - 1:
         raise ValueError(f"max_contacts = {max_contacts}: must be at least 1 and below 2**31 - 1")
 
 
-def _report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool) -> None:
+def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool) -> None:
     """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
     for kind in (FrontStatus.LIMIT, FrontStatus.INVALID):
         lanes = status == kind

@@ -1,0 +1,132 @@
+r"""Contacts that age: a newborn contact is weak, and its threshold grows with its age.
+
+A contact of age a has the threshold θ_i [ν + (1 − ν) g(a)], ν the strength of a newborn, in units of an old one. Age is
+counted in load (displacement of the left edge or of the driver, in u_s), or in time where the drive has a velocity.
+
+Under a growing load the stress on a contact grows linearly and its threshold, concave in age, ever more slowly. The load of
+the next break is where the first of these pairs of curves cross. It is found exactly, not by small steps: Newton's method
+started where the curves approach each other lands, by concavity, beyond the crossing and from there returns to it without
+ever passing it.
+"""
+
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.quantities import quantity_field
+
+Law = Literal["exponential", "logarithmic"]
+
+
+class Ageing(eqx.Module):
+    """Law by which thresholds recover.
+
+    Parameters
+    ----------
+    newborn : float
+        ν, threshold of a contact just repinned over that of one never broken; in (0, 1].
+    scale : float
+        τ > 0, age at which a contact has recovered appreciably, in u_s of load (or in time, with ``clock="time"``).
+    law : {"exponential", "logarithmic"}
+        g(a) = 1 − e^{−a/τ}, or g(a) = ln(1 + a/τ)/ln 2, which is 1 at a = τ and goes on growing.
+    clock : {"load", "time"}
+        What ages are counted in. A protocol with velocity v turns a time into a load: τ_load = v τ.
+    """
+
+    newborn: Float[AnyArrayLike, ""] = quantity_field("\\nu", "1")
+    scale: Float[AnyArrayLike, ""] = quantity_field("\\tau", "u_s")
+    law: Law = eqx.field(default="exponential", static=True)
+    clock: Literal["load", "time"] = eqx.field(default="load", static=True)
+
+    def __check_init__(self) -> None:
+        if self.law not in get_args(Law):
+            raise ValueError(f"Ageing.law = {self.law!r}: must be one of {', '.join(map(repr, get_args(Law)))}")
+        if self.clock not in ("load", "time"):
+            raise ValueError(f"Ageing.clock = {self.clock!r}: must be 'load' or 'time'")
+        domain = {"newborn": lambda x: (x > 0) & (x <= 1), "scale": lambda x: (x > 0) & np.isfinite(x)}
+        for name, inside in domain.items():
+            value = getattr(self, name)
+            if not isinstance(value, Tracer) and not np.all(inside(np.asarray(value))):
+                requirement = "must lie in (0, 1]" if name == "newborn" else "must be positive"
+                raise ValueError(f"Ageing.{name} = {value}: {requirement}")
+
+    def strength(self, age: Array, velocity: Array | float = 1.0) -> Array:
+        """Threshold over that of an old contact, at an age in load; ages of inf are those of contacts never broken."""
+        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
+        old = jnp.isinf(age)
+        x = jnp.where(old, 0, age) / tau
+        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.log1p(x) / jnp.log(2.0)
+        return jnp.where(old, 1, nu + (1 - nu) * grown)
+
+    def load_scale(self, velocity: Array | float) -> Array:
+        """τ in load."""
+        return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
+
+    def growth(self, age: Array, velocity: Array | float = 1.0) -> Array:
+        """D strength / d age, per load."""
+        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
+        old = jnp.isinf(age)
+        x = jnp.where(old, 0, age) / tau
+        rate = jnp.exp(-x) if self.law == "exponential" else 1 / ((1 + x) * jnp.log(2.0))
+        return jnp.where(old, 0, (1 - nu) * rate / tau)
+
+    def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
+        """The age at which strength grows at a given positive rate; negative where it never grows so fast."""
+        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
+        ratio = growth * tau / (1 - nu)
+        if self.law == "exponential":
+            return jnp.where(nu < 1, -tau * jnp.log(ratio), -1.0)
+        return jnp.where(nu < 1, tau * (1 / (ratio * jnp.log(2.0)) - 1), -1.0)
+
+
+MAX_NEWTON_STEPS = 60
+
+
+def next_crossing(
+    ageing: Ageing, stress: Array, per_load: Array, threshold: Array, age: Array, velocity: Array | float = 1.0
+) -> Float[Array, " N"]:
+    """Increase of load at which each contact reaches its growing threshold; inf where it never does.
+
+    Parameters
+    ----------
+    ageing : Ageing
+    stress, per_load : array, shape (N,)
+        Stress now, below threshold, and its growth per load, in σ_s and σ_s/u_s.
+    threshold : array, shape (N,)
+        Of contacts never broken, in σ_s.
+    age : array, shape (N,)
+        In load; inf for a contact never broken.
+    """
+    pulled = (per_load > 0) & (threshold < jnp.inf)
+    c = jnp.where(pulled, per_load, 1)
+    theta = jnp.where(pulled, threshold, 1)
+
+    def gap(d: Array) -> Array:
+        return theta * ageing.strength(age + d, velocity) - stress - c * d
+
+    # where the threshold grows half as fast as the stress: beyond it the gap closes, and a tangent lands beyond the crossing
+    ageless = jnp.isinf(age)
+    start = ageing.age_of_growth(c / (2 * theta), velocity) - jnp.where(ageless, 0, age)
+    start = jnp.where(ageless, 0, jnp.maximum(start, 0))
+
+    def step(carry: tuple) -> tuple:
+        d, _, n = carry
+        slope = theta * ageing.growth(age + d, velocity) - c
+        after = jnp.maximum(d - gap(d) / slope, 0)
+        after = jnp.where(pulled, after, 0)
+        # the first step may go either way; after it the iterates only come down, until rounding stops them
+        moved = (n == 0) | (after < d)
+        return jnp.where(moved, after, d), jnp.any(moved & (after != d)), n + 1
+
+    def going(carry: tuple) -> Array:
+        return carry[1] & (carry[2] < MAX_NEWTON_STEPS)
+
+    n = jnp.zeros((), jnp.int32)
+    crossing, _, _ = lax.while_loop(going, step, (start, jnp.ones((), bool), n))
+    return jnp.where(pulled, crossing, jnp.inf)

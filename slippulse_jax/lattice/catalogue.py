@@ -1,0 +1,86 @@
+"""A catalogue of events as a table with units: CSV and NetCDF."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slippulse_jax.files import write_atomically
+from slippulse_jax.lattice.events import Catalogue, EventClass, SeriesStatus
+
+COLUMNS = {
+    "load": ("u_s", "displacement of the left edge, or of the driver, at the event"),
+    "force_before": ("K u_s", "force on the left edge as the event starts"),
+    "force_after": ("K u_s", "force on the left edge after the event"),
+    "site": ("1", "contact that broke first, from 0 at the left edge"),
+    "leftmost": ("1", "leftmost broken contact"),
+    "extent": ("lambda_c", "distance from the left edge to beyond the rightmost broken contact"),
+    "breaks": ("1", "number of breaks"),
+    "slip": ("u_s", "sum over contacts of how far their pinning points moved"),
+    "stress_drop": ("sigma_s", "sum over contacts of stress before minus after"),
+    "work": ("K u_s^2", "work of the drive since the event before"),
+    "stored": ("K u_s^2", "potential energy after the event"),
+    "broken": ("K u_s^2", "energy of the stretch of the contacts that broke"),
+    "relaxed": ("K u_s^2", "energy given up as the chain relaxed"),
+    "kind": ("1", "class of the event: " + ", ".join(f"{c.value} {c.name.lower()}" for c in EventClass)),
+}
+
+
+def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
+    """Columns of the events that took place, as NumPy arrays.
+
+    Raises
+    ------
+    ValueError
+        If the catalogue is a batch.
+    """
+    if np.ndim(catalogue.number):
+        raise ValueError(f"the catalogue is a batch of shape {np.shape(catalogue.number)}: write one series at a time")
+    rows = int(catalogue.number)
+    return {name: np.asarray(getattr(catalogue, name))[:rows] for name in COLUMNS}
+
+
+def to_csv(catalogue: Catalogue) -> str:
+    """CSV with a line of names and a line of units; numbers to the last digit."""
+    columns = table(catalogue)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["event", *columns])
+    writer.writerow(["1", *(COLUMNS[name][0] for name in columns)])
+    for event, row in enumerate(zip(*columns.values(), strict=True)):
+        cells = [EventClass(int(x)).name.lower() if name == "kind" else x.item() for name, x in zip(columns, row, strict=True)]
+        writer.writerow([event, *cells])
+    return text.getvalue()
+
+
+def to_dataset(catalogue: Catalogue) -> Any:
+    """``xarray.Dataset`` with units and descriptions."""
+    import xarray
+
+    variables = {
+        name: ("event", values, {"units": COLUMNS[name][0], "long_name": COLUMNS[name][1]})
+        for name, values in table(catalogue).items()
+    }
+    status = SeriesStatus(int(catalogue.status))
+    attributes = {"status": status.name.lower(), "message": status.message, "drift": float(catalogue.drift)}
+    return xarray.Dataset(variables, attrs=attributes)
+
+
+def write_series(path: str | Path, catalogue: Catalogue) -> None:
+    """Write a catalogue to ``.csv`` or ``.nc``, in one step.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is neither, or the catalogue is a batch.
+    """
+    path = Path(path)
+    if path.suffix == ".csv":
+        write_atomically(path, to_csv(catalogue).encode())
+    elif path.suffix == ".nc":
+        content = to_dataset(catalogue).to_netcdf(engine="h5netcdf")
+        write_atomically(path, bytes(content))
+    else:
+        raise ValueError(f"{path}: a series is written as .csv or .nc")

@@ -1,0 +1,86 @@
+"""Compiled functions of the fast recursion, one a configuration: what `precursor` and `bulk` call."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice import interface_front
+from slippulse_jax.lattice.front import Arrest, arrest
+from slippulse_jax.lattice.modes import RightEnd
+from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.slider import Slider
+
+Configuration = tuple[RightEnd, int | None, int]
+"""Right end, number of sites, most contacts."""
+
+
+def fields(slider: Slider, interface: Interface | None) -> tuple[Any, ...]:
+    """The numbers a lane is made of: three, or five with prestress and threshold slope."""
+    three = slider.height, slider.stiffness, slider.poisson
+    return three if interface is None else (*three, interface.prestress, interface.threshold_slope)
+
+
+def shape_of(slider: Slider, interface: Interface | None) -> tuple[int, ...]:
+    """Shape of the batch."""
+    return slider.shape if interface is None else np.broadcast_shapes(slider.shape, interface.shape)
+
+
+def parameters(slider: Slider, interface: Interface | None) -> Float[Array, "... n"]:
+    """`fields`, broadcast, in the last axis."""
+    shape = shape_of(slider, interface)
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(x), shape) for x in fields(slider, interface)], axis=-1)
+
+
+def arrest_of(lane: Float[Array, " n"], delay: int, configuration: Configuration) -> Arrest:
+    """`Arrest` of one lane of three or five numbers; `delay` counts only with five."""
+    slider = Slider(lane[0], lane[1], lane[2])
+    if lane.shape[0] == 3:
+        return arrest(slider, *configuration)
+    return interface_front.arrest(slider, Interface(lane[3], lane[4], delay), *configuration)
+
+
+@functools.cache
+def length_function(delay: int, configuration: Configuration) -> Callable[[Array], Array]:
+    """ℓ of lanes, with derivatives."""
+    length = by_forward_mode(lambda lane: jnp.asarray(arrest_of(lane, delay, configuration).length))
+    return jax.jit(jnp.vectorize(length, signature="(n)->()"))
+
+
+@functools.cache
+def status_function(delay: int, configuration: Configuration) -> Callable[[Array], Array]:
+    """Status of lanes."""
+    status = jnp.vectorize(lambda lane: jnp.asarray(arrest_of(lane, delay, configuration).status), signature="(n)->()")
+    return jax.jit(status)
+
+
+@functools.cache
+def arrest_function(delay: int, configuration: Configuration) -> Callable[[Array], Arrest]:
+    """`Arrest` of one lane."""
+    return jax.jit(lambda lane: arrest_of(lane, delay, configuration))
+
+
+@functools.cache
+def chunk_function(delay: int, configuration: Configuration) -> Callable[[np.ndarray], Arrest]:
+    """`Arrest` of a chunk of lanes, shape (lanes, n)."""
+    return jax.jit(jax.vmap(lambda lane: arrest_of(lane, delay, configuration)))
+
+
+@functools.cache
+def profile_function(configuration: Configuration) -> Callable[[Slider, Profile], Arrest]:
+    """`Arrest` of one slider on a profile."""
+    return eqx.filter_jit(lambda slider, profile: interface_front.arrest(slider, profile, *configuration))
+
+
+@functools.cache
+def smooth_function(max_contacts: int) -> Callable[[Slider, SmoothBreak], tuple[Array, Array]]:
+    """ℓ and status under a smooth rule."""
+    return eqx.filter_jit(lambda slider, rule: smooth_length(slider, rule, max_contacts=max_contacts))

@@ -1,0 +1,205 @@
+r"""A λ-contact of many micro-junctions with different thresholds, and when that removes the elastic instability.
+
+Each junction breaks as its stretch reaches its threshold, and repins at once with zero stretch and a new threshold drawn from
+P_c. Pulled by X, a contact of many junctions carries the mean stretch, in units of its stiffness,
+
+    F(X) = X J(X) + ∫_0^X P_c(y) F(X − y) dy,        J = 1 − ∫ P_c
+
+(the master equation of Braun and Peyrard, written for the force: a junction either has not yet broken, or first did so at y
+and is since then as new). It tends to ⟨x²⟩/2⟨x⟩. A narrow P_c makes a sawtooth, a wide one a law that hardly falls.
+
+A contact in surroundings of stiffness K_s is stable where its own force falls less steeply than K_s can follow, k F' > −K_s.
+On the lattice K_s = k(1 − G_00)/G_00, with G_00 the response of the site to its own pinning point; neighbours that themselves
+fall are softer, so that the whole chain loses stability earlier: where its tangent stiffness stops being positive.
+"""
+
+from typing import Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.scipy.special import gamma, ndtr
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.quantities import quantity_field
+from slippulse_jax.slider import Slider
+
+Kind = Literal["normal", "uniform", "weibull"]
+
+
+class ThresholdDistribution(eqx.Module):
+    """P_c(f_s) of the junctions of a contact, as thresholds of stretch in units of their mean u_s.
+
+    Parameters
+    ----------
+    kind : {"normal", "uniform", "weibull"}
+        The normal law is cut off at zero and at two.
+    width : float
+        Normal: σ before the cut, > 0. Uniform: standard deviation, at most 1/√3. Weibull: 1/shape, in (0, 1]; 1 is
+        exponential, and small widths have a standard deviation of about 1.28 times theirs.
+    """
+
+    kind: Kind = eqx.field(static=True)
+    width: Float[AnyArrayLike, ""] = quantity_field("w", "u_s")
+
+    def __check_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise ValueError(
+                f"ThresholdDistribution.kind = {self.kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}"
+            )
+        if not isinstance(self.width, Tracer):
+            most = {"normal": np.inf, "uniform": 1 / np.sqrt(3) + 1e-15, "weibull": 1.0}[self.kind]
+            if not np.all((np.asarray(self.width) > 0) & (np.asarray(self.width) <= most)):
+                raise ValueError(f"ThresholdDistribution.width = {self.width}: must be positive and at most {most:.4g}")
+
+    def cumulative(self, x: Array) -> Array:
+        """∫_0^x P_c."""
+        w = jnp.asarray(self.width)
+        if self.kind == "normal":
+            low, high = ndtr(-1 / w), ndtr(1 / w)
+            return jnp.clip((ndtr((x - 1) / w) - low) / (high - low), 0, 1)
+        if self.kind == "uniform":
+            half = jnp.sqrt(3.0) * w
+            return jnp.clip((x - 1 + half) / (2 * half), 0, 1)
+        return -jnp.expm1(-((jnp.maximum(x, 0) * gamma(1 + w)) ** (1 / w)))
+
+    def sample(self, key: Array, shape: tuple[int, ...]) -> Array:
+        """Thresholds drawn from P_c."""
+        w = jnp.asarray(self.width, float)
+        if self.kind == "normal":
+            return 1 + w * jax.random.truncated_normal(key, -1 / w, 1 / w, shape)
+        u = jax.random.uniform(key, shape, w.dtype)
+        if self.kind == "uniform":
+            return 1 + jnp.sqrt(3.0) * w * (2 * u - 1)
+        return (-jnp.log1p(-u)) ** w / gamma(1 + w)
+
+
+class ForceLaw(eqx.Module):
+    """F(X) on a grid, between whose points it is a straight line; to be used as the `law` of a `chain`."""
+
+    spacing: Float[Array, ""]
+    force: Float[Array, " G"]  # F at 0, spacing, 2 spacing …
+
+    @property
+    def stretch(self) -> Float[Array, " G"]:
+        """X of the grid, in u_s."""
+        return self.spacing * jnp.arange(self.force.shape[0])
+
+    @property
+    def steepest_fall(self) -> Array:
+        """Smallest F', of the grid's straight lines."""
+        return (jnp.diff(self.force) / self.spacing).min()
+
+    def __call__(self, stretch: Array) -> Array:
+        """Force at any stretch; a spring under compression, the last value beyond the grid."""
+        grid = self.force.shape[0]
+        position = jnp.clip(stretch / self.spacing, 0, grid - 1)
+        left = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, grid - 2)
+        part = position - left
+        inside = self.force[left] + part * (self.force[left + 1] - self.force[left])
+        return jnp.where(stretch < 0, stretch, inside)
+
+
+def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: int = 801) -> ForceLaw:
+    """The force law of infinitely many junctions, from the master equation.
+
+    Parameters
+    ----------
+    thresholds : ThresholdDistribution
+    reach : float
+        Largest X, in u_s.
+    points : int
+        Of the grid. P_c enters by its probabilities between grid points, so that any width is resolved; the error is of second
+        order in the spacing where P_c is smooth on it.
+    """
+    dx = jnp.asarray(reach / (points - 1), jnp.result_type(float))
+    x = dx * jnp.arange(points)
+    upto = thresholds.cumulative(x)
+    mass = jnp.append(0.0, jnp.diff(upto))  # of ((j − 1) dx, j dx]
+    # first break in ((j−1)dx, j dx]: its middle on average, so F there is the mean of the two ends
+    alone = x * (1 - upto)
+
+    def step(force: Array, n: Array) -> tuple[Array, None]:
+        # Σ_j mass_j [F(n−j) + F(n−j+1)]/2; the term F(n) itself has the weight mass_1/2
+        back = n - jnp.arange(points)
+        older, newer = force[jnp.maximum(back, 0)], force[jnp.maximum(back + 1, 0)]
+        counted = (back >= 0) & (jnp.arange(points) > 0)
+        newer = jnp.where(back + 1 == n, 0.0, newer)
+        total = alone[n] + (jnp.where(counted, mass, 0.0) * (older + newer)).sum() / 2
+        return force.at[n].set(total / (1 - mass[1] / 2)), None
+
+    force, _ = lax.scan(step, jnp.zeros(points, x.dtype), jnp.arange(1, points))
+    return ForceLaw(dx, force)
+
+
+def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: Array, key: Array) -> Float[Array, " G"]:
+    """Mean stretch of `junctions` explicit junctions at increasing X, every break at exactly its threshold.
+
+    Parameters
+    ----------
+    thresholds : ThresholdDistribution
+    junctions : int
+        N_c.
+    stretch : array, shape (G,)
+        X ≥ 0, increasing, in u_s.
+    key : jax.random.key
+    """
+
+    def pull(carry: tuple, x: Array) -> tuple[tuple, Array]:
+        def late(carry: tuple) -> Array:
+            return (carry[1] <= x).any()
+
+        def repin(carry: tuple) -> tuple:
+            pinned, next_break, key = carry
+            key, use = jax.random.split(key)
+            due = next_break <= x
+            fresh = next_break + thresholds.sample(use, (junctions,))
+            return jnp.where(due, next_break, pinned), jnp.where(due, fresh, next_break), key
+
+        carry = lax.while_loop(late, repin, carry)
+        return carry, (x - carry[0]).mean()
+
+    key, use = jax.random.split(key)
+    start = (jnp.zeros(junctions), thresholds.sample(use, (junctions,)), key)
+    return lax.scan(pull, start, jnp.asarray(stretch))[1]
+
+
+class Stability(NamedTuple):
+    """Whether contacts with a distribution of thresholds slide smoothly on a slider."""
+
+    steepest_fall: Array  # smallest F'
+    surroundings: Array  # K_s/k of a contact in the bulk
+    surroundings_at_edge: Array  # K_s/k of the contact at the left edge
+    smooth: Array  # no contact is unstable by itself: F' > −K_s/k at the edge, where the surroundings are softest
+
+
+def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int = 801) -> Stability:
+    """The analytic criterion: slope of the force law against the stiffness of the surroundings of one contact."""
+    modes = lattice_modes(slider)
+    bulk = modes.weight.sum()
+    edge = bulk + modes.reflection.sum()
+    fall = force_law(thresholds, points=points).steepest_fall
+    bulk, edge = (1 - bulk) / bulk, (1 - edge) / edge
+    return Stability(fall, bulk, edge, fall > -jnp.minimum(bulk, edge))
+
+
+def smooth_width(slider: Slider, kind: Kind, *, points: int = 801) -> float:
+    """The width beyond which `stability` calls sliding smooth, by bisection; inf if none in the domain does."""
+    low, high = 1e-3, {"normal": 1.0, "uniform": 1 / np.sqrt(3), "weibull": 1.0}[kind]
+
+    @jax.jit
+    def margin(width: Array) -> Array:
+        found = stability(slider, ThresholdDistribution(kind, width), points=points)
+        return found.steepest_fall + jnp.minimum(found.surroundings, found.surroundings_at_edge)
+
+    if margin(jnp.asarray(high)) <= 0:
+        return float("inf")
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if margin(jnp.asarray(middle)) <= 0 else (low, middle)
+    return float(high)

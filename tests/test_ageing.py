@@ -1,0 +1,92 @@
+"""Ageing: crossings against a root finder, limits, and events that grow until one spans (C14)."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.ageing import next_crossing
+from slippulse_jax.lattice.events import SeriesStatus
+
+FIG2 = sp.Slider(25.0, 0.03, 0.3)
+
+
+@pytest.mark.parametrize("law", ["exponential", "logarithmic"])
+def test_crossings_against_a_root_finder(law):
+    rng = np.random.default_rng(1)
+    n = 200
+    ageing = sp.Ageing(0.3, 2.0, law)
+    age = rng.uniform(0, 5, n)
+    threshold, slope = rng.uniform(0.8, 1.2, n), 10 ** rng.uniform(-4, 0.5, n)
+    stress = threshold * np.asarray(ageing.strength(age)) * rng.uniform(0, 0.999, n)
+    got = np.asarray(next_crossing(ageing, stress, slope, threshold, age))
+    for i in range(n):
+        grown = (lambda a: 1 - np.exp(-a / 2)) if law == "exponential" else (lambda a: np.log2(1 + a / 2))
+
+        def gap(d, i=i, grown=grown):
+            return threshold[i] * (0.3 + 0.7 * grown(age[i] + d)) - stress[i] - slope[i] * d
+
+        far = 1.0
+        while gap(far) > 0:
+            far *= 2
+        root = brentq(gap, 0, far, xtol=1e-14, rtol=1e-14)  # concave and positive at 0: one root
+        assert abs(got[i] - root) < 1e-9 * (1 + root)
+
+
+def test_never_broken_and_unpulled_contacts():
+    ageing = sp.Ageing(0.3, 2.0)
+    got = next_crossing(ageing, np.array([0.5, 0.5]), np.array([0.1, 0.0]), np.ones(2), np.array([np.inf, 1.0]))
+    assert abs(got[0] - 5) < 1e-14
+    assert np.isinf(got[1])
+
+
+def test_infinitely_fast_ageing_is_none():
+    chain = sp.chain(FIG2, sites=100)
+    none, fast = sp.series(chain, events=30), sp.series(chain, events=30, ageing=sp.Ageing(0.999999, 1e-12))
+    assert np.array_equal(none.extent[1:], fast.extent[1:])
+    assert abs(none.load - fast.load).max() < 1e-5
+
+
+def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
+    """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
+    import plain_series
+
+    plain = plain_series.PlainSeries((10.0, 0.03, 0.3), np.ones(30), np.zeros(30), "free", lambda a: 0.5 + 0 * a)
+    chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=30, right="free")
+    got = sp.series(chain, events=12, ageing=sp.Ageing(0.5, 1e12), recorded_breaks=2000, stop_when_spanning=False)
+    for e in range(12):
+        assert list(got.break_site[got.break_event == e]) == plain.event()
+
+
+def test_time_and_load_are_one_clock_at_constant_velocity():
+    chain = sp.chain(FIG2, sites=100)
+    load = sp.series(chain, events=30, ageing=sp.Ageing(0.3, 3.0))
+    time = sp.series(chain, sp.Adiabatic(velocity=0.5), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    assert np.allclose(load.load, time.load, rtol=1e-12)
+    slower = sp.series(chain, sp.Adiabatic(velocity=0.05), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    assert not np.array_equal(load.extent, slower.extent), "slow loading gives contacts time to recover"
+
+
+def test_with_ageing_precursors_grow_until_one_spans():
+    """C14: thresholds reborn at 0.3 σ_s and recovering over 3 u_s of load, N = 150."""
+    got = sp.series(sp.chain(FIG2, sites=150), events=3000, ageing=sp.Ageing(0.3, 3.0))
+    assert int(got.status) == SeriesStatus.SPANNED
+    n = int(got.number)
+    assert int(got.extent[0]) == 34
+    furthest = np.maximum.accumulate(np.asarray(got.extent)[:n])
+    assert furthest[-1] == 150
+    large = np.asarray(got.breaks)[:n] >= 20
+    assert (np.diff(np.asarray(got.extent)[:n][large][:3]) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"newborn": 0.0, "scale": 1.0}, "newborn"),
+        ({"newborn": 0.5, "scale": -1.0}, "scale"),
+        ({"newborn": 0.5, "scale": 1.0, "law": "linear"}, "law"),
+    ],
+)
+def test_errors(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        sp.Ageing(**wrong)

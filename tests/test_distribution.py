@@ -1,0 +1,134 @@
+"""The force law of a distribution of thresholds: exact cases, an explicit ensemble, and where the instability disappears."""
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.distribution import ensemble_force, force_law, smooth_width, stability
+
+FIG2 = sp.Slider(25.0, 0.03, 0.3)
+
+
+def plain_ensemble(draw, junctions, stretch, rng):
+    """Independent program: one junction after another, broken one by one."""
+    force = np.zeros(len(stretch))
+    for _ in range(junctions):
+        pinned, until = 0.0, draw(rng)
+        for i, x in enumerate(stretch):
+            while until <= x:
+                pinned, until = until, until + draw(rng)
+            force[i] += x - pinned
+    return force / junctions
+
+
+def test_exponential_thresholds_have_a_closed_form():
+    """Weibull of shape 1: a junction forgets its age, and F = 1 − e^{−X} exactly. Second order in the spacing."""
+    errors = []
+    for points in (201, 401, 801):
+        law = force_law(sp.ThresholdDistribution("weibull", 1.0), points=points)
+        errors.append(abs(law.force + np.expm1(-np.asarray(law.stretch))).max())
+    assert errors[-1] < 1e-5
+    assert (abs(np.log2(np.array(errors[:-1]) / errors[1:]) - 2) < 0.1).all()
+
+
+@pytest.mark.parametrize(("kind", "width"), [("normal", 0.1), ("uniform", 0.2), ("weibull", 0.3)])
+def test_plateau_and_cumulative(kind, width):
+    """F(∞) = ⟨x²⟩/2⟨x⟩, and P_c is the textbook's."""
+    half = np.sqrt(3) * width
+    from scipy.special import gamma
+
+    textbook = {
+        "normal": stats.truncnorm(-1 / width, 1 / width, 1, width),
+        "uniform": stats.uniform(1 - half, 2 * half),
+        "weibull": stats.weibull_min(1 / width, scale=1 / gamma(1 + width)),
+    }[kind]
+    thresholds = sp.ThresholdDistribution(kind, width)
+    x = np.linspace(0, 2.5, 50)
+    assert abs(thresholds.cumulative(x) - textbook.cdf(x)).max() < 1e-12
+    law = force_law(thresholds, reach=40.0, points=4001)
+    assert abs(law.force[-1] - textbook.moment(2) / (2 * textbook.moment(1))) < 1e-4
+    drawn = np.asarray(thresholds.sample(jax.random.key(0), (200_000,)))
+    assert stats.kstest(drawn[:20000], textbook.cdf).pvalue > 1e-3
+
+
+def test_width_zero_is_the_sawtooth_of_the_paper():
+    law = force_law(sp.ThresholdDistribution("uniform", 1e-9), reach=2.5, points=2001)
+    x = np.asarray(law.stretch)
+    away = (abs(x - 1) > 0.01) & (abs(x - 2) > 0.02)
+    assert abs(np.asarray(law.force) - x % 1)[away].max() < 2e-3
+
+
+@pytest.mark.parametrize(("kind", "width"), [("normal", 0.15), ("uniform", 0.3), ("weibull", 0.5)])
+def test_explicit_junctions_against_the_master_equation_and_a_plain_program(kind, width):
+    thresholds = sp.ThresholdDistribution(kind, width)
+    stretch = np.linspace(0.1, 3, 30)
+    law = force_law(thresholds, points=1601)
+    many = ensemble_force(thresholds, 200_000, stretch, jax.random.key(1))
+    assert abs(many - law(stretch)).max() < 5 * 0.6 / np.sqrt(200_000)
+    from scipy.special import gamma
+
+    draws = {
+        "normal": lambda r: stats.truncnorm.ppf(r.uniform(), -1 / width, 1 / width, 1, width),
+        "uniform": lambda r: 1 + np.sqrt(3) * width * (2 * r.uniform() - 1),
+        "weibull": lambda r: r.weibull(1 / width) / gamma(1 + width),
+    }
+    plain = plain_ensemble(draws[kind], 800, stretch, np.random.default_rng(2))
+    assert abs(plain - law(stretch)).max() < 5 * 0.6 / np.sqrt(800)
+
+
+def test_finite_ensembles_are_reproducible_and_narrow_as_one_over_root():
+    thresholds, stretch = sp.ThresholdDistribution("normal", 0.2), np.linspace(1, 3, 40)
+    law = np.asarray(force_law(thresholds, points=1601)(stretch))
+    few = ensemble_force(thresholds, 400, stretch, jax.random.key(3))
+    assert np.array_equal(few, ensemble_force(thresholds, 400, stretch, jax.random.key(3)))
+    many = ensemble_force(thresholds, 40_000, stretch, jax.random.key(3))
+    ratio = np.std(np.asarray(few) - law) / np.std(np.asarray(many) - law)
+    assert 4 < ratio < 25
+
+
+def test_a_single_contact_jumps_below_the_critical_width_and_slides_above():
+    """One contact pulled through a spring K_s: balance K_s(U − X) = F(X) has one solution for every U iff F' > −K_s."""
+    for spring in (0.5, 1.5):
+        for width in (0.05, 0.15, 0.3, 0.5):
+            law = force_law(sp.ThresholdDistribution("normal", width), points=3201)
+            pulled_by = np.asarray(law.stretch) + np.asarray(law.force) / spring  # U as a function of X
+            assert (np.diff(pulled_by) > 0).all() == bool(law.steepest_fall > -spring)
+
+
+def test_critical_width_of_the_papers_slider():
+    """Below it the contact at the edge is unstable in its surroundings, above it not; the surroundings from dense solves."""
+    from plain_chain import chain_matrix, responses
+
+    own = responses(25, 0.03, 0.3, 300, "semi-infinite", 1)[1]
+    matrix = chain_matrix(25, 0.03, 0.3, 801)
+    force = np.zeros(1602)
+    force[801 + 400] = 0.03
+    middle = np.linalg.solve(matrix, force)[801 + 400]
+    for kind in ("normal", "uniform", "weibull"):
+        width = smooth_width(FIG2, kind)
+        below, above = (stability(FIG2, sp.ThresholdDistribution(kind, width * f)) for f in (0.99, 1.01))
+        assert not below.smooth
+        assert above.smooth
+        assert abs(below.surroundings_at_edge - (1 - own[0, 0]) / own[0, 0]) < 1e-8
+        assert abs(below.surroundings - (1 - middle) / middle) < 1e-6
+
+
+def test_a_chain_of_wide_contacts_slides_smoothly():
+    """C12: with wide thresholds the equilibrium follows the load without a jump, with narrow ones it does not."""
+    jumps = {}
+    for width in (0.05, 0.5):
+        law = force_law(sp.ThresholdDistribution("normal", width), points=801)
+        chain = sp.chain(FIG2, sites=60, law=law)
+        loads = np.linspace(0.1, 6, 200)
+        found = jax.vmap(lambda u, c=chain: sp.equilibrium(c, sp.relaxed(c, u)))(loads)
+        jumps[width] = abs(np.diff(np.asarray(found.layer)[:, 0])).max() / (loads[1] - loads[0])
+    assert jumps[0.5] < 2
+    assert jumps[0.05] > 2 * jumps[0.5]
+
+
+@pytest.mark.parametrize(("kind", "width"), [("normal", 0.0), ("uniform", 0.6), ("weibull", 1.5), ("cauchy", 0.1)])
+def test_errors(kind, width):
+    with pytest.raises(ValueError, match="ThresholdDistribution"):
+        sp.ThresholdDistribution(kind, width)

@@ -1,0 +1,156 @@
+"""Prestress, threshold profiles and delayed repinning against a program that takes detached contacts out of the matrix."""
+
+import jax
+import numpy as np
+import plain_interface
+import pytest
+
+from slippulse_jax import FrontStatus, Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax.lattice.modes import lattice_modes
+
+FIG2 = Slider(25.0, 0.03, 0.3)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("right", ["semi-infinite", "free"])
+def test_against_dense_chain(delay, right):
+    rng = np.random.default_rng([delay, right == "free"])
+    sites = 80
+    for _ in range(4):
+        slider = (rng.uniform(5, 25), 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0, 0.45))
+        phi, slope = rng.uniform(0, 0.4), rng.uniform(-0.002, 0.01)
+        theta = 1 + slope * np.arange(sites)
+        count, excess, load, stress = plain_interface.front(*slider, theta, np.full(sites, phi), delay, sites, right)
+        if right == "semi-infinite" and count == sites:
+            continue
+        got = first_precursor(
+            Slider(*slider), interface=Interface(phi, slope, delay), right=right, sites=sites if right == "free" else None,
+            recorded_sites=sites,
+        )  # fmt: skip
+        assert int(got.contacts_broken) == count
+        if count == sites:
+            assert int(got.status) == FrontStatus.RAN_THROUGH
+            assert np.isinf(got.length)
+            continue
+        assert abs(got.load - load) < 1e-10 * load
+        assert abs(got.front_stress[: count + 1] - theta[: count + 1] - excess).max() < 1e-10
+        assert abs(got.arrest.stress + phi - stress).max() < 1e-9
+        assert abs(got.edge_stress - stress[0]) < 1e-9
+        if count > 1:
+            assert abs(got.length - plain_interface.length(excess)) < 1e-8
+
+
+def test_profile_against_dense_chain():
+    rng = np.random.default_rng(5)
+    for delay in (0, 2):
+        theta, phi = rng.uniform(0.85, 1.15, 100), rng.uniform(0, 0.3, 100)
+        theta[0], phi[0] = 0.9, 0.1
+        count, excess, load, stress = plain_interface.front(25, 0.03, 0.3, theta, phi, delay, 100)
+        got = first_precursor(FIG2, interface=Profile(theta, phi, delay), recorded_sites=100)
+        assert int(got.contacts_broken) == count
+        assert abs(got.load - load) < 1e-10
+        assert abs(got.length - plain_interface.length(excess)) < 1e-9
+        assert abs(got.arrest.stress + phi - stress).max() < 1e-9
+
+
+def test_no_prestress_no_slope_no_delay_is_the_papers_interface():
+    sliders = Slider([5.0, 25.0, 60.0], [[0.3], [0.003]], 0.3)
+    assert abs(precursor_length(sliders, interface=Interface()) - precursor_length(sliders)).max() < 1e-11
+
+
+def test_uniform_thresholds_rescale():
+    """Twice the thresholds and twice the prestress: the same front at twice the load."""
+    theta = np.linspace(1, 1.2, 60)
+    one = first_precursor(FIG2, interface=Profile(theta, 0.2), recorded_sites=60)
+    two = first_precursor(FIG2, interface=Profile(2 * theta, 0.4), recorded_sites=60)
+    assert abs(one.length - two.length) < 1e-11
+    assert abs(two.load - 2 * one.load) < 1e-12
+
+
+def test_lengths_under_prestress():
+    """The lattice's values of the physics notes, obtained by dense solves."""
+    lengths = precursor_lengths(FIG2, interface=Interface([0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, 0.54]))
+    assert list(np.ceil(lengths)) == [30, 34, 42, 56, 71, 107, 204, np.inf]
+
+
+def test_runaway_threshold_to_a_millionth():
+    """φ_c = (1 + G_00)/2, with G_00 from a dense endless chain: finite just below, endless at and above."""
+    from plain_chain import chain_matrix
+
+    sites, middle = 801, 400
+    matrix = chain_matrix(25, 0.03, 0.3, sites)
+    force = np.zeros(2 * sites)
+    force[sites + middle] = 0.03
+    critical = (1 + np.linalg.solve(matrix, force)[sites + middle]) / 2
+    assert abs(critical - (1 + float(lattice_modes(FIG2).weight.sum())) / 2) < 1e-9
+    below, above = precursor_length(FIG2, interface=Interface(critical * (1 - 1e-6))), critical * (1 + 1e-6)
+    assert 400 < below < 2000
+    assert np.isinf(precursor_length(FIG2, interface=Interface(above)))
+    record = first_precursor(FIG2, interface=Interface(above), recorded_sites=4000)
+    assert int(record.status) == FrontStatus.RUN_AWAY
+    assert not np.isfinite(jax.grad(lambda p: precursor_length(FIG2, interface=Interface(p)))(above))
+
+
+def test_above_the_threshold_a_soft_short_slider_may_still_stop_the_front():
+    """t approaches 2φ/(1 + G_00) from below there: the criterion is necessary, not sufficient. Against a dense chain."""
+    slider = (10.381840251071646, 0.024884160056852563, 0.05409050217326783)
+    critical = (1 + float(lattice_modes(Slider(*slider)).weight.sum())) / 2
+    for phi, stops in ((critical + 1e-4, True), (critical + 0.02, False)):
+        count, excess, *_ = plain_interface.front(*slider, np.ones(120), np.full(120, phi), 0, 120)
+        assert (count < 100) == stops
+        length = precursor_length(Slider(*slider), interface=Interface(phi))
+        assert np.isfinite(length) == stops
+        if stops:
+            assert abs(length - plain_interface.length(excess)) < 1e-6
+
+
+def test_falling_thresholds_run_away_where_nothing_holds():
+    falling = Interface(threshold_slope=-0.02)
+    record = first_precursor(FIG2, interface=falling, recorded_sites=80)
+    assert int(record.status) == FrontStatus.RUN_AWAY
+    assert int(record.contacts_broken) == 50, "θ = 0 at site 50"
+    assert np.isinf(precursor_length(FIG2, interface=falling))
+    assert np.isfinite(precursor_length(FIG2, interface=Interface(threshold_slope=-0.005)))
+
+
+def test_derivatives():
+    def length(x):
+        return precursor_length(Slider(x[0], x[1], x[2]), interface=Interface(x[3], x[4], 2))
+
+    at = np.array([25.3, 0.031, 0.3, 0.12, 0.003])
+    step = 1e-6 * np.maximum(abs(at), 0.01)
+    expected = [(length(at + h) - length(at - h)) / (2 * h.max()) for h in np.diag(step)]
+    for mode in (jax.grad, jax.jacfwd):
+        assert np.allclose(mode(length)(at), expected, rtol=1e-6)
+
+
+def test_batches_do_not_depend_on_company():
+    rng = np.random.default_rng(2)
+    sliders = Slider(rng.uniform(5, 40, 50), 10 ** rng.uniform(-3, -1, 50), 0.3)
+    phi = rng.uniform(0, 0.6, 50)
+    together = precursor_lengths(sliders, interface=Interface(phi))
+    alone = [
+        precursor_lengths(Slider(h, k, 0.3), interface=Interface(p))
+        for h, k, p in zip(sliders.height, sliders.stiffness, phi, strict=True)
+    ]
+    assert np.array_equal(together, alone)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"prestress": 1.0}, "Interface.prestress = 1"),
+        ({"prestress": -0.1}, "Interface.prestress = -0.1"),
+        ({"repin_delay": 1.5}, "repin_delay = 1.5"),
+        ({"threshold_slope": np.nan}, "threshold_slope = nan"),
+    ],
+)
+def test_errors_name_the_field(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        Interface(**wrong)
+
+
+def test_traced_interface_outside_its_domain_is_nan():
+    lengths = jax.vmap(lambda p: precursor_length(FIG2, interface=Interface(p)))(np.array([0.1, 1.2, -0.5, np.nan]))
+    assert np.isfinite(lengths[0])
+    assert np.isnan(lengths[1:]).all()

@@ -1,0 +1,135 @@
+"""Series of events against a program that solves the chain anew after every break; energies; what the protocols do."""
+
+import jax
+import numpy as np
+import plain_series
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.events import EventClass, SeriesStatus
+
+FIG2 = (25.0, 0.03, 0.3)
+
+
+def ages(law, newborn, scale):
+    grown = {"exponential": lambda a: 1 - np.exp(-a / scale), "logarithmic": lambda a: np.log2(1 + a / scale)}[law]
+    return lambda a: newborn + (1 - newborn) * grown(a)
+
+
+CASES = [
+    ("adiabatic", "free", None),
+    ("adiabatic", "semi-infinite", ("exponential", 0.3, 3.0)),
+    ("steps", "clamped", None),
+    ("steps", "free", ("exponential", 0.5, 1.0)),
+    ("spring", "semi-infinite", None),
+    ("spring", "free", ("logarithmic", 0.4, 2.0)),
+]
+
+
+@pytest.mark.parametrize(("protocol", "right", "ageing"), CASES)
+def test_against_dense_program(protocol, right, ageing):
+    rng = np.random.default_rng(len(protocol))
+    sites, events = 30, 25
+    slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
+    theta, phi = rng.uniform(0.9, 1.1, sites), rng.uniform(0, 0.2, sites)
+    protocols = {"adiabatic": sp.Adiabatic(), "steps": sp.Steps(0.21), "spring": sp.Spring(4.0)}
+    law = None if ageing is None else ages(*ageing)
+    plain = plain_series.PlainSeries(slider, theta, phi, right, law, 4.0 if protocol == "spring" else None)
+    chain = sp.chain(sp.Slider(*slider), sites=sites, right=right, threshold=theta, prestress=phi)
+    aged = None if ageing is None else sp.Ageing(ageing[1], ageing[2], ageing[0])
+    got = sp.series(chain, protocols[protocol], events=events, ageing=aged, recorded_breaks=4000, stop_when_spanning=False)
+    assert int(got.status) == SeriesStatus.DONE
+    for e in range(events):
+        order = plain.event(0.21 if protocol == "steps" else None)
+        assert list(got.break_site[got.break_event == e]) == order, e
+        assert abs(got.load[e] - plain.load) < 1e-9
+        assert abs(got.force_after[e] - plain.push()) < 1e-9
+        assert (got.site[e], got.leftmost[e], got.extent[e]) == (order[0], min(order), max(order) + 1)
+    assert abs(got.state.pinning - plain.u_b).max() < 1e-9
+    assert got.drift < 1e-12
+
+
+def energies(catalogue):
+    n = int(catalogue.number)
+    stored = np.diff(np.append(0, catalogue.stored[:n]))
+    return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
+
+
+@pytest.mark.parametrize("protocol", [sp.Adiabatic(), sp.Steps(0.5), sp.Spring(10.0)])
+@pytest.mark.parametrize("ageing", [None, sp.Ageing(0.3, 3.0)])
+def test_energy_of_every_event(protocol, ageing):
+    """Work of the drive = stored + broken + relaxed, and the stored energy is that of the springs of the final state."""
+    chain = sp.chain(sp.Slider(*FIG2), sites=150)
+    got = sp.series(chain, protocol, events=150, ageing=ageing)
+    assert energies(got).max() < 1e-9
+    assert (np.asarray(got.broken)[: int(got.number)] > 0).all()
+    assert (np.asarray(got.relaxed)[: int(got.number)] > -1e-12).all()
+
+
+def test_stored_energy_is_that_of_the_springs():
+    chain = sp.chain(sp.Slider(*FIG2), sites=60, right="free")
+    got = sp.series(chain, events=15, stop_when_spanning=False)
+    assert int(got.number) == 15
+    at_end = sp.equilibrium(chain, got.state)
+    u_t, u = np.asarray(at_end.upper), np.asarray(at_end.layer)
+    springs = (25 * np.diff(u_t) ** 2).sum() + (np.diff(u) ** 2).sum() + (chain.across * (u_t - u) ** 2).sum()
+    assert abs(got.stored[-1] - (springs + 0.03 * ((u - got.state.pinning) ** 2).sum()) / 2) < 1e-12
+
+
+def test_first_event_is_the_first_precursor():
+    got = sp.series(sp.chain(sp.Slider(*FIG2), sites=150), events=1)
+    assert (int(got.breaks[0]), int(got.extent[0]), int(got.kind[0])) == (26, 26, EventClass.EDGE)
+    assert round(float(got.load[0]), 4) == 3.1985
+
+
+def test_the_protocol_decides_what_the_precursors_look_like():
+    """C13. Adiabatically the peak creeps, and the second pulse breaks 3 contacts at U = 3.90; in steps of 0.5 u_s every event
+    breaks some 20 to 40 contacts at first."""
+    creeping = sp.series(sp.chain(sp.Slider(*FIG2), sites=150), events=20)
+    kinds, edge = np.asarray(creeping.kind), np.nonzero(np.asarray(creeping.kind) == EventClass.EDGE)[0]
+    assert (kinds[1 : edge[1]] == EventClass.CREEP).all()
+    assert (creeping.breaks[1 : edge[1]] == 1).all()
+    assert int(creeping.breaks[edge[1]]) == 3
+    assert round(float(creeping.load[edge[1]]), 2) == 3.90
+    stepped = sp.series(sp.chain(sp.Slider(*FIG2), sites=300), sp.Steps(0.5), events=6)
+    assert list(stepped.extent[1:]) == [39, 46, 54, 60, 67]
+
+
+def test_a_stiff_spring_is_no_spring():
+    chain = sp.chain(sp.Slider(*FIG2), sites=100)
+    direct, stiff = sp.series(chain, events=30), sp.series(chain, sp.Spring(1e9), events=30)
+    assert np.array_equal(direct.extent, stiff.extent)
+    assert abs(direct.load - stiff.load).max() < 1e-6
+
+
+def test_lanes_do_not_disturb_each_other():
+    def run(height):
+        return sp.series(sp.chain(sp.Slider(height, 0.03, 0.3), sites=40), events=6, stop_when_spanning=False)
+
+    heights = np.array([10.0, 25.0, 15.0])
+    together = jax.vmap(run)(heights)
+    for i, height in enumerate(heights):
+        alone = run(height)
+        assert np.array_equal(alone.extent, together.extent[i])
+        assert np.allclose(alone.load, together.load[i], rtol=1e-12)
+
+
+def test_endings_are_reported():
+    slider = sp.Slider(*FIG2)
+    assert int(sp.series(sp.chain(slider, sites=60, right="free"), events=3).status) == SeriesStatus.SPANNED
+    assert int(sp.series(sp.chain(slider, sites=60), events=3, max_breaks=5).status) == SeriesStatus.LIMIT
+    assert int(sp.series(sp.chain(slider, sites=60, prestress=1.5), events=3).status) == SeriesStatus.INVALID
+    detached = sp.chain(slider, sites=60, contact=0.0)
+    assert int(sp.series(detached, events=3).status) == SeriesStatus.NOTHING_LEFT
+
+
+def test_refusals():
+    slider = sp.Slider(*FIG2)
+    with pytest.raises(ValueError, match="events = 0"):
+        sp.series(sp.chain(slider, sites=10), events=0)
+    with pytest.raises(ValueError, match="Steps.size = -1"):
+        sp.series(sp.chain(slider, sites=10), sp.Steps(-1.0), events=1)
+    with pytest.raises(TypeError, match="protocol"):
+        sp.series(sp.chain(slider, sites=10), "adiabatic", events=1)  # pyright: ignore
+    with pytest.raises(TypeError, match="cannot be differentiated"):
+        jax.grad(lambda k: sp.series(sp.chain(sp.Slider(25.0, k, 0.3), sites=40), events=2).load[1])(0.03)
