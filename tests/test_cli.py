@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -134,16 +135,19 @@ def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path):
 
 def test_interrupted():
     """Ctrl-C ends with 130 and no traceback."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "slippulse_jax.cli", "length", "--height", "9e5", "--stiffness", "1e-6", "--poisson", "0.3"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
-    try:
-        process.communicate(timeout=0.5)
-    except subprocess.TimeoutExpired:
+    code = (
+        "import sys; sys.argv = 'slippulse length --height 9e5 --stiffness 1e-6 --poisson 0.3'.split()\n"
+        "from slippulse_jax.cli import main\n"
+        "print('ready', flush=True)\n"
+        "main()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(0.3)
         process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.strip() == "interrupted"
 

@@ -67,7 +67,8 @@ class FirstPrecursor(eqx.Module):
     @property
     def edge_stress(self) -> Float[Array, ""]:
         """Stress on contact 0 at arrest, the largest behind the front; in σ_s."""
-        return self.arrest.stress[0]
+        loaded = self.arrest.stress[0]
+        return loaded if self.interface is None else loaded + self.interface.prestress_at(jnp.zeros(()))
 
     def __str__(self) -> str:
         if isinstance(self.length, Tracer) or self.length.ndim:
