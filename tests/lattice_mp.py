@@ -65,7 +65,7 @@ class Chain:
         for start in (*rho, mp.mpf(1)) if phi else rho:
             tau = {(0, 0): mp.mpf(1) if start != 1 else phi / (1 - sum(w[m] * r[m] / (1 - r[m]) for m in (0, 1)))}
             V = {(0, 0): [r[m] * w[m] * tau[0, 0] / (start - r[m]) for m in (0, 1)]}
-            for d, a in ((d, a) for d in range(2, degree + 1, 2) for a in range(d + 1)):
+            for d, a in [(2 * k, a) for k in range(1, degree // 2 + 1) for a in range(2 * k + 1)]:
                 mu = start * r[0] ** a * r[1] ** (d - a)
                 g = [mp.mpf(0), mp.mpf(0)]
                 for m, n in product((0, 1), repeat=2):

@@ -171,7 +171,7 @@ def length_against_mpmath(sliders):
 
 
 def test_length_and_derivatives_against_sixty_digits():
-    value, first, second = length_against_mpmath(random_sliders(3, 47))
+    value, first, second = length_against_mpmath(random_sliders(2, 47))
     assert value < 1e-11
     assert first < 1e-8
     assert second < 1e-8
@@ -193,28 +193,27 @@ def resonance(n, height):
         rho = chain.roots()
         return float(mp.log(rho[1] * chain.r[1] ** (2 * n) / rho[0]))
 
-    low, high = np.log(1e-6), 0.0
-    if mismatch(low) * mismatch(high) > 0:
-        return None
+    low, high = np.log(0.1), 0.0
+    assert mismatch(low) * mismatch(high) < 0
     for _ in range(80):
         middle = (low + high) / 2
         low, high = (middle, high) if mismatch(middle) * mismatch(low) > 0 else (low, middle)
     return float(np.exp(low))
 
 
-@pytest.mark.parametrize(("n", "height"), [(1, 3.0), (2, 6.0), (3, 12.0), (4, 25.0), (5, 40.0)])
+@pytest.mark.parametrize(("n", "height"), [(1, 2.0), (3, 12.0), (9, 25.0)])
 def test_resonances_are_not_seen(n, height):
     q = resonance(n, height)
-    assert q is not None
-    for nudge in (0, 1e-14, 1e-9, 1e-5):
+    mp.mp.dps = 100  # at a distance δ from the pole the reference loses 1/δ² of its digits, and of its convergence
+    for nudge in (0, 1e-9):
         x = (height, q * (1 + nudge), 0.3)
-        t = Chain(*x).series(44)
+        t = Chain(*x).series(90)
         s = np.array([0.3, 2.0, 7.7])
         found = plain_stresses(jnp.asarray([x]), jnp.asarray(s))[0]
         assert max(relative(a, t(b)) for a, b in zip(found, s, strict=True)) < 1e-12
         slope = jax.jit(jax.hessian(lambda y: plain_stresses(y[None], jnp.asarray([2.3]))[0, 0]))(jnp.asarray(x))
         assert np.isfinite(slope).all()
-        two = differentiate(lambda y: Chain(*y).series(44)(2.3), x, 1, 2)
+        two = differentiate(lambda y: Chain(*y).series(90)(2.3), x, 1, 2)
         assert abs(float((mp.mpf(float(slope[1, 1])) - two) * x[1] ** 2)) < 1e-10
 
 
@@ -326,11 +325,17 @@ def test_differentiation_agrees_in_every_mode():
         step = h * np.eye(5)[i] * (x[i] if x[i] > 1e-2 else 1e-2)
         numeric = (f(x + step) - f(x - step)) / (2 * step[i])
         np.testing.assert_allclose(reverse[i], numeric, rtol=1e-7)
-    v = np.array([1.0, 1e-3, 0.1, 0.1, 1e-3])
+
+
+@pytest.mark.slow
+def test_second_derivatives_agree_in_every_mode():
+    def f(x):
+        return exact_length(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+    x = jnp.asarray([25.0, 0.03, 0.3, 0.1, 1e-3])
     over = jax.jit(jax.jacfwd(jax.jacrev(f)))(x)
     np.testing.assert_allclose(over, over.T, rtol=1e-9, atol=1e-9 * np.abs(over).max())
-    _, along = jax.jvp(jax.jacrev(f), (x,), (jnp.asarray(v),))
-    np.testing.assert_allclose(over @ v, along, rtol=1e-9)
+    np.testing.assert_allclose(over, jax.jit(jax.jacrev(jax.jacfwd(f)))(x), rtol=1e-9, atol=1e-9 * np.abs(over).max())
 
 
 def test_batches_are_the_single_sliders():
@@ -355,7 +360,7 @@ def test_refused_and_undefined_values():
         front = traced(h, p)
         assert np.isnan(front.length)
         assert front.status == ExactStatus.INVALID
-        assert np.isnan(jax.grad(lambda h, p=p: exact_length(sp.Slider(h, 0.03, 0.3), prestress=p))(h) if p == 0 else jnp.nan)
+    assert np.isnan(jax.jit(jax.grad(lambda h: exact_length(sp.Slider(h, 0.03, 0.3))))(-3.0))
     assert all(ExactStatus(code).message for code in ExactStatus)
 
 

@@ -1,7 +1,7 @@
 """The first precursor of a uniform interface in closed form: a length that is analytic in the parameters.
 
 The stress t(s) that the front meets at contact s extends from whole numbers to real s as a convergent double series
-(`slippulse_jax.lattice.series`, derivation in ``docs/exact_solution.md``). The length ℓ* is its crossing with the threshold,
+(`slippulse_jax.double_series`, derivation in ``docs/exact_solution.md``). The length ℓ* is its crossing with the threshold,
 
     t(ℓ*) = 1 + ε ℓ*,
 
@@ -13,6 +13,7 @@ contact, released when it breaks and borne anew by its successor, and σ_s(i) = 
 """
 
 import enum
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,9 +24,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.lattice import series
+from slippulse_jax import double_series as series
 from slippulse_jax.lattice.front import in_domain
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider, _check
 
 MAX_STEPS = 100
@@ -130,12 +131,12 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    none = _is_zero(prestress)
+    return _each(_stress, _is_zero(prestress), *_floats(slider, prestress, s))
 
-    def one(height: Array, stiffness: Array, poisson: Array, phi: Array, s: Array) -> Array:
-        return series.stress(_solve(jnp.stack([height, stiffness, poisson, phi]), none), s)
 
-    return jnp.vectorize(one)(*_floats(slider, prestress, s))
+def _stress(no_prestress: bool, *arguments: Array) -> Array:
+    *theta, s = arguments
+    return series.stress(_solve(jnp.stack(theta), no_prestress), s)
 
 
 def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestress: AnyArrayLike = 0.0) -> ExactFields:
@@ -164,27 +165,34 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    none = _is_zero(prestress)
+    return ExactFields(*_each(_fields, _is_zero(prestress), *_floats(slider, prestress, s, site)))
 
-    def one(height: Array, stiffness: Array, poisson: Array, phi: Array, s: Array, site: Array) -> tuple[Array, ...]:
-        modes = lattice_modes(Slider(height, stiffness, poisson))
-        solution = series.solve(modes, None if none else phi)
-        ahead = jnp.exp(-jnp.maximum(site - s, 0) * solution.roots.rate) * series.parts(solution, jnp.minimum(site, s))
-        later = jnp.where(site < s, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
-        back = modes.weight * later
-        echo = jnp.exp(-site * solution.roots.rate) * (modes.reflection @ (jnp.exp(-site * solution.roots.rate) * later))
-        mode = ahead + back + echo
-        held = jnp.where(site < s, (back + echo).sum(), solution.prestress + mode.sum())
-        return modes.upper @ mode, mode.sum(), held
 
-    return ExactFields(*jnp.vectorize(one)(*_floats(slider, prestress, s, site)))
+def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]:
+    height, stiffness, poisson, phi, s, site = arguments
+    modes = lattice_modes(Slider(height, stiffness, poisson))
+    solution = _solution(modes, None if no_prestress else phi)
+    rate, behind = solution.roots.rate, site < s
+    ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * series.parts(solution, jnp.minimum(site, s))
+    later = jnp.where(behind, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
+    back = modes.weight * later
+    echo = jnp.exp(-site * rate) * (modes.reflection @ (jnp.exp(-site * rate) * later))
+    mode = ahead + back + echo
+    held = jnp.where(behind, (back + echo).sum(), solution.prestress + mode.sum())
+    return modes.upper @ mode, mode.sum(), held
 
 
 def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> Any:
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
     _require("threshold_slope", threshold_slope, lambda x: x > -1, "must exceed −1: relative rise of the threshold per contact")
     plain = (_is_zero(prestress), _is_zero(threshold_slope))
-    return jnp.vectorize(lambda *theta: function(jnp.stack(theta), plain))(*_floats(slider, prestress, threshold_slope))
+    return _each(function, plain, *_floats(slider, prestress, threshold_slope))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _each(function: Any, static: Any, *arguments: Array) -> Any:
+    """`function` of scalars, mapped over arguments of one shape; compiled once for each function and shape."""
+    return jnp.vectorize(lambda *scalars: function(static, *scalars))(*arguments)
 
 
 def _require(name: str, value: Any, inside: Any, requirement: str) -> None:
@@ -200,13 +208,19 @@ def _is_zero(value: Any) -> bool:
 def _floats(slider: Slider, *others: Any) -> list[Array]:
     values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
     dtype = jnp.result_type(float, *values)
-    return [x.astype(dtype) for x in values]
+    shape = jnp.broadcast_shapes(*(x.shape for x in values))
+    return [jnp.broadcast_to(x.astype(dtype), shape) for x in values]
 
 
 def _solve(theta: Float[Array, " n"], no_prestress: bool) -> series.Solution:
     """Series of θ = (H/λc, k/K, ν, φ, …)."""
-    modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
-    return series.solve(modes, None if no_prestress else theta[3])
+    return _solution(lattice_modes(Slider(theta[0], theta[1], theta[2])), None if no_prestress else theta[3])
+
+
+def _solution(modes: Modes, prestress: Array | None) -> series.Solution:
+    reflected = modes.ratio[:, None] * modes.reflection
+    roots = series.roots_of(modes.gap, modes.ratio * modes.weight, reflected, modes.weight)
+    return series.solve(roots, (modes.drive[0], modes.drive[1]), prestress)
 
 
 Plain = tuple[bool, bool]  # whether prestress, threshold slope are zero for certain
@@ -218,11 +232,12 @@ def _excess(theta: Float[Array, "5"], s: Array, plain: Plain) -> Array:
     return rise if plain[1] else rise - theta[4] * s
 
 
-def _length(theta: Float[Array, "5"], plain: Plain) -> Array:
-    return _front(theta, plain)[0]
+def _length(plain: Plain, *theta: Array) -> Array:
+    return _differentiable_crossing(jnp.stack(theta), plain)[0]
 
 
-def _front(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array, Array, Array]:
+def _front(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array, Array]:
+    theta = jnp.stack(arguments)
     length, code = _differentiable_crossing(theta, plain)
     status = code.astype(jnp.int32)
     load = lattice_modes(Slider(theta[0], theta[1], theta[2])).load
@@ -285,6 +300,8 @@ def _crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
     excess = amplitude / jnp.where(plateau < 1, 1 - plateau, 0.5)
     by_tail = jnp.log(jnp.maximum(excess, 1)) / roots.root_rate[1]
     start = jnp.where(excess > 1.1, by_tail, jnp.log(2 / (1 + slider.beta)) / slider.kappa_2)
+    # above the run-away prestress the stress may still fall below the threshold once, near the edge, before it recovers
+    start = jnp.where(plateau < 1, start, 0.5)
 
     def solve(slope: Array, start: Array) -> _Search:
         def unfinished(search: _Search) -> Array:
@@ -299,17 +316,21 @@ def _crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
             # a level threshold is met by ln t, which is all but straight; a falling one is approached from below only
             by_log = jnp.log1p(jnp.maximum(excess, -0.9)) * (1 + excess) / rate
             by_line = (excess - slope * s) / (rate - slope)
-            newton = s - jnp.where(slope == 0, by_log, by_line)
+            newton = jnp.minimum(s - jnp.where((slope == 0) & (plateau < 1), by_log, by_line), 4 * s + 10)
             inside = (newton > 0) & (newton >= low) & (newton <= high)
-            fallback = jnp.where(jnp.isfinite(high), (low + high) / 2, 2 * s + 1)
+            further = jnp.where((slope < 0) | (plateau >= 1), 1.25 * s + 0.25, 2 * s + 1)
+            fallback = jnp.where(jnp.isfinite(high), (low + high) / 2, further)
             # where the threshold falls, a stress that no longer gains on it from above never meets it
-            runs = over & (slope < 0) & (rate >= slope) & (s >= start)
+            runs = jnp.zeros((), bool)
+            if plain != (True, True):
+                bend = jax.jvp(lambda x: rise(x)[1], (s,), (jnp.ones_like(s),))[1]
+                gone = (rate >= slope) & (bend >= 0) | (s * roots.root_rate[1] > 60)
+                runs = over & ((slope < 0) | (plateau >= 1) & (slope <= 0)) & gone
             after = jnp.where(inside, newton, fallback)
             return _Search(after, low, high, jnp.abs(after - s), search.steps + 1, runs)
 
         zero, inf = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
-        hopeless = (at_edge <= 0) | ((plateau >= 1) & (slope <= 0))
-        first = _Search(start, zero, inf, inf, jnp.zeros((), jnp.int32), hopeless)
+        first = _Search(start, zero, inf, inf, jnp.zeros((), jnp.int32), at_edge <= 0)
         return lax.while_loop(unfinished, improve, first)
 
     found = solve(jnp.zeros_like(slope), start) if plain[1] else _with_slope(solve, slope, start, plateau)
@@ -331,6 +352,6 @@ def _crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
 
 def _with_slope(solve: Any, slope: Array, start: Array, plateau: Array) -> _Search:
     """First the crossing with a level threshold, which is a lower (ε < 0) or an upper (ε > 0) bound, then the true one."""
-    level = solve(jnp.zeros_like(slope), jnp.where(plateau < 1, start, 1))
-    beyond = jnp.maximum((plateau - 1) / jnp.where(slope == 0, 1, slope), 0) + 1
-    return solve(slope, jnp.where((plateau < 1) & jnp.isfinite(level.at), level.at, beyond))
+    level = solve(jnp.zeros_like(slope), start)
+    has_level = (plateau < 1) & jnp.isfinite(level.at) & (level.at > 0.01)
+    return solve(slope, jnp.where(has_level, level.at, 0.5))

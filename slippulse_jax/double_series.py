@@ -27,7 +27,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.lattice.modes import Modes
 
 DEGREE = 28
 """Largest a + b kept. What is left out is below rounding over the whole domain: `truncation_bound`."""
@@ -48,6 +47,7 @@ class Roots(NamedTuple):
     over_first: Float[Array, "2"]  # ρ_j − A_11
     over_second: Float[Array, "2"]  # ρ_j − A_22
     runaway: Float[Array, ""]  # (1 + G_00)/2
+    lattice: bool = True  # False: the same on a line, where κ_m, σ_j and W_m stand for 1 − r_m, 1 − ρ_j and r_m w_m
 
 
 class Family(NamedTuple):
@@ -69,9 +69,8 @@ class Solution(NamedTuple):
     others: tuple[Family, ...]
 
 
-def solve(modes: Modes, prestress: Array | None = None, degree: int = DEGREE) -> Solution:
-    """Coefficients of the front stress of a semi-infinite chain; `prestress` None saves the family it would add."""
-    roots = roots_of(modes)
+def solve(roots: Roots, drive: Pair, prestress: Array | None = None, degree: int = DEGREE) -> Solution:
+    """Coefficients of the front stress with V(0) = (1 − φ) `drive`; `prestress` None saves the family it would add."""
     zero, one = jnp.zeros_like(roots.split), jnp.ones_like(roots.split)
     eigenvector_1, eigenvector_2 = ((roots.coupling[0], roots.over_first[j]) for j in (0, 1))
     gaps = _power_gaps(roots, degree)
@@ -80,14 +79,14 @@ def solve(modes: Modes, prestress: Array | None = None, degree: int = DEGREE) ->
     n = jnp.round((roots.root_rate[0] - roots.root_rate[1]) / (2 * roots.rate[1]))
     start_2 = (jnp.where(n == 0, zero, eigenvector_2[0]), jnp.where(n == 0, one, eigenvector_2[1]))
     second = _family(roots, gaps, 1, start_2, zero, n, first)
-    phi, drive, others = zero, (modes.drive[0], modes.drive[1]), ()
+    phi, others = zero, ()
     if prestress is not None:
         # (1 − A) V_00 = r w φ, then as for the others; its resonances are at r_2^{2n} = ρ_1, never with n = 0
         phi = prestress
         pushed = _resolve(roots, roots.gap[1], roots.gap[0], (roots.coupling[0] * phi, roots.coupling[1] * phi))
         n = jnp.maximum(jnp.round(roots.root_rate[0] / (2 * roots.rate[1])), 1)
         third = _family(roots, gaps, 2, pushed, phi, n, first)
-        drive = tuple((1 - phi) * C - x.sum() for C, x in zip(drive, third.terms, strict=True))
+        drive = ((1 - phi) * drive[0] - third.terms[0].sum(), (1 - phi) * drive[1] - third.terms[1].sum())
         others = (third,)
     (a1, a2), (b1, b2), (d1, d2) = (x.sum() for x in first), (x.sum() for x in second.terms), drive
     determinant = a1 * b2 - a2 * b1
@@ -96,34 +95,42 @@ def solve(modes: Modes, prestress: Array | None = None, degree: int = DEGREE) ->
     return Solution(roots, phi, c1, first, (second, *others))
 
 
-def roots_of(modes: Modes) -> Roots:
-    """Eigenvalues of A. The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 (1 + G_00)/2."""
-    gap, coupling = modes.gap, modes.ratio * modes.weight
-    diagonal = gap - coupling  # 1 − A_mm, at least γ_m/2
+def roots_of(gap: Array, coupling: Array, reflected: Array, weight: Array | None = None) -> Roots:
+    """Eigenvalues of A, from γ_m = 1 − r_m, r_m w_m, r_m R_mn and w_m.
+
+    The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 (1 + G_00)/2. Without `weight`, the line:
+    A = −diag(κ) + W 1ᵀ from κ_m, W_m and R_mn, with static responses 2W_m/κ_m that add up to 1.
+    """
+    lattice = weight is not None
+    diagonal = gap - coupling  # at least γ_m/2
     difference = diagonal[0] - diagonal[1]  # A_22 − A_11
     split = jnp.sqrt(difference**2 + 4 * coupling[0] * coupling[1])
     larger = (jnp.where(difference < 0, -difference, difference) + split) / 2
     smaller = coupling[0] * coupling[1] / larger
     up, down = jnp.where(difference < 0, smaller, larger), jnp.where(difference < 0, larger, smaller)
-    runaway = (1 + modes.weight[0] + modes.weight[1]) / 2
+    runaway = (1 + weight[0] + weight[1]) / 2 if weight is not None else jnp.full_like(split, 0.5)
     gap_1 = (diagonal[0] + diagonal[1] + split) / 2
     gaps = jnp.stack([gap_1, gap[0] * gap[1] * runaway / gap_1])
     return Roots(
-        rate=-jnp.log1p(-gap),
-        reflected=modes.ratio[:, None] * modes.reflection,
+        rate=-jnp.log1p(-gap) if lattice else gap,
+        reflected=reflected,
         coupling=coupling,
         gap=gaps,
-        root_rate=-jnp.log1p(-gaps),
+        root_rate=-jnp.log1p(-gaps) if lattice else gaps,
         split=split,
         over_first=jnp.stack([-down, up]),
         over_second=jnp.stack([-up, down]),
         runaway=runaway,
+        lattice=lattice,
     )
 
 
 def _power_gaps(roots: Roots, degree: int) -> Terms:
     """1 − r_1^a r_2^b as a sum of positive numbers: (1 − r_2^{2k}) + r_2^{2k} (1 − (r_1/r_2)^a)."""
     half = degree // 2
+    if not roots.lattice:
+        k, a = np.arange(half + 1)[:, None], np.arange(degree + 1)[None]
+        return 2 * roots.rate[1] * k + (roots.rate[0] - roots.rate[1]) * a
     level = -2 * roots.rate[1] * np.arange(half + 1)
     a = -(roots.rate[0] - roots.rate[1]) * np.arange(degree + 1)
     return -jnp.expm1(level)[:, None] - jnp.exp(level)[:, None] * jnp.expm1(a)[None]
@@ -131,11 +138,12 @@ def _power_gaps(roots: Roots, degree: int) -> Terms:
 
 def _distances(roots: Roots, gaps: Array, start: int) -> tuple[Array, Array]:
     """μ − ρ_1 and μ − ρ_2, both up to sign positive but for the resonances, for μ = (ρ_1, ρ_2, 1)[start] · (1 − gaps)."""
+    root = 1 - roots.gap if roots.lattice else jnp.ones_like(roots.gap)
     if start == 0:
-        over_1 = -(1 - roots.gap[0]) * gaps
+        over_1 = -root[0] * gaps
         return over_1, over_1 - roots.split
     if start == 1:
-        over_2 = -(1 - roots.gap[1]) * gaps
+        over_2 = -root[1] * gaps
         return over_2 + roots.split, over_2
     return roots.gap[0] - gaps, roots.gap[1] - gaps
 
@@ -200,7 +208,7 @@ def _family(
     shift = jnp.clip(n, 0, depth).astype(jnp.int32)
     echo = []
     for x in first:
-        fed = ((1 - gaps) * x).at[0].set(0)
+        fed = ((1 - gaps) * x if roots.lattice else x).at[0].set(0)
         echo.append(lax.dynamic_slice_in_dim(jnp.pad(fed, ((depth, 0), (0, 0))), depth - shift, depth))
     terms, kappa = _terms(roots, gaps, start, vector, constant, n, echo)
     rate = jnp.stack([roots.root_rate[0], roots.root_rate[1], jnp.zeros_like(constant)])[start]
@@ -229,7 +237,9 @@ def parts(solution: Solution, s: Array) -> Float[Array, "2"]:
 def _of_first(solution: Solution, s: Array) -> Array:
     """c_1 ρ_1^s + Σ κ D(s)."""
     y = solution.roots.root_rate[0]
-    return solution.c1 * jnp.exp(-s * y) + sum(f.kappa * divided_difference(f.resonant, y, s) for f in solution.others)
+    return solution.c1 * jnp.exp(-s * y) + sum(
+        f.kappa * _difference(solution.roots, f.resonant, s) for f in solution.others
+    )
 
 
 def stress(solution: Solution, s: Array) -> Array:
@@ -255,37 +265,52 @@ def rise(solution: Solution, s: Array) -> Array:
     total = -solution.c1 * fall(y, first)
     for family in solution.others:
         total = total - fall(family.start, family.terms[0] + family.terms[1])
-        total = total + family.kappa * divided_difference(family.resonant, y, s) * (level @ (first @ column))
+        total = total + family.kappa * _difference(roots, family.resonant, s) * (level @ (first @ column))
     return total
 
 
 def stress_sums(solution: Solution, low: Array, high: Array) -> Float[Array, "2"]:
-    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, each term a geometric series."""
+    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on the line the integral."""
     roots = solution.roots
     first = solution.first[0] + solution.first[1]
     _, _, k_rate, a_rate = _powers(roots, low, first.shape)
     rate, span = k_rate[:, None] + a_rate[None], high - low
-    x_y = [(f.resonant, roots.root_rate[0]) for f in solution.others]
+
+    def over(every: Array) -> Array:
+        """1 − e^{−rate}, what a geometric series is divided by; on the line the rate."""
+        return -jnp.expm1(-every) if roots.lattice else every
 
     def one(mode: Array) -> Array:
-        def geometric(start: Array) -> Array:
+        def summed(start: Array) -> Array:
             """Σ μ^j r_m^{j − low}, μ = e^{−start − rate}."""
             every = start + rate + mode
-            return jnp.exp(-low * (start + rate)) * jnp.expm1(-span * every) / jnp.expm1(-every)
+            return -jnp.exp(-low * (start + rate)) * jnp.expm1(-span * every) / over(every)
 
-        total = solution.c1 * (geometric(roots.root_rate[0]) * first).sum()
-        for family, (x, y) in zip(solution.others, x_y, strict=True):
-            total = total + (geometric(family.start) * (family.terms[0] + family.terms[1])).sum()
+        total = solution.c1 * (summed(roots.root_rate[0]) * first).sum()
+        for family in solution.others:
+            x, y = family.resonant, roots.root_rate[0]
+            total = total + (summed(family.start) * (family.terms[0] + family.terms[1])).sum()
             # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
-            D_low, D_high = (divided_difference(x, y, s) for s in (low, high))
+            D_low, D_high = (_difference(roots, x, s) for s in (low, high))
             numerator = jnp.exp(-rate * low) * (D_low - jnp.exp(-span * (rate + mode)) * D_high)
-            at_x = -jnp.exp(-low * (x + rate)) * jnp.expm1(-span * (x + rate + mode))
-            over_x, over_y = (-jnp.expm1(-(z + rate + mode)) for z in (x, y))
-            both = numerator / over_y + at_x * jnp.exp(-rate - mode) / (over_x * over_y)
+            power = jnp.exp(-rate - mode) if roots.lattice else 1
+            both = (numerator + summed(x) * power) / over(y + rate + mode)
             total = total + family.kappa * (both * first).sum()
-        return total + solution.prestress * jnp.expm1(-span * mode) / jnp.expm1(-mode)
+        return total - solution.prestress * jnp.expm1(-span * mode) / over(mode)
 
     return jnp.stack([one(roots.rate[0]), one(roots.rate[1])])
+
+
+def _difference(roots: Roots, x_rate: Array, s: Array) -> Array:
+    """D(s); on the line (e^{−xs} − e^{−ys})/(y − x), in the rates themselves."""
+    y = roots.root_rate[0]
+    return divided_difference(x_rate, y, s) if roots.lattice else _overlap(x_rate, y, s)
+
+
+def _overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
+    gap = y_rate - x_rate
+    slower, distance = jnp.where(gap >= 0, x_rate, y_rate), jnp.where(gap >= 0, gap, -gap)
+    return jnp.exp(-slower * s) * s * _relaxation(s * distance)
 
 
 def divided_difference(x_rate: Array, y_rate: Array, s: Array) -> Array:
