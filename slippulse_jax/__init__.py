@@ -7,13 +7,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slippulse_jax import theory as theory
+    from slippulse_jax.lattice.exact import exact_fields as exact_fields
+    from slippulse_jax.lattice.exact import exact_front as exact_front
+    from slippulse_jax.lattice.exact import exact_front_stress as exact_front_stress
+    from slippulse_jax.lattice.exact import exact_length as exact_length
     from slippulse_jax.slider import Slider as Slider
 
 _HOME = {
     "Slider": "slider",
+    "exact_fields": "lattice.exact",
+    "exact_front": "lattice.exact",
+    "exact_front_stress": "lattice.exact",
+    "exact_length": "lattice.exact",
 }
 
-__all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [*_HOME, "theory", "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
@@ -21,6 +30,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("slippulse_jax")
+    if name == "theory":
+        return import_module("slippulse_jax.theory")
     if name in _HOME:
         return getattr(import_module(f"slippulse_jax.{_HOME[name]}"), name)
     raise AttributeError(f"module 'slippulse_jax' has no attribute {name!r}")

@@ -27,7 +27,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-
 DEGREE = 28
 """Largest a + b kept. What is left out is below rounding over the whole domain: `truncation_bound`."""
 
@@ -237,9 +236,7 @@ def parts(solution: Solution, s: Array) -> Float[Array, "2"]:
 def _of_first(solution: Solution, s: Array) -> Array:
     """c_1 ρ_1^s + Σ κ D(s)."""
     y = solution.roots.root_rate[0]
-    return solution.c1 * jnp.exp(-s * y) + sum(
-        f.kappa * _difference(solution.roots, f.resonant, s) for f in solution.others
-    )
+    return solution.c1 * jnp.exp(-s * y) + sum(f.kappa * _difference(solution.roots, f.resonant, s) for f in solution.others)
 
 
 def stress(solution: Solution, s: Array) -> Array:

@@ -171,7 +171,7 @@ def length_against_mpmath(sliders):
 
 
 def test_length_and_derivatives_against_sixty_digits():
-    value, first, second = length_against_mpmath(random_sliders(2, 47))
+    value, first, second = length_against_mpmath(random_sliders(2, 47)[1:])
     assert value < 1e-11
     assert first < 1e-8
     assert second < 1e-8

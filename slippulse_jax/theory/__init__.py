@@ -13,6 +13,7 @@ from slippulse_jax.theory.limits import (
     b_from_areal_stiffness,
     envelope_length,
     length_ceiling,
+    macroscopic_correction,
     macroscopic_length,
     runaway_prestress,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "length_continuum",
     "length_eq25",
     "length_frozen",
+    "macroscopic_correction",
     "macroscopic_length",
     "runaway_prestress",
     "slow_decay_length",

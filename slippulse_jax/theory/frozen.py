@@ -6,9 +6,7 @@ printed formulas err, the corrected ones are in use and ``printed=True`` gives t
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.slider import Slider
@@ -223,7 +221,7 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
     alpha, C = 1 + k2 / k3, (k2 + gamma) / (k3 - gamma)
 
     def excess(p: tuple[Array, Array, Array, Array], s: Array) -> Array:
-        """ln of cra56: ln A_0 + α ln[(1+C)/(y+C)] + ln y, y = e^{κ_3 s}."""
+        """Logarithm of cra56: ln A_0 + α ln[(1+C)/(y+C)] + ln y, y = e^{κ_3 s}."""
         A0, alpha, C, k3 = p
         small = jnp.exp(-k3 * s)
         return jnp.log(A0) + alpha * jnp.log((1 + C) / (1 + C * small)) + (1 - alpha) * k3 * s
@@ -233,4 +231,6 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
     B = A0 * (1 + C) ** alpha
     first = load / slider.beta, _psi1(slider), psi2, load + _released(slider)
     psi6_0 = psi6(slider, zero, printed=printed)
-    return Appendix(*first, psi6_0, psi6_slope, A3, A4, gamma3, A0, gamma, far, k3, alpha, C, B, jnp.where(A0 > 1, found, jnp.nan))
+    return Appendix(
+        *first, psi6_0, psi6_slope, A3, A4, gamma3, A0, gamma, far, k3, alpha, C, B, jnp.where(A0 > 1, found, jnp.nan)
+    )
