@@ -201,7 +201,10 @@ def resonance(n, height):
     return float(np.exp(low))
 
 
-@pytest.mark.parametrize(("n", "height"), [(1, 2.0), (3, 12.0), (9, 25.0)])
+@pytest.mark.parametrize(
+    ("n", "height"),
+    [(1, 2.0), pytest.param(3, 12.0, marks=pytest.mark.slow), pytest.param(9, 25.0, marks=pytest.mark.slow)],
+)
 def test_resonances_are_not_seen(n, height):
     q = resonance(n, height)
     mp.mp.dps = 100  # at a distance δ from the pole the reference loses 1/δ² of its digits, and of its convergence

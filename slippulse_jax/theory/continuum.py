@@ -12,6 +12,7 @@ Valid, as a limit of the lattice, for κ_1 λc ≪ 1: H ≫ λc and k ≪ K.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -63,11 +64,13 @@ def _solution(line: _Line) -> series.Solution:
     return series.solve(series.roots_of(line.rate, line.weight, line.reflection), (line.start[0], line.start[1]))
 
 
+@jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
     return _each(lambda x, y: series.stress(_solution(_line(x)), y), slider, s)
 
 
+@jax.jit
 def length_continuum(slider: Slider) -> Float[Array, "..."]:
     """Length of the first precursor in the self-consistent continuum, t(Λ) = 1, in λc; NaN where the front does not start."""
 
@@ -82,6 +85,7 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     return _each(one, slider)
 
 
+@jax.jit
 def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
     """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (cra17, cra18).
 

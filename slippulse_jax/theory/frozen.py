@@ -4,8 +4,10 @@ Lengths in λc, displacements in u_s, stresses in σ_s. Valid for λc ≪ H and 
 printed formulas err, the corrected ones are in use and ``printed=True`` gives the others.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -131,6 +133,7 @@ def _overlap(p: Array, q: Array, s: Array) -> Array:
     return s * jnp.exp(-jnp.minimum(p, q) * s) * jnp.where(small, taylor, -jnp.expm1(-over) / over)
 
 
+@partial(jax.jit, static_argnames="printed")
 def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Array, "..."]:
     """Stress ũ(s+0; s) = A_3(s) + A_4(s) at the front when it is at s > 0, in σ_s; labels cra46b and cra55, integrated.
 
@@ -145,6 +148,7 @@ def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Arr
     return _each(lambda x, y: _stress(x, y, printed), slider, s)
 
 
+@partial(jax.jit, static_argnames="printed")
 def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
     """Length of the first precursor with a frozen upper layer, cra55 integrated without further approximation, in λc.
 
@@ -162,6 +166,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
     return _each(one, slider)
 
 
+@jax.jit
 def length_eq25(slider: Slider) -> Float[Array, "..."]:
     """The paper's Eq. (25), label cra58b: Λ ≈ κ_2⁻¹ ln{2/[(1 + β − 2κ_2/κ)Ψ_1]}, in λc. For Λ ≫ κ⁻¹, H ≫ λc, k ≪ K."""
 
@@ -172,6 +177,7 @@ def length_eq25(slider: Slider) -> Float[Array, "..."]:
     return _each(one, slider)
 
 
+@jax.jit
 def slow_decay_length(slider: Slider) -> Float[Array, "..."]:
     """κ_2⁻¹ ≈ [2(1+ν) + h/q]^{1/2}/h in λc, label cra44, for h, q ≪ 1; `Slider.kappa_2` is exact."""
 
@@ -182,11 +188,13 @@ def slow_decay_length(slider: Slider) -> Float[Array, "..."]:
     return _each(one, slider)
 
 
+@partial(jax.jit, static_argnames="printed")
 def appendix(slider: Slider, *, printed: bool = False) -> Appendix:
     """Every named quantity of the Appendix, up to Eq. (58). NaN in those that do not exist at this slider."""
     return Appendix(*_each(lambda x: tuple(_appendix(x, printed)), slider))
 
 
+@partial(jax.jit, static_argnames="printed")
 def length(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
     """Eq. (58), label cra58, corrected: Λ ≈ κ_3⁻¹ ln y with ℬy = (y + C)^α, in λc.
 

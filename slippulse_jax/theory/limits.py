@@ -5,6 +5,7 @@ Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,6 +15,7 @@ from slippulse_jax.theory.crossing import crossing
 from slippulse_jax.theory.frozen import _each, _overlap
 
 
+@jax.jit
 def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
     """φ_c = (1 + G_00)/2: with σ_0/σ_s ≥ φ_c the stress far from the edge settles at φ/φ_c ≥ 1, and nothing stops the front.
 
@@ -78,6 +80,12 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
         if not hasattr(value, "aval") or hasattr(value, "addressable_data"):
             _check(name, np.asarray(value, dtype=float), inside, rule)
 
+    b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
+    return _macroscopic(b, nu, phi)
+
+
+@jax.jit
+def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
     def one(b: Array, nu: Array, phi: Array) -> Array:
         beta, released = 1 / (1 + b), b / (1 + b)
 
@@ -94,7 +102,6 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
         z = jnp.where(plateau < 1, z, jnp.inf * (1 + b))
         return z * jnp.sqrt(2 * (1 + nu) / released)
 
-    b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
     return jnp.vectorize(one)(b, nu, phi)
 
 
@@ -129,6 +136,7 @@ def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
     return (jnp.sqrt(beta * released) * layer - jnp.sqrt((1 + b) / (2 * (1 + nu))) * discrete) * unit / g
 
 
+@jax.jit
 def envelope_length(slider: Slider) -> Float[Array, "..."]:
     """A closed formula for Λ, within max(0.4 λc, 1.6 %) of the exact length over H/λc 5–10⁵, k/K 1e-6–1, ν 0–0.5.
 
