@@ -182,7 +182,7 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
     a.set(xlabel="$x/\\lambda_c$", ylabel="displacement ($u_s$)", ylim=(0, 3.4), xlim=(0, 60))
     handles = [a.plot([], [], style, color="0.3")[0] for style in styles.values()]
     a.legend(handles, ["nucleation, $s=0$", "$s=13\\,\\lambda_c$", "arrest, $s=26\\,\\lambda_c$"], frameon=False, fontsize=8)
-    for s, where in ((0, (14, 0.56)), (13, (14.5, 1.22)), (26, (28, 0.98))):
+    for s, where in ((0, (14, 0.56)), (13, (14.5, 1.22)), (26, (27.5, 1.03))):
         b.text(*where, f"$s={s}$", fontsize=9)
     b.axhline(1, color="0.75", lw=0.8, zorder=0)
     b.set(xlabel="$x/\\lambda_c$", ylabel="interface stress $\\sigma_c$ ($\\sigma_s$)", xlim=(0, 60), ylim=(0, 1.5))
@@ -192,9 +192,9 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
     c.axhline(1, color="0.75", lw=0.8, zorder=0)
     c.axvline(26, color="0.75", lw=0.8, zorder=0)
     c.text(27, 0.03, "$\\Lambda=26\\,\\lambda_c$", fontsize=9)
-    c.text(12, 1.3, "at the passing front", color="#000000")
+    c.text(28, 1.06, "at the passing front", color="#000000")
     c.text(1.2, 0.62, "at nucleation", color="#0072B2")
-    c.text(38, 0.27, "extra $\\Delta\\sigma_c$", color="#D55E00")
+    c.text(40, 0.17, "extra $\\Delta\\sigma_c$", color="#D55E00")
     c.set(xlabel="$x/\\lambda_c$", ylabel="interface stress ($\\sigma_s$)", xlim=(0, 60), ylim=(0, 1.5))
     return figure
 
