@@ -29,7 +29,6 @@ def frozen_by_integral_equations(H, q, nu, ends):
     """The Appendix from cra08–cra27 alone, u_t frozen: no Ψ, no A; memory in two running integrals."""
     KT = 1 / (2 * (1 + nu) * H)
     kT2 = KT / H
-    k2 = np.sqrt(((q + KT + kT2) - np.sqrt((q + KT - kT2) ** 2 + 4 * KT * kT2)) / 2) if H < 1e3 else None
     mu1 = ((q + KT + kT2) + np.sqrt((q + KT - kT2) ** 2 + 4 * KT * kT2)) / 2
     k2 = np.sqrt(kT2 * q / mu1)
     k, beta = np.sqrt(q + KT), KT / (q + KT)
@@ -76,10 +75,11 @@ def test_corrected_appendix_over_five_hundred_sliders():
 
 
 def test_printed_appendix_is_not():
-    ends = np.array([0.5, 2.0, 6.0]) / float(FIG2.kappa)
+    # the wrong term is the one of short range
+    ends = np.array([0.2, 0.5]) / float(FIG2.kappa)
     direct = frozen_by_integral_equations(25.0, 0.03, 0.3, ends)
     printed = theory.frozen_stress(FIG2, ends, printed=True)
-    assert np.min(np.abs(printed / direct - 1)) > 1e-2
+    assert np.min(np.abs(printed / direct - 1)) > 0.05
 
 
 @pytest.mark.parametrize("x", [(25.0, 0.03, 0.3), (8.0, 0.2, 0.1), (400.0, 1e-4, 0.4)])

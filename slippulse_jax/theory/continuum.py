@@ -98,9 +98,10 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
 def _fields(slider: Slider, s: Array, x: Array) -> tuple[Array, Array, Array]:
     line = _line(slider)
     solution = _solution(line)
-    near = jnp.where(s == 0, line.initial, series.parts(solution, jnp.minimum(x, s)))
-    later = series.stress_sums(solution, jnp.minimum(x, s), s)
-    ahead = jnp.exp(-jnp.maximum(x - s, 0) * line.rate) * near
+    behind, beyond = jnp.where(x < s, x, s), jnp.where(x < s, 0, x - s)  # not min and max: one-sided derivatives at x = s
+    near = jnp.where(s == 0, line.initial, series.parts(solution, behind))
+    later = series.stress_sums(solution, behind, s)
+    ahead = jnp.exp(-beyond * line.rate) * near
     back = line.weight * later
     echo = jnp.exp(-x * line.rate) * (line.reflection @ (jnp.exp(-x * line.rate) * later))
     mode = ahead + back + echo

@@ -17,10 +17,9 @@ def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Arra
     Newton's method, with bisection wherever Newton leaves the bracket. Derivatives of every order and mode with respect
     to `parameters`, dx = −(∂f/∂θ · dθ)/(∂f/∂x); `low` and `high` are only where to look, and carry none.
     """
-    low, high = lax.stop_gradient(low), lax.stop_gradient(high)
 
     @jax.custom_jvp
-    def find(parameters: Any) -> Array:
+    def find(parameters: Any, low: Array, high: Array) -> Array:
         def value(x: Array) -> tuple[Array, Array]:
             return jax.jvp(lambda y: function(parameters, y), (x,), (jnp.ones_like(x),))
 
@@ -44,9 +43,9 @@ def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Arra
 
     @find.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
-        x = find(primals[0])
-        _, change = jax.jvp(lambda p: function(p, x), primals, tangents)
+        x = find(*primals)
+        _, change = jax.jvp(lambda p: function(p, x), primals[:1], tangents[:1])
         slope = jax.grad(function, argnums=1)(primals[0], x)
         return x, -change / slope
 
-    return find(parameters)
+    return find(parameters, lax.stop_gradient(low), lax.stop_gradient(high))
