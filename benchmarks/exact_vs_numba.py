@@ -10,7 +10,7 @@ import numpy as np
 import slippulse_jax as sp
 from slippulse_jax.lattice.modes import lattice_modes
 
-CHUNK = 4000
+CHUNK = 1000
 
 
 @numba.njit(cache=False)
