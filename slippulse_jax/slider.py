@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
-from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.quantities import quantity, quantity_field
+
+Real = Array | np.ndarray | np.floating | float
 
 # (test, requirement as the user should read it) for each field
 _DOMAIN = {
@@ -52,9 +53,9 @@ class Slider(eqx.Module):
         broadcast. Values traced by JAX cannot be looked at: there the lengths computed from them are NaN instead.
     """
 
-    height: Float[AnyArrayLike, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=_as_float)
-    stiffness: Float[AnyArrayLike, "..."] = quantity_field("k/K", "1", "cra41", converter=_as_float)
-    poisson: Float[AnyArrayLike, "..."] = quantity_field("\\nu", "1", "cra05", converter=_as_float)
+    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=_as_float)
+    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", converter=_as_float)
+    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=_as_float)
 
     def __check_init__(self) -> None:
         for name, (inside, requirement) in _DOMAIN.items():
@@ -71,11 +72,11 @@ class Slider(eqx.Module):
     def from_material(
         cls,
         *,
-        height: AnyArrayLike,
-        correlation_length: AnyArrayLike,
-        areal_stiffness: AnyArrayLike,
-        poisson: AnyArrayLike,
-        young: AnyArrayLike,
+        height: Real,
+        correlation_length: Real,
+        areal_stiffness: Real,
+        poisson: Real,
+        young: Real,
     ) -> "Slider":
         """Slider from material constants in SI units.
 

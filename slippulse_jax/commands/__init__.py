@@ -1,1 +1,1 @@
-"""The commands of `slippulse`, one a module; each imports what it needs when it runs."""
+"""The commands of ``slippulse``, a module each; they import what they need when they run."""

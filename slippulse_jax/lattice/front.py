@@ -13,6 +13,7 @@ import enum
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
@@ -21,6 +22,9 @@ from slippulse_jax.slider import Slider
 
 DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
+
+
+AnyArray = Array | np.ndarray
 
 
 class FrontStatus(enum.IntEnum):
@@ -61,12 +65,12 @@ class Front(NamedTuple):
 
 
 class Arrest(NamedTuple):
-    """Where and how the front ended."""
+    """Where and how the front ended, or many fronts; of NumPy arrays where computed in bulk."""
 
-    contacts_broken: Int[Array, ""]
-    length: Float[Array, ""]  # ℓ, in λc
-    status: Int[Array, ""]
-    edge_stress: Float[Array, ""]  # stress on contact 0 behind the front, in σ_s
+    contacts_broken: Int[AnyArray, "..."]
+    length: Float[AnyArray, "..."]  # ℓ, in λc
+    status: Int[AnyArray, "..."]
+    edge_stress: Float[AnyArray, "..."]  # stress on contact 0 behind the front, in σ_s
 
 
 def nucleate(modes: Modes) -> Front:

@@ -13,7 +13,9 @@ is imposed and u is free. For a semi-infinite chain e_m = 1.
 from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.slider import Slider
@@ -102,6 +104,48 @@ def lattice_modes(slider: Slider, right: RightEnd = "semi-infinite", sites: int 
         load=determinant / at_edge,
         echo=echo,
     )
+
+
+class Fields(eqx.Module):
+    """Displacements along the chain, in u_s = f_s/k; the leading axis runs over the sites."""
+
+    upper: Float[Array, " sites"]  # u_t
+    interface: Float[Array, " sites"]  # u
+    pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
+
+    @property
+    def stress(self) -> Float[Array, " sites"]:
+        """Contact stress σ_c = k(u − u_b)/λc² (label cra06), in σ_s."""
+        return self.interface - self.pinning
+
+
+def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"]) -> Fields:
+    """Fields of a uniform chain in equilibrium, in O(sites).
+
+    Parameters
+    ----------
+    modes : Modes
+        Of the chain. Sites beyond those given are pinned at zero.
+    load : array, shape ()
+        U, displacement of the left edge of the upper layer, in u_s.
+    pinning : array, shape (sites,)
+        u_b, in u_s.
+    """
+    site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)
+    echo, y = jax.vmap(modes.echo_factor)(site), jax.vmap(modes.profile)(site)
+    sources = jnp.stack([pinning, pinning], axis=1)
+
+    def accumulate(carry: Array, source: Array) -> tuple[Array, Array]:
+        carry = carry - modes.gap * carry + source
+        return carry, carry
+
+    zero = jnp.zeros_like(modes.ratio)
+    up_to = lax.scan(accumulate, zero, sources)[1]
+    from_here = lax.scan(accumulate, zero, echo * sources, reverse=True)[1]
+    endless = echo * up_to + from_here - echo * sources
+    amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
+    in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
+    return Fields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning)
 
 
 def check_right_end(right: RightEnd, sites: int | None) -> None:

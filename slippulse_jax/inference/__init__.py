@@ -1,0 +1,1 @@
+"""From measured precursor lengths back to the interface."""

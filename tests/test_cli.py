@@ -1,0 +1,172 @@
+"""The command line as a person or a script meets it: output, messages, exit status."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PMMA = "fit_examples/pmma_block/lengths.csv"
+FIG2 = ["--height", "25", "--stiffness", "0.03", "--poisson", "0.3"]
+
+
+def slippulse(*arguments, **kwargs):
+    return subprocess.run(
+        [sys.executable, "-m", "slippulse_jax.cli", *arguments],
+        capture_output=True, text=True, cwd=kwargs.pop("cwd", ROOT), timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)}, **kwargs
+    )  # fmt: skip
+
+
+def test_help_and_version_do_not_import_jax():
+    code = (
+        "import sys; sys.argv = ['slippulse', '--help']\n"
+        "from slippulse_jax.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as e:\n    assert e.code == 0\n"
+        "assert 'jax' not in sys.modules and 'numpy' not in sys.modules and 'matplotlib' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "fit" in done.stdout
+    assert "length" in done.stdout
+    for command in ("length", "fit"):
+        done = slippulse(command, "--help")
+        assert done.returncode == 0
+        assert "--json" in done.stdout
+
+
+def test_length():
+    done = slippulse("length", *FIG2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "ℓ   = 25.789811 λc" in done.stdout
+    assert "Λ   = 26 λc" in done.stdout
+    assert "arrested" in done.stdout
+
+
+def test_length_in_si_as_json():
+    done = slippulse(
+        "length", "--json", "--poisson", "0.3", "--height-mm", "75", "--correlation-length-um", "10", "--areal-stiffness", "2e10",
+        "--young-gpa", "3",
+    )  # fmt: skip
+    content = json.loads(done.stdout)
+    assert content["height"] == pytest.approx(7500)
+    assert content["length_mm"] == pytest.approx(59.6129, abs=1e-4)
+    assert content["status"] == "arrested"
+
+
+def test_length_of_a_front_that_runs_through_is_null_not_a_number():
+    done = slippulse(
+        "length", "--json", "--height", "50", "--stiffness", "0.03", "--poisson", "0.3", "--right", "free", "--sites", "100"
+    )
+    content = json.loads(done.stdout)
+    assert content["length"] is None
+    assert content["status"] == "ran_through"
+
+
+def test_fit_reports_and_draws(tmp_path):
+    figure = tmp_path / "fit.svg"
+    done = slippulse("fit", PMMA, "--figure", str(figure))
+    assert done.returncode == 0, done.stderr
+    assert "Result: identified" in done.stdout
+    assert "Pa/m" in done.stdout
+    assert done.stderr.strip() == f"figure written to {figure}"
+    assert figure.read_bytes().startswith(b"<?xml")
+    assert [path.name for path in tmp_path.iterdir()] == ["fit.svg"], "no temporary file is left behind"
+
+
+def test_fit_as_json_keeps_stdout_clean(tmp_path):
+    done = slippulse("fit", PMMA, "--json", "--figure", str(tmp_path / "fit.png"))
+    content = json.loads(done.stdout)
+    assert content["identifiability"] == "identified"
+    assert abs(content["values"]["areal_stiffness"] / 2e10 - 1) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["length", "--height", "0.5", "--stiffness", "0.03", "--poisson", "0.3"], "Slider.height = 0.5: must exceed 1"),
+        (["length", "--height", "25", "--stiffness", "nan", "--poisson", "0.3"], "Slider.stiffness = nan"),
+        (["length", "--height", "25", "--poisson", "0.3"], "missing --stiffness"),
+        (["length", "--height", "25", "--young-gpa", "3", "--poisson", "0.3"], "--young-gpa and --height belong to two forms"),
+        (
+            ["length", "--height-mm", "25", "--poisson", "0.3"],
+            "missing --correlation-length-um, --areal-stiffness, --young-gpa",
+        ),
+        (["length", *FIG2, "--right", "free"], "needs a number of sites"),
+        (["length", *FIG2, "--sites", "100"], "a semi-infinite chain has no number of sites"),
+        (["length", *FIG2, "--right", "open"], "'open' is not one of"),
+        (["length", *FIG2, "--height", "tall"], "'tall' is not a valid float"),
+        (["fit", "none.csv"], "none.csv: No such file or directory"),
+        (["fit", PMMA, "--figure", "fit.jpeg2000"], "must end in .png, .pdf, .svg"),
+        (["fit", PMMA, "--figure", "no/such/folder/fit.png"], "there is no folder no/such/folder"),
+        (["fit", PMMA, "--bounds", "2", "1"], "bounds = (2, 1) of areal_stiffness"),
+        (["fit"], "Missing argument 'LENGTHS.CSV'"),
+        (["slide"], "No such command 'slide'"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_exit_2(arguments, message):
+    done = slippulse(*arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert len([line for line in done.stderr.splitlines() if line.startswith("Error: ")]) == 1
+
+
+def test_bad_table_names_file_line_and_column(tmp_path):
+    path = tmp_path / "lengths.csv"
+    path.write_text("height,poisson,length,length_sigma\n25,0.3,26,0.5\n25,0.3,x,0.5\n")
+    done = slippulse("fit", str(path))
+    assert done.returncode == 2
+    assert done.stderr == f"Error: {path}, line 3, column length: 'x' is not a number\n"
+
+
+def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path):
+    path = tmp_path / "lengths.csv"
+    path.write_text("height,poisson,length,length_sigma\n25,0.3,40,0.5\n")
+    done = slippulse("fit", str(path))
+    assert done.returncode == 0
+    assert "not identifiable: the length is at or above the attainable maximum" in done.stdout
+
+
+def test_interrupted():
+    """Ctrl-C ends with 130 and no traceback."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "slippulse_jax.cli", "length", "--height", "9e5", "--stiffness", "1e-6", "--poisson", "0.3"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    try:
+        process.communicate(timeout=0.5)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.strip() == "interrupted"
+
+
+def test_reader_that_hangs_up_is_not_an_error_message():
+    done = subprocess.run(
+        f"{sys.executable} -m slippulse_jax.cli length --height 25 --stiffness 0.03 --poisson 0.3 | head -c 0",
+        shell=True, capture_output=True, text=True, cwd=ROOT,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+
+
+def test_full_disk_leaves_no_half_file(tmp_path, monkeypatch):
+    from slippulse_jax.files import write_atomically
+
+    path = tmp_path / "result.bin"
+    write_atomically(path, b"old")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, b"new and longer")
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result.bin"]

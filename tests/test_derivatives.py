@@ -1,0 +1,116 @@
+"""Derivatives of ℓ in every mode, against complex steps through an independent matrix program."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import plain_chain
+import pytest
+
+from slippulse_jax import Slider, precursor_length
+from slippulse_jax.lattice.precursor import precursor_arrests
+
+STEP = 1e-30
+
+
+def length(theta):
+    return precursor_length(Slider(theta[0], theta[1], theta[2]))
+
+
+def complex_step_gradient(theta, count):
+    """Exact derivative of the interpolated crossing of a front that breaks `count` contacts."""
+    gradient = np.zeros(3)
+    for i in range(3):
+        moved = theta.astype(complex)
+        moved[i] += 1j * STEP
+        load, pinning = plain_chain.responses(*moved, sites=count + 4, right="semi-infinite", reach=count + 1)
+        gradient[i] = plain_chain.interpolated(plain_chain.front_stress(load, pinning, count + 1), count).imag / STEP
+    return gradient
+
+
+@pytest.fixture(scope="module")
+def points():
+    """200 random sliders with a domino, away from kinks."""
+    rng = np.random.default_rng(11)
+    theta = np.stack([rng.uniform(3, 60, 400), 10 ** rng.uniform(-4, 0, 400), rng.uniform(0, 0.49, 400)], axis=1)
+    ended = precursor_arrests(Slider(*theta.T))
+    fraction = ended.length - np.floor(ended.length)
+    chosen = np.nonzero((ended.length > 0) & (fraction > 1e-3) & (fraction < 1 - 1e-3))[0][:200]
+    assert len(chosen) == 200
+    return theta[chosen], ended.contacts_broken[chosen]
+
+
+def test_gradient_at_200_points(points):
+    theta, counts = points
+    got = np.asarray(jax.vmap(jax.grad(length))(theta))
+    for i, count in enumerate(counts):
+        expected = complex_step_gradient(theta[i], int(count))
+        worst = np.abs(got[i] - expected) * theta[i] / np.abs(expected * theta[i]).max()
+        assert worst.max() <= 1e-7, theta[i]
+
+
+def test_all_modes_agree(points):
+    """jvp, jacfwd, grad, jacrev, and vmap of each, are one derivative."""
+    theta = points[0][:20]
+    reference = np.stack([jax.grad(length)(t) for t in theta])
+    for transform in (jax.jacfwd, jax.jacrev, jax.grad):
+        np.testing.assert_allclose(jax.vmap(transform(length))(theta), reference, rtol=1e-13)
+    tangents = np.random.default_rng(0).normal(size=theta.shape)
+    _, along = jax.vmap(lambda t, d: jax.jvp(length, (t,), (d,)))(theta, tangents)
+    np.testing.assert_allclose(along, (reference * tangents).sum(axis=1), rtol=1e-10)
+    value, gradient = jax.jit(jax.value_and_grad(length))(theta[0])
+    np.testing.assert_allclose(gradient, reference[0], rtol=1e-13)
+    np.testing.assert_allclose(value, length(theta[0]), rtol=1e-13)
+
+
+def test_hessian_in_every_order_of_modes(points):
+    theta = points[0][:6]
+    forward = np.asarray(jax.vmap(jax.jacfwd(jax.jacfwd(length)))(theta))
+    for outer, inner in ((jax.jacfwd, jax.jacrev), (jax.jacrev, jax.jacfwd), (jax.jacrev, jax.jacrev)):
+        np.testing.assert_allclose(jax.vmap(outer(inner(length)))(theta), forward, rtol=1e-9)
+    np.testing.assert_allclose(jax.vmap(jax.hessian(length))(theta), forward, rtol=1e-9)
+    # and against differences of complex-step gradients, which know nothing of JAX
+    for t, hessian, count in zip(theta, forward, points[1][:6], strict=True):
+        for i in range(3):
+            step = 1e-5 * t[i] * np.eye(3)[i]
+            column = (complex_step_gradient(t + step, int(count)) - complex_step_gradient(t - step, int(count))) / (2 * step[i])
+            np.testing.assert_allclose(hessian[i], column, rtol=1e-5, atol=1e-6 * np.abs(hessian * t[i] / t).max())
+
+
+def test_one_sided_derivative_at_a_kink():
+    """Where ℓ passes a whole number the derivative is that of the longer side, as documented."""
+    theta = np.array([25.0, 0.03, 0.3])
+    low, high = 20.0, 25.0
+    for _ in range(200):  # bisect for the height at which ℓ = 25
+        middle = (low + high) / 2
+        low, high = (middle, high) if length(theta.copy() * [middle / 25, 1, 1]) < 25 else (low, middle)
+    at, eps = high, 1e-7
+
+    def slope(height):
+        return float(jax.grad(lambda h: precursor_length(Slider(h, 0.03, 0.3)))(height))
+
+    assert length(jnp.array([at, 0.03, 0.3])) >= 25
+    assert abs(slope(at) - slope(at + eps)) < 1e-6
+    assert abs(slope(at) - slope(at - eps)) > 1e-5
+
+
+def test_finite_chain_has_derivatives_too():
+    theta = np.array([25.0, 0.03, 0.3])
+
+    def finite(theta):
+        return precursor_length(Slider(theta[0], theta[1], theta[2]), right="free", sites=100)
+
+    got = jax.grad(finite)(theta)
+    for i in range(3):
+        moved = theta.astype(complex)
+        moved[i] += 1j * STEP
+        load, pinning = plain_chain.responses(*moved, sites=100, right="free", reach=29)
+        expected = plain_chain.interpolated(plain_chain.front_stress(load, pinning, 29), 28).imag / STEP
+        assert abs(got[i] / expected - 1) < 1e-8
+
+
+def test_float32_gradient(float32):
+    theta = np.array([25.0, 0.01, 0.3])
+    single = jax.grad(length)(jnp.asarray(theta, jnp.float32))
+    with jax.enable_x64(True):
+        double = jax.grad(length)(theta)
+    np.testing.assert_allclose(single, double, rtol=1e-3)

@@ -1,0 +1,277 @@
+"""The fit: honest errors, every root, and plain words where the data cannot tell."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slippulse_jax import Measurements, Slider, fit, precursor_lengths, read_measurements
+from slippulse_jax.inference.report import value_with_error
+from slippulse_jax.inference.result import Identifiability
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def study(height, stiffness, relative_sigma, rng=None, poisson=0.3):
+    exact = precursor_lengths(Slider(height, stiffness, poisson))
+    sigma = relative_sigma * exact
+    noise = 0 if rng is None else sigma * rng.standard_normal(exact.shape)
+    return Measurements(height=np.atleast_1d(height), poisson=poisson, length=exact + noise, length_sigma=sigma)
+
+
+def test_pulls_of_200_studies():
+    """(fitted − true)/stderr in ln k/K has mean 0 and spread 1, and the intervals hold the truth as often as they say."""
+    rng = np.random.default_rng(4)
+    pulls, inside = [], {0.6827: [], 0.95: []}
+    for _ in range(200):
+        height = rng.uniform(15, 60, 6)
+        truth = np.exp(rng.uniform(*np.log([1e-3, 6e-3])))
+        result = fit(study(height, truth, 0.01, rng))
+        assert result.identifiability is Identifiability.IDENTIFIED
+        assert result.converged
+        pulls.append((np.log(result.values["stiffness"]) - np.log(truth)) / result.log_stderr)
+        for level, pieces in result.intervals["stiffness"].items():
+            inside[level].append(any(piece.low <= truth <= piece.high for piece in pieces))
+    print(f"pulls: mean {np.mean(pulls):+.3f}, spread {np.std(pulls):.3f}; coverage {[np.mean(v) for v in inside.values()]}")
+    assert abs(np.mean(pulls)) <= 0.15
+    assert abs(np.std(pulls) - 1) <= 0.15
+    for level, hits in inside.items():
+        # three binomial standard deviations of 200 tries
+        assert abs(np.mean(hits) - level) <= 3 * np.sqrt(level * (1 - level) / 200)
+
+
+@pytest.mark.parametrize("height", [10.0, 25.0, 50.0])
+def test_both_roots_of_one_length(height):
+    """A length below the peak belongs to two stiffnesses; each, put back into the model, gives it."""
+    target = 0.8 * precursor_lengths(Slider(height, np.geomspace(1e-3, 1, 400), 0.3)).max()
+    result = fit(Measurements(height=[height], poisson=0.3, length=target, length_sigma=0.01 * target))
+    assert result.identifiability is Identifiability.SEVERAL_ROOTS
+    assert len(result.roots) == 2
+    assert len(result.intervals["stiffness"][0.95]) == 2
+    assert result.stderr["stiffness"] is None
+    for root in result.roots:
+        assert abs(float(precursor_lengths(Slider(height, root.value, 0.3))) - target) < 1e-6
+        assert any(piece.low < root.value < piece.high for piece in result.intervals["stiffness"][0.6827])
+    assert "stiffnesses that fit" in result.report()
+
+
+def test_two_close_roots_either_side_of_the_peak():
+    """Roots a tenth of an e-fold apart are both found, not merged."""
+    grid = np.geomspace(0.03, 0.07, 2001)
+    peak = precursor_lengths(Slider(25.0, grid, 0.3)).max()
+    result = fit(Measurements(height=[25.0], poisson=0.3, length=peak - 0.003, length_sigma=1e-4))
+    assert len(result.roots) == 2
+    low, high = sorted(root.value for root in result.roots)
+    assert 0.03 < low < high < 0.07
+    assert np.log(high / low) < 0.4
+
+
+def test_two_heights_leave_one_root():
+    """What one height cannot tell, two can."""
+    result = fit(study(np.array([15.0, 60.0]), 0.01, 0.01))
+    assert result.identifiability is Identifiability.IDENTIFIED
+    assert result.values["stiffness"] == pytest.approx(0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize("excess", [1.02, 1.2, 2.0])
+def test_length_above_the_maximum_is_not_identifiable(excess):
+    peak = precursor_lengths(Slider(25.0, np.geomspace(0.01, 0.2, 2001), 0.3)).max()
+    result = fit(Measurements(height=[25.0], poisson=0.3, length=excess * peak, length_sigma=0.5))
+    assert result.identifiability is Identifiability.AT_MAXIMUM
+    assert result.stderr["stiffness"] is None
+    assert result.attainable[0] == pytest.approx(peak, abs=1e-4)
+    assert "attainable maximum" in result.report()
+    if excess > 1.1:  # more than 3.84 in chi-squared away: no stiffness is allowed, so none is given a narrow interval
+        assert result.intervals["stiffness"][0.95] == []
+        assert "none" in result.report()
+
+
+@pytest.mark.parametrize("sigma", [1.0, 0.1, 1e-3, 1e-6])
+@pytest.mark.parametrize("height", [10.0, 25.0])
+def test_length_exactly_at_the_maximum(height, sigma):
+    """χ² is zero and the slope too: no number, no failure of the search."""
+    peak = precursor_lengths(Slider(height, np.geomspace(0.01, 0.2, 20_001), 0.3)).max()
+    result = fit(Measurements(height=[height], poisson=0.3, length=peak, length_sigma=sigma))
+    assert result.converged
+    assert result.identifiability in (Identifiability.AT_MAXIMUM, Identifiability.SEVERAL_ROOTS, Identifiability.SKEWED)
+    assert result.stderr["stiffness"] is None
+    assert result.chi2 < 1e-3
+
+
+def test_minimum_at_the_step_where_the_domino_starts():
+    """ℓ jumps from 0 to 1 when the second contact starts to break: χ² can have its minimum at that step."""
+    m = Measurements(height=[9.3697, 3.3015, 8.7588], poisson=0.3, length=[5.2007, 1.0644, 5.2191], length_sigma=0.3)
+    result = fit(m)
+    assert result.converged
+    grid = np.geomspace(1e-4, 1, 4001)[:, None]
+    scan = (((precursor_lengths(Slider(m.height, grid, 0.3)) - m.length) / 0.3) ** 2).sum(axis=1)
+    assert result.chi2 <= scan.min() + 1e-6
+
+
+def test_short_sliders_with_noise_always_get_an_answer():
+    """H/λc 3–10, where whole contacts are large beside the length: the search ends, with a root or a reason."""
+    rng = np.random.default_rng(12)
+    for _ in range(40):
+        height = rng.uniform(3, 10, 3)
+        exact = precursor_lengths(Slider(height, np.exp(rng.uniform(*np.log([3e-3, 0.3]))), 0.3))
+        result = fit(
+            Measurements(
+                height=height, poisson=0.3, length=np.abs(exact + 0.5 * rng.standard_normal(3)) + 0.1, length_sigma=0.5
+            )
+        )
+        assert result.converged, result.report()
+        assert result.reason or result.log_stderr
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-7])
+def test_tiny_sigma_keeps_the_minimum(sigma):
+    m = study(np.array([15.0, 30.0, 60.0]), 0.003, 0.01)
+    result = fit(Measurements(height=m.height, poisson=0.3, length=m.length * [1.1, 0.95, 1.02], length_sigma=sigma))
+    assert result.identifiability is Identifiability.POOR_FIT
+    assert result.value == pytest.approx(0.0031, rel=0.05)
+
+
+def test_many_rows_of_few_heights_cost_little():
+    """3 000 measurements at three heights are three curves."""
+    rng = np.random.default_rng(5)
+    height = np.repeat([15.0, 30.0, 60.0], 1000)
+    exact = precursor_lengths(Slider(height, 0.004, 0.3))
+    result = fit(Measurements(height=height, poisson=0.3, length=exact + 0.5 * rng.standard_normal(3000), length_sigma=0.5))
+    assert abs(np.log(result.value / 0.004)) < 3 * result.log_stderr
+    assert result.log_stderr < 0.01
+
+
+def test_hopeless_sigma_allows_every_stiffness():
+    result = fit(Measurements(height=[25.0], poisson=0.3, length=13.0, length_sigma=100.0))
+    assert result.identifiability is Identifiability.UNINFORMATIVE
+    assert "unbounded" in result.report()
+    assert result.to_dict()["intervals"]["stiffness"]["0.95"] == [[None, None]]
+
+
+def test_plateau_without_domino_is_never_called_converged():
+    """Bounds inside the region where no domino starts: ℓ = 0 and flat, so nothing is fitted there."""
+    result = fit(Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1), bounds=(1e-9, 1e-6))
+    assert result.roots == []
+    assert result.stderr["stiffness"] is None
+    assert result.identifiability is not Identifiability.IDENTIFIED
+
+
+def test_bounds_cut_off_the_minimum():
+    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.01, 0.01), bounds=(1e-4, 5e-3))
+    assert result.identifiability is Identifiability.AT_BOUND
+    assert "upper end" in result.report()
+
+
+def test_unfinished_search_says_so():
+    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.0123, 0.01), max_steps=1)
+    assert not result.converged
+    assert "did not converge" in result.report()
+    assert result.stderr["stiffness"] is None
+
+
+def test_bundled_pmma_block_gives_back_its_stiffness():
+    """Data made by an independent banded solver with 2.0e10 Pa/m: within two standard errors, and a sensible χ²."""
+    result = fit(read_measurements(ROOT / "fit_examples/pmma_block/lengths.csv"))
+    value, error = result.values["areal_stiffness"], result.stderr["areal_stiffness"]
+    assert result.identifiability is Identifiability.IDENTIFIED
+    assert abs(value - 2.0e10) < 2 * error
+    assert 0.01 < result.p_value < 0.99
+    assert result.values["stiffness"] == pytest.approx(value * 10e-6 / 3e9)
+    assert result.stderr["stiffness"] / result.values["stiffness"] == pytest.approx(error / value)
+
+
+def test_bundled_printed_value_gives_an_interval_around_the_papers_stiffness():
+    result = fit(read_measurements(ROOT / "fit_examples/paper_printed_value/lengths.csv"))
+    assert any(piece.low < 0.03 < piece.high for piece in result.intervals["stiffness"][0.6827])
+    assert result.identifiability is Identifiability.SEVERAL_ROOTS
+
+
+def test_units_of_the_result():
+    """λc and E may differ between measurements; the areal stiffness is what they share."""
+    areal, young = 2e10, np.array([3e9, 70e9])
+    correlation = np.array([10e-6, 40e-6])
+    height, ratio = np.array([0.05, 0.03]) / correlation, areal * correlation / young
+    exact = precursor_lengths(Slider(height, ratio, 0.3))
+    common = {
+        "height": height,
+        "poisson": 0.3,
+        "length": exact,
+        "length_sigma": 0.01 * exact,
+        "correlation_length": correlation,
+    }
+    result = fit(Measurements(**common, young=young))
+    assert list(result.values) == ["areal_stiffness"]
+    assert result.values["areal_stiffness"] == pytest.approx(areal, rel=1e-6)
+    assert "as λc and E differ" in result.report()
+    without = fit(Measurements(**{**common, "correlation_length": 10e-6, "height": height[:1], "length": exact[:1],
+                                  "length_sigma": exact[:1] / 100}))  # fmt: skip
+    assert list(without.values) == ["areal_stiffness_over_young", "stiffness"]
+    assert without.values["areal_stiffness_over_young"] == pytest.approx(areal / young[0], rel=1e-6)
+    assert any("young_GPa" in note for note in without.notes)
+
+
+def test_wrong_sigma_and_repeated_lines_are_remarked():
+    m = study(np.array([15.0, 30.0, 60.0]), 0.003, 0.01)
+    off = Measurements(height=m.height, poisson=0.3, length=m.length * [1.2, 1, 0.8], length_sigma=m.length_sigma)
+    poor = fit(off)
+    assert poor.identifiability is Identifiability.POOR_FIT
+    assert poor.stderr["stiffness"] is None
+    assert poor.intervals["stiffness"][0.95] == []
+    assert "does not describe these data" in poor.report()
+    twice = Measurements(height=[25, 25], poisson=0.3, length=20, length_sigma=1, other={"humidity": ["40", "50"]})
+    notes = fit(twice).notes
+    assert any("repeats another" in note or "repeat another" in note for note in notes)
+    assert any("humidity" in note for note in notes)
+
+
+def test_dictionary_is_json_and_complete():
+    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.003, 0.01))
+    content = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    assert content["identifiability"] == "identified"
+    assert content["values"]["stiffness"] == result.value
+    assert len(content["measurements"]) == 3
+    assert len(content["data_sha256"]) == 64
+    assert content["intervals"]["stiffness"]["0.95"][0][0] < result.value
+
+
+def test_refused_requests():
+    m = Measurements(height=[25.0], poisson=0.3, length=20, length_sigma=1)
+    with pytest.raises(ValueError, match=r"free = \('poisson',\): this version fits stiffness"):
+        fit(m, free=("poisson",))
+    with pytest.raises(ValueError, match="free = "):
+        fit(m, free=())
+    assert fit(m, free="stiffness").value == fit(m).value
+    with pytest.raises(ValueError, match="must lie in 1e-30 to 1e3"):
+        fit(m, bounds=(1e-300, 1e300))
+    with pytest.raises(ValueError, match=r"bounds = \(1, 0.1\) of stiffness"):
+        fit(m, bounds=(1.0, 0.1))
+    with pytest.raises(ValueError, match="max_steps = 0"):
+        fit(m, max_steps=0)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (1.9555e10, 3.2e8, "(1.956 ± 0.032)e10"),
+        (0.03, 0.0041, "0.0300 ± 0.0041"),
+        (6.5e-5, 1.1e-6, "(6.50 ± 0.11)e-5"),
+        (123.4, 15.0, "123 ± 15"),
+        (0.03, None, "0.03"),
+    ],
+)
+def test_value_with_error(value, error, text):
+    assert value_with_error(value, error) == text
+
+
+def test_figure(tmp_path):
+    """Both panels have units, a legend, and show what is claimed; nothing warns on the way."""
+    for name in ("pmma_block", "paper_printed_value"):
+        result = fit(read_measurements(ROOT / f"fit_examples/{name}/lengths.csv"))
+        figure = result.plot()
+        left, right = figure.axes
+        assert "H" in left.get_xlabel()
+        assert "stiffness" in right.get_xlabel()
+        labels = {text.get_text() for text in left.get_legend().get_texts()}
+        assert {"fit", "95% band", "beyond any stiffness", "measured ± σ"} <= labels
+        figure.savefig(tmp_path / f"{name}.png")

@@ -1,0 +1,167 @@
+"""The recursion against programs that solve the chain as a matrix, in float64 and in many more digits."""
+
+import jax
+import mpmath
+import numpy as np
+import plain_chain
+import pytest
+
+from slippulse_jax import FrontNotArrested, FrontStatus, Slider, first_precursor, precursor_length
+from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.precursor import precursor_arrests
+
+# physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
+PRINTED = [
+    (10, 0.03, 10, 9.722, 2.0197),
+    (25, 0.03, 26, 25.790, 3.1985),
+    (50, 0.03, 52, 51.393, 5.1521),
+    (25, 0.01, 22, 21.637, 1.7977),
+    (25, 0.003, 16, 15.022, 1.2770),
+    (50, 0.003, 35, 34.651, 1.4736),
+]
+
+
+@pytest.mark.parametrize(("height", "stiffness", "count", "length", "load"), PRINTED)
+def test_reference_values(height, stiffness, count, length, load):
+    front = first_precursor(Slider(height, stiffness, 0.3))
+    assert int(front.contacts_broken) == count
+    assert round(float(front.length), 3) == length
+    assert round(float(front.load), 4) == load
+    assert int(front.status) == FrontStatus.ARRESTED
+
+
+def random_sliders(count, seed):
+    rng = np.random.default_rng(seed)
+    return Slider(rng.uniform(3, 60, count), 10 ** rng.uniform(-4, 0, count), rng.uniform(0, 0.49, count))
+
+
+@pytest.mark.parametrize(("right", "number"), [("semi-infinite", 300), ("free", 60), ("clamped", 60)])
+def test_against_dense_chain(right, number):
+    """Random sliders on chains of 400 sites and on the endless one: same count, length, edge stress and status."""
+    sliders = random_sliders(number, seed=number)
+    sites = 400
+    got = precursor_arrests(sliders, right=right, sites=None if right == "semi-infinite" else sites)
+    for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
+        count, length, _, behind = plain_chain.first_precursor(*slider, sites, right)
+        assert got.contacts_broken[i] == count, slider
+        assert abs(got.length[i] - length) <= 1e-9, slider
+        assert behind[1] == 0, "the contact at the edge is the most stressed one behind the front"
+        if count > 1:
+            assert abs(got.edge_stress[i] - behind[0]) <= 1e-9
+        expected = FrontStatus.NO_DOMINO if count == 1 else FrontStatus.REBREAK if behind[0] >= 1 else FrontStatus.ARRESTED
+        assert got.status[i] == expected
+
+
+@pytest.mark.parametrize(("right", "count", "length"), [("free", 28, 27.616), ("clamped", 25, 24.278)])
+def test_right_end_changes_the_answer(right, count, length):
+    front = first_precursor(Slider(25, 0.03, 0.3), right=right, sites=100)
+    assert int(front.contacts_broken) == count
+    assert round(float(front.length), 3) == length
+
+
+def test_long_chains_agree_with_the_endless_one():
+    endless = precursor_length(Slider(25, 0.03, 0.3))
+    for right in ("free", "clamped"):
+        assert abs(precursor_length(Slider(25, 0.03, 0.3), right=right, sites=3000) - endless) < 1e-12
+
+
+def test_front_that_reaches_the_end_has_no_length():
+    slider = Slider(50, 0.03, 0.3)
+    front = first_precursor(slider, right="free", sites=100)
+    assert int(front.status) == FrontStatus.RAN_THROUGH
+    assert int(front.contacts_broken) == 100
+    assert np.isinf(front.length)
+    gradient = jax.grad(lambda k: precursor_length(Slider(50.0, k, 0.3), right="free", sites=100))(0.03)
+    assert not np.isfinite(gradient), "a length that is none has no derivative, and not a silent zero either"
+
+
+def test_no_domino():
+    """A short, soft slider: the neighbour of the edge contact stays below threshold."""
+    front = first_precursor(Slider(3.0, 1e-4, 0.3))
+    count, length, _, _ = plain_chain.first_precursor(3.0, 1e-4, 0.3)
+    assert (int(front.contacts_broken), float(front.length)) == (count, length) == (1, 0.0)
+    assert int(front.status) == FrontStatus.NO_DOMINO
+
+
+def test_cap_on_breaks_reports_itself():
+    slider = Slider(25, 0.03, 0.3)
+    with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
+        precursor_length(slider, max_contacts=25)
+    assert float(precursor_length(slider, max_contacts=26)) == float(precursor_length(slider))
+    capped = first_precursor(slider, max_contacts=10)
+    assert int(capped.status) == FrontStatus.LIMIT
+    assert np.isnan(capped.length)
+    assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 0.03, 0.3), max_contacts=25))(25.0))
+    with pytest.warns(RuntimeWarning, match=r"1 of 2 fronts, the first at index \(1,\)"):
+        lengths = precursor_length(Slider([10.0, 25.0], 0.03, 0.3), max_contacts=20)
+    assert np.isfinite(lengths[0])
+    assert np.isnan(lengths[1])
+
+
+def test_traced_slider_outside_its_domain_is_nan_not_a_number():
+    lengths = jax.vmap(lambda h, k, nu: precursor_length(Slider(h, k, nu)))(
+        np.array([25.0, 0.5, 25.0, 25.0, np.nan]), np.array([0.03, 0.03, -0.1, 0.03, 0.03]), np.array([0.3, 0.3, 0.3, 0.7, 0.3])
+    )
+    assert np.isfinite(lengths[0])
+    assert np.isnan(lengths[1:]).all()
+
+
+def high_precision_length(height, stiffness, poisson, count):
+    """ℓ of a front known to break `count` contacts, in mpmath at the current precision, by the textbook formulas."""
+    mp = mpmath.mpf
+    height, q, poisson = mp(height), mp(stiffness), mp(poisson)
+    transverse = 1 / (2 * (1 + poisson) * height)
+    a = transverse / height
+    trace, root = a + transverse + q, mpmath.sqrt((a + transverse + q) ** 2 - 4 * a * q)
+    mu = [(trace + root) / 2, (trace - root) / 2]
+    r = [1 + m / 2 - mpmath.sqrt(m * (1 + m / 4)) for m in mu]
+    alpha = [1 - m / a for m in mu]
+    g = [1 / (alpha[0] - alpha[1]), -1 / (alpha[0] - alpha[1])]
+    w = [q * alpha[m] * g[m] / (1 / r[m] - r[m]) for m in (0, 1)]
+    # amplitudes B_m of r_m^i: Σ B_m/α_m = U − Σ w_n/α_n r_n^j and Σ B_m (1/r_m − 1) = Σ w_n (1 − r_n) r_n^j
+    left = mpmath.matrix([[1 / alpha[0], 1 / alpha[1]], [1 / r[0] - 1, 1 / r[1] - 1]])
+    inverse = left**-1
+    drive = [inverse[m, 0] / (inverse[0, 0] + inverse[1, 0]) for m in (0, 1)]
+    reflection = [[inverse[m, 0] * -w[n] / alpha[n] + inverse[m, 1] * w[n] * (1 - r[n]) for n in (0, 1)] for m in (0, 1)]
+    s_near, t_edge, decay = [mp(0), mp(0)], [mp(0), mp(0)], [mp(1), mp(1)]
+    before = stress = mp(1)
+    for _ in range(count):
+        before = stress
+        for m in (0, 1):
+            s_near[m] = r[m] * (s_near[m] + before)
+            t_edge[m] += decay[m] * before
+            decay[m] *= r[m]
+        stress = sum(
+            w[m] * s_near[m] + decay[m] * (drive[m] + reflection[m][0] * t_edge[0] + reflection[m][1] * t_edge[1])
+            for m in (0, 1)
+        )
+    return count - 1 + (before - 1) / (before - stress)
+
+
+def test_tall_slider_in_extended_precision():
+    """H/λc = 75 000, b = 1: value and gradient in k/K to eleven digits, against 30-digit arithmetic."""
+    height, poisson = 75_000.0, 0.3
+    stiffness = 1 / (2 * (1 + poisson) * height)
+    ended = arrest(Slider(height, stiffness, poisson), "semi-infinite", None, 10**6)
+    assert int(ended.contacts_broken) == 54195
+    value, slope = jax.value_and_grad(lambda k: precursor_length(Slider(height, k, poisson)))(stiffness)
+    with mpmath.workdps(30):
+        step = mpmath.mpf(stiffness) * mpmath.mpf("1e-10")
+        low, high = (high_precision_length(height, stiffness + sign * step, poisson, 54195) for sign in (-1, 1))
+        expected, expected_slope = (low + high) / 2, (high - low) / (2 * step)
+    print(float(value) - float(expected), float(slope) / float(expected_slope) - 1)
+    assert abs(float(value) - float(expected)) < 1e-6
+    assert abs(float(slope) / float(expected_slope) - 1) < 1e-8
+
+
+def test_float32(float32):
+    """Single precision keeps its dtype and its stated error, and says once where that error is large."""
+    sliders = random_sliders(64, seed=5)
+    exact = precursor_arrests(sliders).length
+    single = precursor_length(sliders)
+    assert single.dtype == np.float32
+    assert np.abs(np.asarray(single, np.float64) - exact).max() < 0.01
+    with pytest.warns(RuntimeWarning, match="single precision"):
+        tall = precursor_length(Slider(1e5, 1 / 2.6e5, 0.3))
+    exact = precursor_arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
+    assert abs(float(tall) / float(exact) - 1) < 1e-3

@@ -1,0 +1,101 @@
+"""Reading a table: both forms, what is kept, and a clear refusal of everything that is wrong."""
+
+import numpy as np
+import pytest
+
+from slippulse_jax import MeasurementError, Measurements, read_measurements
+
+SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
+PLAIN = "height,poisson,length,length_sigma"
+
+
+def write(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "lengths.csv"
+    path.write_bytes(text.encode(encoding) if isinstance(text, str) else text)
+    return path
+
+
+def test_si_form(tmp_path):
+    text = f"# a comment\n\n{SI},young_GPa,specimen,humidity\n50,10,0.3,20,0.5,3,A,40\n75, 5 ,0.3,30,0.5,3,B,45\n"
+    m = read_measurements(write(tmp_path, text))
+    assert m.in_si
+    np.testing.assert_allclose(m.height, [5000, 15000])
+    np.testing.assert_allclose(m.length, [2000, 6000])
+    np.testing.assert_allclose(m.length_sigma, [50, 100])
+    np.testing.assert_allclose(m.correlation_length, [1e-5, 5e-6])
+    np.testing.assert_allclose(m.young, 3e9)
+    assert m.specimen == ("A", "B")
+    assert m.lines == (4, 5)
+    assert m.other == {"humidity": ["40", "45"]}
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_dimensionless_form_and_separators(tmp_path, separator):
+    text = "\ufeff" + f"{PLAIN}\r\n25,0.3,26,0.5\r\n".replace(",", separator)
+    m = read_measurements(write(tmp_path, text))
+    assert not m.in_si
+    assert (m.height[0], m.poisson[0], m.length[0], m.length_sigma[0]) == (25, 0.3, 26, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "empty"),
+        ("# only a comment\n", "empty"),
+        (f"{PLAIN}\n", "a header and no measurements"),
+        (
+            "height,length\n1,2\n",
+            "line 1: no column poisson, length_sigma among height, length; expected the columns height, poisson",
+        ),
+        ("a,b\n1,2\n", "no column height, poisson, length, length_sigma among a, b; expected either height_mm"),
+        (f"{SI[:-16]}\n50,10,0.3,20\n", "line 1: no column length_sigma_mm"),
+        (f"{PLAIN},height\n25,0.3,26,0.5,25\n", "line 1, column height: there 2 times"),
+        (f"{PLAIN},height_mm\n25,0.3,26,0.5,25\n", "columns of both forms, height_mm and height"),
+        (f"{PLAIN}\n25,0.3,,0.5\n", "line 2, column length: missing value"),
+        (f"{PLAIN}\n25,0.3,26,0.5\n25,0.3,abc,0.5\n", "line 3, column length: 'abc' is not a number"),
+        (f"{PLAIN.replace(',', ';')}\n25;0,3;26;0.5\n", "column poisson: '0,3' is not a number; write a decimal point"),
+        (f"{PLAIN}\n25,0.3,-26,0.5\n", "line 2, column length: -26: a length must be positive"),
+        (f"{PLAIN}\n25,0.3,26,0\n", "column length_sigma: 0: the standard error of a length must be positive"),
+        (f"{PLAIN}\n25,0.6,26,0.5\n", r"column poisson: 0.6: Poisson's ratio must lie in \(-1, 0.5\]"),
+        (f"{PLAIN}\n0.9,0.3,26,0.5\n", "column height: 0.9: the height must exceed the correlation length"),
+        (f"{PLAIN}\n25,nan,26,0.5\n", "column poisson: nan"),
+        (f"{PLAIN}\n25,0.3,inf,0.5\n", "column length: inf"),
+        (f"{PLAIN}\n25,0.3,26\n", "line 2: 3 columns, but the header has 4"),
+        (f"{PLAIN}\n25,0.3,26,0.5,7\n", "line 2: 5 columns, but the header has 4"),
+        (f"{PLAIN},provenance\n25,0.3,26,0.5,guessed\n", "column provenance: 'guessed': one of measured, printed"),
+        (f"{SI}\n50,0,0.3,20,0.5\n", "column correlation_length_um: 0: the correlation length must be positive"),
+        (f"{SI}\n0.005,10,0.3,20,0.5\n", "column height_mm: 0.005: the height must exceed the correlation length"),
+        (f"{SI},young_gpa\n50,10,0.3,20,0.5,3\n", "column young_gpa: did you mean young_GPa"),
+        (f"{PLAIN}\n25,0.3,26,1e-200\n", "column length_sigma: 1e-200: below a billionth of the length"),
+        (f"{SI},young_GPa\n50,10,0.3,20,0.5,-3\n", "column young_GPa: -3: Young's modulus must be positive"),
+        (f"{SI},young_GPa\n50,10,0.3,20,0.5,\n", "column young_GPa: missing value"),
+        (f'{PLAIN}\n25,0.3,"26,0.5\n', "unexpected end of data"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
+        (b"height\0,", "NUL"),
+    ],
+)
+def test_refusals_name_file_line_and_column(tmp_path, text, message):
+    path = write(tmp_path, text)
+    with pytest.raises(MeasurementError, match=message) as caught:
+        read_measurements(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_refuses_what_is_not_a_file(tmp_path):
+    with pytest.raises(MeasurementError, match="No such file"):
+        read_measurements(tmp_path / "none.csv")
+    with pytest.raises(MeasurementError, match="Is a directory"):
+        read_measurements(tmp_path)
+
+
+def test_measurements_from_arrays():
+    m = Measurements(height=[25, 50], poisson=0.3, length=[20, 40], length_sigma=1)
+    assert len(m) == 2
+    np.testing.assert_array_equal(m.poisson, [0.3, 0.3])
+    with pytest.raises(MeasurementError, match="measurement 1, column length: -4"):
+        Measurements(height=[25, 50], poisson=0.3, length=[20, -4], length_sigma=1)
+    with pytest.raises(MeasurementError, match="specimen has 1 entries for 2 lengths"):
+        Measurements(height=[25, 50], poisson=0.3, length=20, length_sigma=1, specimen=("A",))
+    with pytest.raises(MeasurementError, match="non-empty"):
+        Measurements(height=[], poisson=[], length=[], length_sigma=[])

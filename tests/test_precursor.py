@@ -1,0 +1,120 @@
+"""Records and batches: what they hold, and that a lane never depends on its neighbours."""
+
+import jax
+import numpy as np
+import plain_chain
+import pytest
+
+from slippulse_jax import FrontStatus, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax.lattice import lanes
+from slippulse_jax.lattice.precursor import precursor_arrests
+
+
+@pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
+def test_fields_solve_the_chain(right):
+    """u and u_t at every front position satisfy the matrix equations of the independent program."""
+    n = 100
+    record = first_precursor(
+        Slider(25, 0.03, 0.3), right=right, sites=None if right == "semi-infinite" else n, recorded_sites=n
+    )
+    matrix = plain_chain.chain_matrix(25, 0.03, 0.3, n, right)
+    for position in (0, 1, 13, int(record.contacts_broken)):
+        fields = record.fields_at(position)
+        rhs = np.concatenate([np.zeros(n), 0.03 * np.asarray(fields.pinning)])
+        rhs[0] = record.load
+        solution = np.linalg.solve(matrix, rhs)
+        np.testing.assert_allclose(fields.upper, solution[:n], atol=2e-12)
+        np.testing.assert_allclose(fields.interface, solution[n:], atol=2e-12)
+    np.testing.assert_allclose(record.nucleation.stress[0], 1, atol=1e-13)
+    np.testing.assert_allclose(record.front_stress[0], 1)
+    assert (record.arrest.stress[int(record.contacts_broken) :] < 1).all()
+    assert float(record.edge_stress) == pytest.approx(float(record.arrest.stress[0]), abs=1e-12)
+
+
+def test_front_stress_is_the_stress_ahead():
+    record = first_precursor(Slider(25, 0.03, 0.3))
+    s0 = int(record.contacts_broken)
+    for s in range(s0 + 1):
+        assert float(record.fields_at(s).stress[s]) == pytest.approx(float(record.front_stress[s]), abs=1e-13)
+    assert (record.front_stress[:s0] >= 1).all()
+    assert record.front_stress[s0] < 1
+
+
+def test_record_under_vmap_and_what_it_refuses():
+    heights = np.array([10.0, 25.0, 50.0])
+    records = jax.vmap(lambda h: first_precursor(Slider(h, 0.03, 0.3), recorded_sites=60))(heights)
+    assert records.contacts_broken.tolist() == [10, 26, 52]
+    assert records.front_stress.shape == (3, 60)
+    with pytest.raises(ValueError, match="needs recorded_sites"):
+        jax.jit(lambda h: first_precursor(Slider(h, 0.03, 0.3)).length)(25.0)
+    with pytest.raises(ValueError, match="recorded_sites = 20, but 26 contacts broke"):
+        first_precursor(Slider(25, 0.03, 0.3), recorded_sites=20)
+    with pytest.raises(ValueError, match=r"got a batch of shape \(3,\): use jax.vmap"):
+        first_precursor(Slider(heights, 0.03, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"right": "open"}, "right = 'open': must be one of 'semi-infinite', 'free', 'clamped'"),
+        ({"right": "free"}, "needs a number of sites"),
+        ({"right": "free", "sites": 1}, "sites = 1"),
+        ({"sites": 100}, "a semi-infinite chain has no number of sites"),
+        ({"max_contacts": 0}, "max_contacts = 0"),
+    ],
+)
+@pytest.mark.parametrize("function", [precursor_length, precursor_lengths, first_precursor])
+def test_bad_arguments(function, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        function(Slider(25, 0.03, 0.3), **arguments)
+
+
+def test_lengths_do_not_depend_on_the_batch(monkeypatch):
+    """Bit for bit: batch sizes, order, chunk size, and beside the one-by-one function to rounding."""
+    rng = np.random.default_rng(2)
+    height, stiffness = rng.uniform(3, 80, 200), 10 ** rng.uniform(-4, 0, 200)
+    whole = precursor_lengths(Slider(height, stiffness, 0.3))
+    assert whole.dtype == np.float64
+    for size in (1, 2, 7, 33, 64):
+        np.testing.assert_array_equal(precursor_lengths(Slider(height[:size], stiffness[:size], 0.3)), whole[:size])
+    order = rng.permutation(200)
+    np.testing.assert_array_equal(precursor_lengths(Slider(height[order], stiffness[order], 0.3)), whole[order])
+    np.testing.assert_array_equal(
+        precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
+    )
+    monkeypatch.setattr(lanes, "CHUNKS", (64,))
+    np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
+    singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])
+    np.testing.assert_allclose(whole[:20], singly, rtol=1e-12)
+
+
+def test_a_bad_lane_leaves_the_others_alone():
+    with pytest.warns(RuntimeWarning, match=r"1 of 3 fronts, the first at index \(2,\)"):
+        lengths = precursor_lengths(Slider([10.0, 25.0, 5000.0], [0.03, 0.03, 1e-3], 0.3), max_contacts=100)
+    np.testing.assert_array_equal(lengths[:2], precursor_lengths(Slider([10.0, 25.0], 0.03, 0.3)))
+    assert np.isnan(lengths[2])
+
+
+def test_empty_batch():
+    assert precursor_lengths(Slider(np.empty(0), 0.03, 0.3)).shape == (0,)
+
+
+def test_status_messages_are_for_people():
+    assert [status.value for status in FrontStatus] == list(range(6)), "values are stored in files: they never change"
+    for status in FrontStatus:
+        assert len(status.message) > 20
+
+
+def test_bulk_lengths_equal_the_recursion_everywhere():
+    """Two ways of writing the recursion, over the whole domain: lanes without a domino, tall ones, Poisson's ratio below zero."""
+    rng = np.random.default_rng(8)
+    n = 3000
+    sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
+    bulk, arrests = precursor_lengths(sliders), precursor_arrests(sliders)
+    assert (arrests.status == FrontStatus.NO_DOMINO).any()
+    assert arrests.length.max() > 1000
+    np.testing.assert_array_equal(np.maximum(np.ceil(bulk), 1), arrests.contacts_broken)
+    # on the softest interfaces the stress barely passes the threshold, and its last digit moves the crossing
+    firm = sliders.stiffness > 1e-5
+    np.testing.assert_allclose(bulk[firm], arrests.length[firm], rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(bulk, arrests.length, rtol=1e-8)

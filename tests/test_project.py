@@ -1,0 +1,138 @@
+"""Promises of the project as a whole: layers, README, examples, what importing does."""
+
+import ast
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "slippulse_jax"
+
+# imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
+LAYERS = {
+    "quantities": 0, "derivatives": 0, "files": 0, "double_series": 0,
+    "slider": 1,
+    "lattice": 2, "theory": 2,
+    "inference": 3,
+    "figures": 4,
+    "commands": 5,
+    "cli": 6,
+}  # fmt: skip
+
+
+def imports(path):
+    """Modules of the package that a file imports, anywhere in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = (
+            [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else [a.name for a in node.names]
+            if isinstance(node, ast.Import)
+            else []
+        )
+        yield from (name for name in names if name and name.startswith("slippulse_jax."))
+
+
+def test_imports_run_downward():
+    seen = 0
+    for path in PACKAGE.rglob("*.py"):
+        layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if layer == "__init__":
+            continue
+        assert layer in LAYERS, f"{layer} has no place in the layers: give it one"
+        for name in imports(path):
+            other = name.split(".")[1]
+            seen += 1
+            assert other == layer or LAYERS[other] < LAYERS[layer], f"{path.name} imports {name}"
+    assert seen > 20
+
+
+def test_importing_changes_nothing():
+    """Importing the package starts no JAX and flips no flag; every public name is there."""
+    code = (
+        "import sys, slippulse_jax as sp\n"
+        "assert 'jax' not in sys.modules\n"
+        "import jax\n"
+        "before = dict(jax.config.values)\n"
+        "for name in sp.__all__: getattr(sp, name)\n"
+        "assert before == dict(jax.config.values)\n"
+        "assert set(sp.__all__) <= set(dir(sp))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_unknown_name_is_an_attribute_error():
+    import slippulse_jax
+
+    with pytest.raises(AttributeError, match="no attribute 'precurser_length'"):
+        slippulse_jax.precurser_length  # noqa: B018
+
+
+def test_readme_examples_run(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.M | re.S)
+    assert blocks
+    for block in blocks:
+        scope = {}
+        exec(block, scope)
+        assert int(scope["front"].contacts_broken) == 26
+        assert scope["scan"].shape == (3, 3)
+        assert scope["scan"][1, 2] == pytest.approx(25.7898, abs=1e-4)
+    assert "Result: identified" in capsys.readouterr().out
+
+
+def test_readme_commands_are_the_ones_ci_runs():
+    def command(number):
+        return subprocess.run(
+            [sys.executable, ".ci/readme_command.py", str(number)], capture_output=True, text=True, cwd=ROOT, check=True
+        ).stdout  # fmt: skip
+
+    assert "slippulse fit" in command(1)
+    assert "pytest" in command(2)
+
+
+def test_readme_links_lead_somewhere():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if not link.startswith("http")]
+    assert links
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_fit_example_runs_and_recovers(name):
+    """Each example's main() fits its data and checks what it recovers."""
+    assert (ROOT / "fit_examples" / name / "README.md").exists()
+    runpy.run_path(str(ROOT / "fit_examples" / name / "fit.py"))["main"]()
+
+
+def test_there_are_examples():
+    assert {"pmma_block", "paper_printed_value"} <= set(EXAMPLES)
+
+
+NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_runs_and_is_committed_with_its_output(name):
+    path = ROOT / "notebooks" / name
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code), "commit notebooks executed"
+    assert path.stat().st_size < 300_000
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}).execute()
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS

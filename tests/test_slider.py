@@ -1,0 +1,106 @@
+"""The slider's numbers against the paper's formulas in many digits, and what it refuses."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from slippulse_jax import Slider, precursor_length
+from slippulse_jax.quantities import quantities
+
+
+def formulas(height, stiffness, poisson):
+    """Definitions as printed (alpha with its bracket put right), in mpmath at the current precision."""
+    height, q, nu = (mpmath.mpf(float(x)) for x in (height, stiffness, poisson))
+    K_L, K_T = height, 1 / (2 * (1 + nu) * height)
+    beta, kappa_T, kappa = K_T / (K_T + q), mpmath.sqrt(K_T / K_L), mpmath.sqrt(q + K_T)
+    root = mpmath.sqrt((kappa**2 - kappa_T**2) ** 2 + 4 * beta * kappa**2 * kappa_T**2)
+    kappa_1, kappa_2 = (mpmath.sqrt((kappa**2 + kappa_T**2 + sign * root) / 2) for sign in (1, -1))
+    return {
+        "K_L": K_L, "K_T": K_T, "b": q / K_T, "beta": beta, "kappa": kappa, "kappa_T": kappa_T, "mode_splitting": root,
+        "kappa_1": kappa_1, "kappa_2": kappa_2, "alpha_1": 1 - kappa_1**2 / kappa_T**2, "alpha_2": 1 - kappa_2**2 / kappa_T**2,
+    }  # fmt: skip
+
+
+def test_derived_quantities_without_cancellation():
+    rng = np.random.default_rng(3)
+    n = 300
+    sliders = 1 + 10 ** rng.uniform(-1, 5, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n)
+    with mpmath.workdps(60):
+        for height, stiffness, poisson in zip(*sliders, strict=True):
+            slider = Slider(height, stiffness, poisson)
+            for name, expected in formulas(height, stiffness, poisson).items():
+                assert abs(float(getattr(slider, name)) / float(expected) - 1) < 5e-15, (name, height, stiffness, poisson)
+
+
+def test_every_quantity_has_symbol_unit_and_label():
+    marked = quantities(Slider)
+    public = {name for name, value in vars(Slider).items() if isinstance(value, property) and not name.startswith("_")}
+    assert set(marked) == {"height", "stiffness", "poisson"} | (public - {"shape"})
+    for name, quantity in marked.items():
+        assert quantity.symbol, name
+        assert quantity.unit, name
+        assert quantity.label.startswith("cra"), name
+
+
+def test_from_material():
+    """PMMA-like block: H/λc and k/K by hand."""
+    slider = Slider.from_material(height=75e-3, correlation_length=1e-6, areal_stiffness=2e10, poisson=0.3, young=3e9)
+    assert float(slider.height) == pytest.approx(75_000)
+    assert float(slider.stiffness) == pytest.approx(2e10 * 1e-6 / 3e9)
+    # b = (areal stiffness) H / G, whatever λc
+    assert float(slider.b) == pytest.approx(2e10 * 75e-3 / (3e9 / 2.6))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("height", 1.0, r"Slider\.height = 1: must exceed 1"),
+        ("height", np.inf, r"Slider\.height = inf: must exceed 1"),
+        ("stiffness", 0.0, r"Slider\.stiffness = 0: must be positive"),
+        ("stiffness", [0.1, -2.0, -3.0], r"Slider\.stiffness = -2 at index 1 \(2 such values\): must be positive"),
+        ("stiffness", [[0.1, np.nan]], r"Slider\.stiffness = nan at index \(0, 1\): must be positive"),
+        ("poisson", -1.0, r"Slider\.poisson = -1: must lie in \(-1, 0\.5\]"),
+        ("poisson", 0.51, r"Slider\.poisson = 0\.51: must lie in"),
+    ],
+)
+def test_refuses_what_is_not_physical(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        Slider(**({"height": 25.0, "stiffness": 0.03, "poisson": 0.3} | {field: value}))
+
+
+def test_refuses_shapes_that_do_not_broadcast_and_bad_materials():
+    with pytest.raises(ValueError, match=r"must broadcast together: height \(3,\), stiffness \(2,\), poisson \(\)"):
+        Slider([10.0, 20.0, 30.0], [0.1, 0.2], 0.3)
+    with pytest.raises(ValueError, match=r"from_material: young = -3e\+09: must be positive, in Pa"):
+        Slider.from_material(height=0.05, correlation_length=1e-6, areal_stiffness=1e10, poisson=0.3, young=-3e9)
+    with pytest.raises(ValueError, match=r"Slider\.height = 0\.5"):
+        Slider.from_material(height=1e-6, correlation_length=2e-6, areal_stiffness=1e10, poisson=0.3, young=3e9)
+
+
+def test_limits_of_poisson_ratio_are_allowed_where_physical():
+    assert np.isfinite(precursor_length(Slider(25, 0.03, 0.5)))
+    assert np.isfinite(precursor_length(Slider(25, 0.03, -0.5)))
+
+
+def test_slider_is_a_pytree_that_broadcasts():
+    heights, stiffnesses = np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03])
+    batch = Slider(heights, stiffnesses, 0.3)
+    assert batch.shape == (2, 3)
+    lengths = precursor_length(batch)
+    assert lengths.shape == (2, 3)
+    one_by_one = jax.vmap(lambda h: jax.vmap(lambda q: precursor_length(Slider(h, q, 0.3)))(stiffnesses))(heights[:, 0])
+    np.testing.assert_array_equal(lengths, one_by_one)
+    gradient = jax.grad(lambda slider: precursor_length(slider))(Slider(jnp.array(25.0), jnp.array(0.03), jnp.array(0.3)))
+    assert isinstance(gradient, Slider)
+
+
+def test_python_numbers_keep_double_precision_until_jax_asks(float32):
+    """A Slider made in single-precision mode is not rounded: precursor_lengths works in double whatever the flag."""
+    from slippulse_jax import precursor_lengths
+
+    value = precursor_lengths(Slider(25.0, 0.03, 0.3))
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(value, precursor_length(Slider(25.0, 0.03, 0.3)), rtol=1e-13)
+    assert value.dtype == np.float64
