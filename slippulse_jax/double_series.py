@@ -301,10 +301,11 @@ def stress_sums(solution: Solution, low: Array, high: Array) -> Float[Array, "2"
 def _difference(roots: Roots, x_rate: Array, s: Array) -> Array:
     """D(s); on the line (e^{−xs} − e^{−ys})/(y − x), in the rates themselves."""
     y = roots.root_rate[0]
-    return divided_difference(x_rate, y, s) if roots.lattice else _overlap(x_rate, y, s)
+    return divided_difference(x_rate, y, s) if roots.lattice else overlap(x_rate, y, s)
 
 
-def _overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
+def overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
+    """∫_0^s e^{−x(s−y) − zy} dy = (e^{−xs} − e^{−zs})/(z − x) for rates x, z; regular, with all its derivatives, at x = z."""
     gap = y_rate - x_rate
     slower, distance = jnp.where(gap >= 0, x_rate, y_rate), jnp.where(gap >= 0, gap, -gap)
     return jnp.exp(-slower * s) * s * _relaxation(s * distance)

@@ -4,13 +4,14 @@ Colours are Okabe and Ito's, told apart by every kind of colour vision; lines ca
 """
 
 import csv
-import os
-import tempfile
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from slippulse_jax.files import write_atomically
 
 HEIGHT, STIFFNESS, POISSON, SITES = 25.0, 0.03, 0.3, 100
 """Parameters of Fig. 2; SITES is the L/λc of both figures."""
@@ -113,7 +114,6 @@ def draw_figures(
         For an unknown format or name.
     """
     import jax
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     formats, names = list(formats), list(names)
     for value, known in ((formats, FORMATS), (names, tuple(_FIGURES))):
@@ -123,39 +123,36 @@ def draw_figures(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
+
+    def write(name: str, content: bytes) -> None:
+        write_atomically(directory / name, content)
+        written.append(directory / name)
+
     with jax.enable_x64(True):
         for name in names:
             tables, draw = _FIGURES[name]
             data = {key: make() for key, make in tables.items()}
             for key, table in data.items():
-                written.append(_write(directory / f"{key}.csv", lambda path, table=table: _csv(path, table)))
+                write(f"{key}.csv", _csv(table))
             figure = draw(data)
-            FigureCanvasAgg(figure)
             for form in formats:
-                save = dict(format=form, dpi=200, metadata={"Date": None} if form == "svg" else None)
-                written.append(_write(directory / f"{name}.{form}", lambda path, f=figure, save=save: f.savefig(path, **save)))
+                write(f"{name}.{form}", _drawn(figure, form))
     return written
 
 
-def _write(path: Path, write: Any) -> Path:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    try:
-        write(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-    return path
+def _csv(table: Table) -> bytes:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(table)
+    for row in zip(*table.values(), strict=True):
+        writer.writerow([f"{float(x):.10g}" for x in row])
+    return text.getvalue().encode()
 
 
-def _csv(path: str, table: Table) -> None:
-    with open(path, "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(table)
-        for row in zip(*table.values(), strict=True):
-            writer.writerow([f"{float(x):.10g}" for x in row])
+def _drawn(figure: Any, form: str) -> bytes:
+    content = io.BytesIO()
+    figure.savefig(content, format=form, dpi=200, metadata={"Date": None} if form == "svg" else None)
+    return content.getvalue()
 
 
 def _axes(count: int, width: float) -> Any:

@@ -89,3 +89,80 @@ class Chain:
             )
 
         return t
+
+
+class Line:
+    """The continuum's two levels in arbitrary precision: self-consistent by its plain double series, frozen by quadrature."""
+
+    def __init__(self, height, stiffness, poisson):
+        H, q, nu = mp.mpf(height), mp.mpf(stiffness), mp.mpf(poisson)
+        KT = 1 / (2 * (1 + nu) * H)
+        a, k2 = KT / H, KT + q
+        larger = (a + k2 + mp.sqrt((a + k2) ** 2 - 4 * a * q)) / 2
+        mu = [larger, a * q / larger]
+        self.k = [mp.sqrt(m) for m in mu]
+        alpha = [1 - m / a for m in mu]
+        share = [alpha[0] / (alpha[0] - alpha[1]), alpha[1] / (alpha[1] - alpha[0])]
+        self.W = [q * g / (2 * k) for g, k in zip(share, self.k, strict=True)]
+        upper = [1 / x for x in alpha]
+        edge = mp.matrix([upper, [k + k2 for k in self.k]])  # rows: u_t(0), κ²u(0) − u'(0)
+        self.R = mp.matrix(2, 2)
+        for n in (0, 1):
+            x = mp.lu_solve(edge, mp.matrix([-self.W[n] * upper[n], self.W[n] * (self.k[n] - k2)]))
+            self.R[0, n], self.R[1, n] = x
+        x = mp.lu_solve(edge, mp.matrix([1, KT]))
+        load = 1 / (x[0] + x[1])
+        released = mp.lu_solve(edge, mp.matrix([0, q]))
+        self.V0 = [load * x[m] + released[m] for m in (0, 1)]
+        self.kappa, self.beta, self.q, self.KT = mp.sqrt(k2), KT / k2, q, KT
+
+    def series(self, degree):
+        """t as a function of s."""
+        k, W, R = self.k, self.W, self.R
+        half = (k[0] - W[0] + k[1] - W[1]) / 2
+        off = mp.sqrt(half**2 - k[0] * k[1] * (1 - W[0] / k[0] - W[1] / k[1]))
+        families = []
+        for start in (half + off, half - off):
+            tau = {(0, 0): mp.mpf(1)}
+            V = {(0, 0): [W[m] / (k[m] - start) for m in (0, 1)]}
+            for d, a in [(2 * n, a) for n in range(1, degree // 2 + 1) for a in range(2 * n + 1)]:
+                x = start + a * k[0] + (d - a) * k[1]
+                g = [mp.mpf(0), mp.mpf(0)]
+                for m, n in product((0, 1), repeat=2):
+                    below = (a - (m == 0) - (n == 0), d - a - (m == 1) - (n == 1))
+                    if min(below) >= 0:
+                        g[m] += R[m, n] * tau[below]
+                response = sum(W[m] / (k[m] - x) for m in (0, 1))
+                tau[a, d - a] = sum(g[m] / (k[m] - x) for m in (0, 1)) / (1 - response)
+                V[a, d - a] = [(W[m] * tau[a, d - a] + g[m]) / (k[m] - x) for m in (0, 1)]
+            families.append((start, tau, V))
+        total = [[sum(v[m] for v in V.values()) for m in (0, 1)] for _, _, V in families]
+        c = mp.lu_solve(mp.matrix([[total[0][m], total[1][m]] for m in (0, 1)]), mp.matrix(self.V0))
+
+        def t(s):
+            return sum(
+                c[i] * sum(v * mp.exp(-(start + a * k[0] + b * k[1]) * s) for (a, b), v in tau.items())
+                for i, (start, tau, _) in enumerate(families)
+            )
+
+        return t
+
+    def frozen(self, s):
+        """Front stress under a frozen upper layer: F = t e^{κs} obeys F' = ½(1−β)κ (1 + even e^{−2κs}) F + (drive e^{κs})'."""
+        k, beta, KT, k2 = self.kappa, self.beta, self.KT, self.k[1]
+        p = beta * k**2 / (k**2 - k2**2)
+        c = (KT - p * (k2 + k**2)) / (k + k**2)
+        even, half = (1 - k) / (1 + k), (1 - beta) * k / 2
+
+        def grown(y):
+            return half * (y - even * mp.expm1(-2 * k * y) / (2 * k))
+
+        def source(y):
+            return p / (p + c) * (k - k2) * mp.exp((k - k2) * y - k * s + grown(s) - grown(y))
+
+        # e^{−κ(s−y)/2} at most: what lies 300/κ back is below 1e-60
+        steps = [mp.mpf(x) / k for x in (300, 200, 120, 60, 40, 20, 10, 5, 2)]
+        points = [mp.mpf(0), *(1 / k,) * (s > 2 / k)] if s <= 300 / k else []
+        points += [s - x for x in steps if s - x > (points[-1] if points else 0)] + [s]
+        first = (1 + self.q / (k + k**2)) * mp.exp(grown(s) - k * s)
+        return first + mp.quad(source, points)

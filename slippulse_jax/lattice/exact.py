@@ -27,7 +27,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax import double_series as series
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import Modes, lattice_modes
-from slippulse_jax.slider import Slider, _check
+from slippulse_jax.slider import Slider, broadcast, check_domain
 
 MAX_STEPS = 100
 """Newton or bisection steps before a crossing is given up (length NaN); five to eight are usual."""
@@ -36,25 +36,20 @@ MAX_STEPS = 100
 class ExactStatus(enum.IntEnum):
     """What the exact front stress says of the first precursor."""
 
-    ARRESTED = 0
-    NO_DOMINO = 1
-    NEVER_STOPS = 2
-    NOT_CONVERGED = 3
-    INVALID = 4
+    ARRESTED = 0, "arrested: the front stress crosses the threshold at the length"
+    NO_DOMINO = 1, "no domino: the stress falls from contact 0 on, so only that contact breaks (length 0)"
+    NEVER_STOPS = 2, "never stops: the front stress stays above the threshold for ever (length inf)"
+    NOT_CONVERGED = 3, "given up: the crossing was not found in MAX_STEPS steps (length NaN)"
+    INVALID = 4, "no such slider or interface: a value outside its domain (length NaN)"
 
-    @property
-    def message(self) -> str:
-        """The status in words."""
-        return _MESSAGES[self]
+    message: str
 
-
-_MESSAGES = {
-    ExactStatus.ARRESTED: "arrested: the front stress crosses the threshold at the length",
-    ExactStatus.NO_DOMINO: "no domino: the stress falls from contact 0 on, so only that contact breaks (length 0)",
-    ExactStatus.NEVER_STOPS: "never stops: the front stress stays above the threshold for ever (length inf)",
-    ExactStatus.NOT_CONVERGED: "the crossing was not found in MAX_STEPS steps (length NaN)",
-    ExactStatus.INVALID: "no such slider or interface: a value outside its domain (length NaN)",
-}
+    def __new__(cls, value: int, message: str) -> "ExactStatus":
+        """Member whose value is stored in files and whose message is shown to the user."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.message = message
+        return member
 
 
 class ExactFront(NamedTuple):
@@ -101,7 +96,7 @@ def exact_length(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slo
 
     Notes
     -----
-    Relative error ≤ 1e-11 in float64 over H/λc 2–10⁵, k/K 1e-6–1, ν 0–0.5; in float32 about 1e-4. ℓ* and the ℓ of
+    Relative error ≤ 1e-11 in float64 over H/λc 2–10⁵, k/K 1e-6–1, ν 0–0.5; in float32 1e-3 where ℓ* > 1. ℓ* and the ℓ of
     `precursor_length` differ by the curvature of t between two contacts: less than 0.13 λc, and the same ceiling.
     """
     return _map(_length, slider, prestress, threshold_slope)
@@ -131,7 +126,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    return _each(_stress, _is_zero(prestress), *_floats(slider, prestress, s))
+    return _each(_stress, _is_zero(prestress), *broadcast(slider, prestress, s))
 
 
 def _stress(no_prestress: bool, *arguments: Array) -> Array:
@@ -165,7 +160,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    return ExactFields(*_each(_fields, _is_zero(prestress), *_floats(slider, prestress, s, site)))
+    return ExactFields(*_each(_fields, _is_zero(prestress), *broadcast(slider, prestress, s, site)))
 
 
 def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]:
@@ -186,7 +181,7 @@ def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
     _require("threshold_slope", threshold_slope, lambda x: x > -1, "must exceed −1: relative rise of the threshold per contact")
     plain = (_is_zero(prestress), _is_zero(threshold_slope))
-    return _each(function, plain, *_floats(slider, prestress, threshold_slope))
+    return _each(function, plain, *broadcast(slider, prestress, threshold_slope))
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -197,19 +192,12 @@ def _each(function: Any, static: Any, *arguments: Array) -> Any:
 
 def _require(name: str, value: Any, inside: Any, requirement: str) -> None:
     if not isinstance(value, Tracer):
-        _check(name, np.asarray(value, dtype=float), inside, requirement)
+        check_domain(name, np.asarray(value, dtype=float), inside, requirement)
 
 
 def _is_zero(value: Any) -> bool:
     """Whether the caller left `value` at zero, so that compiled code need not carry it."""
     return isinstance(value, (int, float)) and value == 0
-
-
-def _floats(slider: Slider, *others: Any) -> list[Array]:
-    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
-    dtype = jnp.result_type(float, *values)
-    shape = jnp.broadcast_shapes(*(x.shape for x in values))
-    return [jnp.broadcast_to(x.astype(dtype), shape) for x in values]
 
 
 def _solve(theta: Float[Array, " n"], no_prestress: bool) -> series.Solution:

@@ -17,9 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slippulse_jax import double_series as series
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Slider, each_slider
 from slippulse_jax.theory.crossing import crossing
-from slippulse_jax.theory.frozen import _each
 
 
 class ContinuumFields(NamedTuple):
@@ -67,7 +66,7 @@ def _solution(line: _Line) -> series.Solution:
 @jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
-    return _each(lambda x, y: series.stress(_solution(_line(x)), y), slider, s)
+    return each_slider(lambda x, y: series.stress(_solution(_line(x)), y), slider, s)
 
 
 @jax.jit
@@ -82,7 +81,7 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
 
         return crossing(excess, slider, jnp.zeros_like(guess), 4 * guess + 4)
 
-    return _each(one, slider)
+    return each_slider(one, slider)
 
 
 @jax.jit
@@ -92,7 +91,7 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
     At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
     X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.
     """
-    return ContinuumFields(*_each(_fields, slider, s, x))
+    return ContinuumFields(*each_slider(_fields, slider, s, x))
 
 
 def _fields(slider: Slider, s: Array, x: Array) -> tuple[Array, Array, Array]:

@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from slippulse_jax.slider import Slider
+from slippulse_jax.double_series import overlap
+from slippulse_jax.slider import Slider, each_slider
 from slippulse_jax.theory.crossing import crossing
 
 TERMS = 20
@@ -38,14 +40,6 @@ class Appendix(NamedTuple):
     C: Array  # C (cra57b)
     B: Array  # ℬ (below cra58)
     length: Array  # Λ (cra58), λc
-
-
-def _each(function: Any, slider: Slider, *others: Any) -> Any:
-    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
-    dtype = jnp.result_type(float, *values)
-    shape = jnp.broadcast_shapes(*(x.shape for x in values))
-    arrays = [jnp.broadcast_to(x.astype(dtype), shape) for x in values]
-    return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*arrays)
 
 
 def psi6(slider: Slider, s: Array, *, printed: bool = False) -> Array:
@@ -110,27 +104,13 @@ def _stress(slider: Slider, s: Array, printed: bool) -> Array:
     source = _load(slider) * _psi2(slider) / (1 + k)
     slope_far = k * (1 + k) / 2
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
+    # e^{−as} ∫_0^s e^{(a − κ_2 − 2nκ)y} dy: the far part of Ψ_6' starts at n = 0, the near part at n = 1
+    n = np.arange(TERMS + 1)
+    held = overlap(a, k2 + 2 * n * k, s)
+    power = jnp.concatenate([jnp.ones_like(k)[None], jnp.cumprod(g / n[1:TERMS])])  # gⁿ/n!
     total = _a3_start(slider, printed) * jnp.exp(g - a * s)
-    factor = jnp.ones_like(k)
-    for n in range(TERMS):
-        for slope, m in ((slope_far, n), (slope_near, n + 1)):
-            # e^{−as} ∫_0^s e^{(a − κ_2 − 2mκ)y} dy
-            total = total + source * slope * factor * _overlap(a, k2 + 2 * m * k, s)
-        factor = factor * g / (n + 1)
+    total = total + source * (slope_far * (power @ held[:-1]) + slope_near * (power @ held[1:]))
     return total * jnp.exp(-g * jnp.exp(-2 * k * s)) + _a4(slider, s)
-
-
-def _overlap(p: Array, q: Array, s: Array) -> Array:
-    """∫_0^s e^{−p(s−y) − qy} dy = (e^{−qs} − e^{−ps})/(p − q), regular at p = q."""
-    z = (p - q) * s
-    distance = jnp.where(z < 0, -z, z)
-    small = distance < 1e-2
-    over = jnp.where(small, 1, distance)
-    near = jnp.where(small, distance, 0)
-    taylor = jnp.ones_like(z)
-    for n in range(9, 1, -1):
-        taylor = 1 - near / n * taylor
-    return s * jnp.exp(-jnp.minimum(p, q) * s) * jnp.where(small, taylor, -jnp.expm1(-over) / over)
 
 
 @partial(jax.jit, static_argnames="printed")
@@ -145,7 +125,7 @@ def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Arr
     printed : bool
         Use Ψ_6 as printed (cra54), which is wrong.
     """
-    return _each(lambda x, y: _stress(x, y, printed), slider, s)
+    return each_slider(lambda x, y: _stress(x, y, printed), slider, s)
 
 
 @partial(jax.jit, static_argnames="printed")
@@ -163,7 +143,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
 
         return crossing(excess, slider, jnp.zeros_like(guess), 4 * guess + 2)
 
-    return _each(one, slider)
+    return each_slider(one, slider)
 
 
 @jax.jit
@@ -172,9 +152,11 @@ def length_eq25(slider: Slider) -> Float[Array, "..."]:
 
     def one(slider: Slider) -> Array:
         k, k2 = slider.kappa, slider.kappa_2
-        return jnp.log(2 / ((1 + slider.beta - 2 * k2 / k) * _psi1(slider))) / k2
+        # half the bracket is 1 − fall with fall = (1−β)/2 + κ_2/κ, and Ψ_1 = 1 + rise; rise − fall without cancellation
+        fall, rise = _released(slider) / 2 + k2 / k, k2 / (1 + k)
+        return -jnp.log1p(-(_released(slider) / 2 + k2 / (k * (1 + k)) + fall * rise)) / k2
 
-    return _each(one, slider)
+    return each_slider(one, slider)
 
 
 @jax.jit
@@ -185,13 +167,13 @@ def slow_decay_length(slider: Slider) -> Float[Array, "..."]:
         H = jnp.asarray(slider.height)
         return H * jnp.sqrt(2 * (1 + jnp.asarray(slider.poisson)) + 1 / (H * slider.stiffness))
 
-    return _each(one, slider)
+    return each_slider(one, slider)
 
 
 @partial(jax.jit, static_argnames="printed")
 def appendix(slider: Slider, *, printed: bool = False) -> Appendix:
     """Every named quantity of the Appendix, up to Eq. (58). NaN in those that do not exist at this slider."""
-    return Appendix(*_each(lambda x: tuple(_appendix(x, printed)), slider))
+    return Appendix(*each_slider(lambda x: tuple(_appendix(x, printed)), slider))
 
 
 @partial(jax.jit, static_argnames="printed")
@@ -203,7 +185,7 @@ def length(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
 
     Erratum: Ψ_6 (cra54) enters through A_0 and γ; `printed` restores the paper's.
     """
-    return _each(lambda x: _appendix(x, printed).length, slider)
+    return each_slider(lambda x: _appendix(x, printed).length, slider)
 
 
 def _appendix(slider: Slider, printed: bool) -> Appendix:

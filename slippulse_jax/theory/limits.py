@@ -10,9 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slippulse_jax.slider import Slider, _check
+from slippulse_jax.double_series import overlap
+from slippulse_jax.slider import Slider, check_domain, each_slider
 from slippulse_jax.theory.crossing import crossing
-from slippulse_jax.theory.frozen import _each, _overlap
+
+TERMS = 20
+"""Terms of e^{−g e^{−2y}}, g ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
 
 
 @jax.jit
@@ -29,7 +32,7 @@ def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
         share = jnp.stack([-slider.alpha_1, slider.alpha_2]) * slider.kappa_T**2 / slider.mode_splitting
         return (1 + (jnp.asarray(slider.stiffness) * share / (k * jnp.sqrt(4 + k**2))).sum()) / 2
 
-    return _each(one, slider)
+    return each_slider(one, slider)
 
 
 def b_from_areal_stiffness(areal_stiffness: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
@@ -78,7 +81,7 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
         ("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s"),
     ):
         if not hasattr(value, "aval") or hasattr(value, "addressable_data"):
-            _check(name, np.asarray(value, dtype=float), inside, rule)
+            check_domain(name, np.asarray(value, dtype=float), inside, rule)
 
     b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
     return _macroscopic(b, nu, phi)
@@ -108,11 +111,9 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
 def _held(beta: Array, z: Array) -> Array:
     """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
     g = beta / (2 * (1 + beta))
-    total, factor = jnp.zeros_like(z), jnp.ones_like(z)
-    for n in range(20):
-        total = total + factor * _overlap(1 / (1 + beta), 2 * n * jnp.ones_like(z), z)
-        factor = -factor * g / (n + 1)
-    return total * jnp.exp(g * jnp.exp(-2 * z))
+    n = np.arange(TERMS)
+    power = jnp.concatenate([jnp.ones_like(g)[None], jnp.cumprod(-g / n[1:])])  # (−g)ⁿ/n!
+    return power @ overlap(1 / (1 + beta), 2.0 * n, z) * jnp.exp(g * jnp.exp(-2 * z))
 
 
 def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
@@ -151,7 +152,7 @@ def envelope_length(slider: Slider) -> Float[Array, "..."]:
     layer at the edge (2 → 1 from stiff to soft, exactly) as it fades for soft interfaces. The other numbers are fitted.
     Never negative.
     """
-    return _each(_envelope, slider)
+    return each_slider(_envelope, slider)
 
 
 def _envelope(slider: Slider) -> Array:
