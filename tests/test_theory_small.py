@@ -37,9 +37,10 @@ def law(b, nu, phi):
         held = mp.quad(lambda y: mp.exp(p(y)), [0, z]) if phi else 0
         return mp.exp(-p(z)) * (1 + phi * held) - (1 + beta) / 2
 
-    guess = float(theory.macroscopic_length(float(b), float(nu), prestress=float(phi)) / np.sqrt(2 * (1 + nu) * (1 + 1 / b)))
-    z = mp.findroot(excess, (mp.mpf(guess) * mp.mpf("0.99"), mp.mpf(guess) * mp.mpf("1.01")), tol=mp.mpf(10) ** -80)
-    return z * mp.sqrt(2 * (1 + nu) * (1 + 1 / b)), z, beta
+    unit = mp.sqrt(2 * (1 + nu) * (1 + 1 / b))
+    guess = float(theory.macroscopic_length(float(b), float(nu), prestress=float(phi))) / unit
+    z = mp.findroot(excess, (guess * mp.mpf("0.99"), guess * mp.mpf("1.01")), tol=mp.mpf(10) ** -80)
+    return z * unit, z, beta
 
 
 def test_macroscopic_law_and_its_correction():
