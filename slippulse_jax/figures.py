@@ -207,7 +207,8 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
             x = table[along][here]
             sparse = slice(None, None, 5 if ax is a else 4)
             ax.plot(x[sparse], table["contacts"][here][sparse], "o", color=colour, ms=4.5, mfc="white", zorder=5)
-            ax.plot(x[sparse], table["free_L100"][here][sparse], "x", color=colour, ms=4, zorder=4)
+            for end, marker in (("free", "x"), ("clamped", "+")):
+                ax.plot(x[sparse], table[f"{end}_L{SITES}"][here][sparse], marker, color=colour, ms=5, mew=0.9, zorder=6)
             for level, style, width in (
                 ("eq58", "-", 1.4),
                 ("eq25", ":", 1.4),
@@ -217,15 +218,23 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
                 ax.plot(x, table[level][here], style, color=colour, lw=width)
             label = f"$k/K={value}$" if ax is a else f"$H/\\lambda_c={value}$"
             ax.annotate(label, (x[-1], table["eq25"][here][-1]), (5, -3), textcoords="offset points", color=colour, fontsize=9)
-        ax.set(ylabel="$\\Lambda/\\lambda_c$", ylim=(0, None))
+        ax.set(ylabel="$\\Lambda/\\lambda_c$", ylim=(0, 88))
     a.set(xlabel="$H/\\lambda_c$", xlim=(0, 74))
     b.set(xlabel="$k/K$", xscale="log", xlim=(9e-4, 0.28))
     kinds = [
-        a.plot([], [], style, color="0.3", mfc="white", lw=width)[0]
-        for style, width in (("o", 1), ("x", 1), ("-", 1.4), (":", 1.4), ("-.", 0.8), ("--", 0.8))
+        a.plot([], [], style, color="0.3", mfc="white", ms=5, lw=width)[0]
+        for style, width in (("o", 1), ("x", 1), ("+", 1), ("-", 1.4), (":", 1.4), ("-.", 0.8), ("--", 0.8))
     ]
-    labels = ["lattice, semi-infinite", "lattice, $L=100\\,\\lambda_c$, free end", "Eq. (58), corrected", "Eq. (25)"]
-    a.legend(kinds, [*labels, "continuum, self-consistent", "continuum, frozen slider"], frameon=False, fontsize=8)
+    labels = [
+        "lattice, semi-infinite",
+        "lattice, $L=100\\,\\lambda_c$, free end",
+        "the same, clamped end",
+        "Eq. (58), corrected",
+        "Eq. (25)",
+        "continuum, self-consistent",
+        "continuum, frozen slider",
+    ]
+    a.legend(kinds, labels, frameon=False, fontsize=8)
     return figure
 
 

@@ -8,7 +8,8 @@ import pytest
 from lattice_mp import Chain, random_sliders
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.exact import ExactStatus, exact_fields, exact_front, exact_front_stress, exact_length
+from slippulse_jax import double_series
+from slippulse_jax.lattice.exact import ExactStatus, exact_fields, exact_front, exact_front_stress, exact_length, front_series
 from slippulse_jax.lattice.front import front_stress
 from slippulse_jax.lattice.modes import lattice_modes
 
@@ -28,7 +29,11 @@ def stresses(theta, s):
 
 @jax.jit
 def plain_stresses(theta, s):
-    return exact_front_stress(sp.Slider(theta[:, :1], theta[:, 1:2], theta[:, 2:3]), s[None])
+    def one(x):
+        solution = front_series(lattice_modes(sp.Slider(x[0], x[1], x[2])), None)
+        return jax.vmap(lambda y: double_series.stress(solution, y))(s)
+
+    return jax.lax.map(one, theta)
 
 
 @jax.jit

@@ -166,7 +166,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
 def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]:
     height, stiffness, poisson, phi, s, site = arguments
     modes = lattice_modes(Slider(height, stiffness, poisson))
-    solution = _solution(modes, None if no_prestress else phi)
+    solution = front_series(modes, None if no_prestress else phi)
     rate, behind = solution.roots.rate, site < s
     ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * series.parts(solution, jnp.minimum(site, s))
     later = jnp.where(behind, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
@@ -202,10 +202,11 @@ def _is_zero(value: Any) -> bool:
 
 def _solve(theta: Float[Array, " n"], no_prestress: bool) -> series.Solution:
     """Series of θ = (H/λc, k/K, ν, φ, …)."""
-    return _solution(lattice_modes(Slider(theta[0], theta[1], theta[2])), None if no_prestress else theta[3])
+    return front_series(lattice_modes(Slider(theta[0], theta[1], theta[2])), None if no_prestress else theta[3])
 
 
-def _solution(modes: Modes, prestress: Array | None) -> series.Solution:
+def front_series(modes: Modes, prestress: Array | None) -> series.Solution:
+    """The series of one chain; where one front is asked for at many s, solved once and summed by `double_series.stress`."""
     reflected = modes.ratio[:, None] * modes.reflection
     roots = series.roots_of(modes.gap, modes.ratio * modes.weight, reflected, modes.weight)
     return series.solve(roots, (modes.drive[0], modes.drive[1]), prestress)
