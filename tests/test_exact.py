@@ -309,6 +309,17 @@ def test_ceiling_of_the_length_is_the_whole_count():
         assert counted(x) == n, (x, length)
 
 
+def test_real_crossing_beside_the_straight_lines_of_the_recursion():
+    sliders = random_sliders(2000, 60)
+    sliders[:, 0] = 2 * (sliders[:, 0] / 2) ** 0.5  # up to 450: the recursion takes as long as the front
+    slider = sp.Slider(*sliders.T)
+    exact, kinked = np.asarray(exact_length(slider)), np.asarray(sp.precursor_lengths(slider))
+    moving = exact > 1
+    np.testing.assert_array_equal(np.ceil(exact[moving]), np.ceil(kinked[moving]))
+    assert np.max(np.abs(exact - kinked)[moving]) < 0.2
+    assert np.all(kinked[~moving] == 0)
+
+
 def test_no_domino_is_length_zero():
     soft = sp.Slider(2.0, 1e-6, 0.3)
     assert exact_length(soft) == 0

@@ -1,15 +1,21 @@
 """What the figures show, from the numbers they are drawn from."""
 
 import csv
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from slippulse_jax import figures
+from slippulse_jax.commands.figures import command
 
 
 def test_fig2_is_the_papers(tmp_path):
-    files = figures.draw_figures(tmp_path, formats=("png", "svg"), names=("fig2",))
+    asked = [str(tmp_path), "--figure", "fig2", "--format", "png", "--format", "svg", "--json"]
+    done = CliRunner().invoke(command, asked, catch_exceptions=False)
+    files = [Path(name) for name in json.loads(done.output)["files"]]
     assert sorted(p.name for p in files) == ["fig2.png", "fig2.svg", "fig2_fields.csv", "fig2_stress.csv"]
     assert sorted(tmp_path.iterdir()) == sorted(files)  # no temporary file left
     assert files[-1].read_bytes()[:5] == b"<?xml"

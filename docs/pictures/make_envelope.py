@@ -35,7 +35,7 @@ def main() -> None:
         ax.set_title(f"{title}: at most {worst.max():.2g}", loc="left", fontsize=10)
         print(f"{title}: worst {worst.max():.3g}, within 1 on {np.mean(worst <= 1):.1%}")
     axes[0].set_ylabel("$k/K$")
-    figure.colorbar(shown, ax=axes, ticks=LEVELS, label="error / max(0.5 $\\lambda_c$, 2 %), worst of $\\nu$ = 0, ¼, ½")
+    figure.colorbar(shown, ax=axes, ticks=LEVELS, label="error / max(0.5 $\\lambda_c$, 2 %), worst over $\\nu$")
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=110)
     write_atomically(HERE / "envelope.png", content.getvalue())

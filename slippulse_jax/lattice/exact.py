@@ -97,7 +97,8 @@ def exact_length(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slo
     Notes
     -----
     Relative error ≤ 1e-11 in float64 over H/λc 2–10⁵, k/K 1e-6–1, ν 0–0.5; in float32 1e-3 where ℓ* > 1. ℓ* and the ℓ of
-    `precursor_length` differ by the curvature of t between two contacts: less than 0.13 λc, and the same ceiling.
+    `precursor_length` have the same ceiling beyond 1, and differ by the curvature of t between two contacts: by less than
+    0.2 λc, most on soft interfaces where two contacts break.
     """
     return _map(_length, slider, prestress, threshold_slope)
 
