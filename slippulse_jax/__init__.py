@@ -7,12 +7,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slippulse_jax import plot as plot
     from slippulse_jax import theory as theory
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
     from slippulse_jax.inference.measurements import read_measurements as read_measurements
     from slippulse_jax.inference.result import FitResult as FitResult
+    from slippulse_jax.lattice.cascade import nucleate as nucleate
+    from slippulse_jax.lattice.cascade import rupture as rupture
+    from slippulse_jax.lattice.chain import State as State
+    from slippulse_jax.lattice.chain import chain as chain
+    from slippulse_jax.lattice.chain import relaxed as relaxed
+    from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
     from slippulse_jax.lattice.exact import exact_fields as exact_fields
     from slippulse_jax.lattice.exact import exact_front as exact_front
     from slippulse_jax.lattice.exact import exact_front_stress as exact_front_stress
@@ -23,6 +30,9 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.precursor import first_precursor as first_precursor
     from slippulse_jax.lattice.precursor import precursor_length as precursor_length
     from slippulse_jax.lattice.precursor import precursor_lengths as precursor_lengths
+    from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
+    from slippulse_jax.rules import HardBreak as HardBreak
+    from slippulse_jax.rules import SmoothBreak as SmoothBreak
     from slippulse_jax.slider import Slider as Slider
 
 
@@ -31,21 +41,32 @@ _HOME = {
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
     "FrontStatus": "lattice.front",
+    "HardBreak": "rules",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
     "Slider": "slider",
+    "SmoothBreak": "rules",
+    "State": "lattice.chain",
+    "chain": "lattice.chain",
+    "equilibrium": "lattice.equilibrium",
     "exact_fields": "lattice.exact",
     "exact_front": "lattice.exact",
     "exact_front_stress": "lattice.exact",
     "exact_length": "lattice.exact",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
+    "nucleate": "lattice.cascade",
+    "plot": "plot",
     "precursor_length": "lattice.precursor",
     "precursor_lengths": "lattice.precursor",
     "read_measurements": "inference.measurements",
+    "relaxed": "lattice.chain",
+    "rupture": "lattice.cascade",
+    "sensitivity": "lattice.sensitivity",
+    "theory": "theory",
 }
 
-__all__ = [*_HOME, "theory", "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
@@ -53,10 +74,9 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("slippulse_jax")
-    if name == "theory":
-        return import_module("slippulse_jax.theory")
     if name in _HOME:
-        return getattr(import_module(f"slippulse_jax.{_HOME[name]}"), name)
+        module = import_module(f"slippulse_jax.{_HOME[name]}")
+        return module if name == _HOME[name] else getattr(module, name)
     raise AttributeError(f"module 'slippulse_jax' has no attribute {name!r}")
 
 

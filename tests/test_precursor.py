@@ -5,7 +5,7 @@ import numpy as np
 import plain_chain
 import pytest
 
-from slippulse_jax import FrontStatus, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.lattice import lanes
 from slippulse_jax.lattice.precursor import precursor_arrests
 
@@ -93,6 +93,20 @@ def test_a_bad_lane_leaves_the_others_alone():
         lengths = precursor_lengths(Slider([10.0, 25.0, 5000.0], [0.03, 0.03, 1e-3], 0.3), max_contacts=100)
     np.testing.assert_array_equal(lengths[:2], precursor_lengths(Slider([10.0, 25.0], 0.03, 0.3)))
     assert np.isnan(lengths[2])
+
+
+def test_break_rules_behind_one_name():
+    """The smooth rule is reached by precursor_length, with its derivative in the width; its length tends to the hard one."""
+    slider = Slider(25.0, 0.01, 0.3)
+    hard = float(precursor_length(slider))
+    assert float(precursor_length(slider, rule=HardBreak())) == hard
+    assert float(precursor_length(slider, rule=SmoothBreak(1e-6))) == pytest.approx(hard, abs=1e-4)
+    assert np.isfinite(jax.grad(lambda w: precursor_length(slider, rule=SmoothBreak(w)))(0.02))
+    assert precursor_length(Slider([10.0, 25.0], 0.01, 0.3), rule=SmoothBreak(0.02)).shape == (2,)
+    with pytest.raises(TypeError, match="must be HardBreak"):
+        precursor_length(slider, rule=0.01)
+    with pytest.raises(ValueError, match="needs a semi-infinite chain"):
+        precursor_length(slider, rule=SmoothBreak(0.01), right="free", sites=100)
 
 
 def test_empty_batch():

@@ -17,10 +17,10 @@ PACKAGE = ROOT / "slippulse_jax"
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
     "quantities": 0, "derivatives": 0, "files": 0, "double_series": 0,
-    "slider": 1,
+    "slider": 1, "rules": 1,
     "lattice": 2, "theory": 2,
     "inference": 3,
-    "figures": 4,
+    "figures": 4, "plot": 4,
     "commands": 5,
     "cli": 6,
 }  # fmt: skip

@@ -23,7 +23,11 @@ from slippulse_jax.lattice.front import (
 )
 from slippulse_jax.lattice.lanes import length_rank, sorted_lengths
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
+from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
+
+HARD = HardBreak()
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -80,6 +84,7 @@ class FirstPrecursor(eqx.Module):
 def precursor_length(
     slider: Slider,
     *,
+    rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -96,6 +101,9 @@ def precursor_length(
     ----------
     slider : Slider
         One slider or a batch; ℓ has its shape.
+    rule : HardBreak or SmoothBreak
+        What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
+        length has no kinks, a bias that the documentation gives, and a derivative in the width too; semi-infinite chains only.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : int, optional
@@ -127,7 +135,10 @@ def precursor_length(
     """
     check_right_end(right, sites)
     _check_max_contacts(max_contacts)
+    check_rule(rule)
     _warn_single_precision(slider)
+    if isinstance(rule, SmoothBreak):
+        return _smooth_length(slider, rule, right, max_contacts)
     length = _length_function(right, sites, max_contacts)(_parameters(slider))
     if not isinstance(length, Tracer) and np.isnan(length).any():
         status = _status_function(right, sites, max_contacts)(_parameters(slider))
@@ -251,6 +262,20 @@ def precursor_arrests(
 
 
 _LANES = 1024  # lanes a chunk: the carried state of a chunk stays in the first-level cache
+
+
+def _smooth_length(slider: Slider, rule: SmoothBreak, right: RightEnd, max_contacts: int) -> Float[Array, "..."]:
+    if right != "semi-infinite":
+        raise ValueError(f"right = {right!r}: a smooth rule in the fast recursion needs a semi-infinite chain; use sp.rupture")
+    length, status = _smooth_function(max_contacts)(slider, rule)
+    if not isinstance(length, Tracer) and np.isnan(length).any():
+        _report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
+    return length
+
+
+@functools.cache
+def _smooth_function(max_contacts: int) -> Callable[[Slider, SmoothBreak], tuple[Array, Array]]:
+    return eqx.filter_jit(lambda slider, rule: smooth_length(slider, rule, max_contacts=max_contacts))
 
 
 def _fields(slider: Slider) -> tuple[Any, Any, Any]:

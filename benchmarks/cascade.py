@@ -1,0 +1,91 @@
+"""Ruptures, break by break, against numba loops, in one run.
+
+The numba loop breaks the most overloaded contact and adds its response to all stresses in O(N), by the same 2×2 propagators
+sent out from the broken site in both directions. It is given them and the stresses ready made, while the package's time
+includes its response (worked out once where lanes share a chain), both equilibria and the record of the rupture.
+
+    python benchmarks/cascade.py
+"""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numba
+import numpy as np
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.chain import State
+from slippulse_jax.lattice.response import propagators
+
+jax.config.update("jax_enable_x64", True)
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+
+
+@numba.njit(cache=False)
+def events(P, Q, source, contact, threshold, stress, max_breaks):
+    n = len(stress)
+    t = stress.copy()
+    order = np.empty(max_breaks, np.int64)
+    breaks = 0
+    while breaks < max_breaks:
+        j, worst = 0, t[0] - threshold[0]
+        for i in range(1, n):
+            over = t[i] - threshold[i]
+            if over > worst:
+                j, worst = i, over
+        if worst < 0:
+            break
+        give = t[j]
+        t[j] = 0.0
+        a, b = source[j, 0] * give, source[j, 1] * give
+        t[j] += contact[j] * b
+        x, y = a, b
+        for i in range(j, n - 1):
+            x, y = P[i, 0, 0] * x + P[i, 0, 1] * y, P[i, 1, 0] * x + P[i, 1, 1] * y
+            t[i + 1] += contact[i + 1] * y
+        x, y = a, b
+        for i in range(j, 0, -1):
+            x, y = Q[i, 0, 0] * x + Q[i, 0, 1] * y, Q[i, 1, 0] * x + Q[i, 1, 1] * y
+            t[i - 1] += contact[i - 1] * y
+        order[breaks] = j
+        breaks += 1
+    return order[:breaks]
+
+
+def best(f, seconds=2.0):
+    times, end = [], time.perf_counter() + seconds
+    while time.perf_counter() < end or len(times) < 3:
+        start = time.perf_counter()
+        f()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def main():
+    print("| N | lanes | breaks | slippulse_jax, ms | numba, ms | numba / slippulse_jax |")
+    print("|---|---|---|---|---|---|")
+    for n in (300, 3000):
+        c = sp.chain(FIG2, sites=n)
+        links = [np.asarray(x) for x in jax.jit(propagators)(c)]
+        arrays = (*links, np.asarray(c.contact), np.asarray(c.threshold))
+        for lanes in (1, 64):
+            loads = jnp.linspace(6.0, 8.0, lanes) if lanes > 1 else jnp.array([6.0])
+            one = lambda load, c=c, n=n: sp.rupture(c, State(jnp.zeros(n), load), max_breaks=1000)  # noqa: E731
+            run = jax.jit(one if lanes == 1 else jax.vmap(one))
+            given = loads[0] if lanes == 1 else loads
+            found = jax.block_until_ready(run(given))
+            stresses = np.asarray(jax.vmap(lambda u, c=c, n=n: sp.equilibrium(c, State(jnp.zeros(n), u)).stress)(loads))
+            orders = [events(*arrays, s, 1000) for s in stresses]
+            breaks = np.atleast_1d(found.breaks)
+            for order, k, mine in zip(orders, breaks, np.atleast_2d(found.order), strict=True):
+                np.testing.assert_array_equal(order, mine[:k])
+            ours = best(lambda run=run, given=given: jax.block_until_ready(run(given)))
+            theirs = best(lambda arrays=arrays, stresses=stresses: [events(*arrays, s, 1000) for s in stresses])
+            print(
+                f"| {n} | {lanes} | {breaks.sum()} | {1e3 * ours:.3g} | {1e3 * theirs:.3g} | {theirs / ours:.2f} |", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Any interface: a chain of sites whose springs, contacts, thresholds and preload may differ from site to site.
+
+The rest of a chain, as one site sees it, is a network of springs with two terminals, u_t and u: however long the rest
+is, it comes down to three springs, one from each layer to the ground and one across. The right end of a chain is
+therefore three springs too (`Springs`): none for a free end, two bonds to a wall for a clamped one, and for a
+semi-infinite chain those that an endless uniform interface amounts to, which makes the end exactly absorbing.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.lattice.modes import RightEnd
+from slippulse_jax.quantities import quantity_field
+from slippulse_jax.slider import Slider
+
+ForceLaw = Callable[[Float[Array, " N"]], Float[Array, " N"]]
+
+
+class Springs(NamedTuple):
+    """A network of springs with two terminals, in K."""
+
+    upper: Array  # from u_t to the ground
+    layer: Array  # from u to the ground
+    across: Array  # between u_t and u
+
+
+class State(NamedTuple):
+    """What may change while the springs stay: where the contacts are pinned, and the load."""
+
+    pinning: Float[Array, " N"]  # u_b, in u_s
+    load: Float[Array, ""]  # U, displacement of the left edge of the upper layer, in u_s
+
+
+class Chain(eqx.Module):
+    """N sites of upper layer, interfacial layer and contacts; made by `chain`.
+
+    Forces are in K u_s, displacements in u_s and stresses in σ_s, where u_s, σ_s and `stiffness` are those of the
+    slider's own λ-contact. The stress on contact i is t_i = (k_i/k) f(u_i − u_b,i) + φ_i, with f(z) = z unless `law`
+    says otherwise; a detached contact (k_i = 0) carries none.
+    """
+
+    upper: Float[Array, " N-1"] = quantity_field("K_L", "K", "cra03")
+    layer: Float[Array, " N-1"] = quantity_field("K", "K", "cra04")
+    across: Float[Array, " N"] = quantity_field("K_T", "K", "cra05")
+    contact: Float[Array, " N"] = quantity_field("k_i", "K")
+    threshold: Float[Array, " N"] = quantity_field("\\theta_i", "\\sigma_s")
+    prestress: Float[Array, " N"] = quantity_field("\\varphi_i", "\\sigma_s")
+    stiffness: Float[Array, ""] = quantity_field("k", "K", "cra41")
+    end: Springs = eqx.field(kw_only=True)  # what lies beyond the last site
+    law: ForceLaw | None = None
+
+    @property
+    def sites(self) -> int:
+        """N."""
+        return self.contact.shape[-1]
+
+    def contact_force(self, stretch: Array) -> Array:
+        """Force of each contact on the interfacial layer, beyond that of the prestress, in K u_s."""
+        return self.contact * (stretch if self.law is None else self.law(stretch))
+
+    def stress(self, layer: Array, pinning: Array) -> Float[Array, " N"]:
+        """t_i, in σ_s."""
+        attached = self.contact > 0
+        return jnp.where(attached, self.contact_force(layer - pinning) / self.stiffness + self.prestress, 0)
+
+
+def chain(
+    slider: Slider,
+    *,
+    sites: int,
+    right: RightEnd = "semi-infinite",
+    contact: AnyArrayLike | None = None,
+    threshold: AnyArrayLike = 1.0,
+    prestress: AnyArrayLike = 0.0,
+    upper: AnyArrayLike | None = None,
+    layer: AnyArrayLike = 1.0,
+    law: ForceLaw | None = None,
+) -> Chain:
+    """Chain of `sites` sites on the interface of one slider, every field of which may vary along it.
+
+    Parameters
+    ----------
+    slider : Slider
+        One slider (fields of shape ()); use ``jax.vmap`` for a batch.
+    sites : int
+        N ≥ 2.
+    right : {"semi-infinite", "free", "clamped"}
+        What the chain does beyond its last site: goes on for ever, uniform, relaxed and unbroken; nothing; is tied to a
+        wall one bond further.
+    contact : array_like, shape () or (N,), optional
+        k_i/K; 0 for a detached contact. The slider's k/K by default.
+    threshold : array_like, shape () or (N,)
+        θ_i > 0, the stress at which contact i breaks, in σ_s.
+    prestress : array_like, shape () or (N,)
+        φ_i, the stress contact i carries when u_i = u_b,i = 0, balanced by a traction held fixed (top shear), in σ_s.
+    upper, layer : array_like, shape () or (N−1,), optional
+        Stiffness of each bond of the two layers, in K. K_L = H/λc and 1 by default.
+    law : callable, optional
+        f, the force law of a contact in units of its stiffness: from the stretches of all contacts in u_s, shape (N,), to
+        as many numbers; f(0) = 0 and f'(0) = 1 to keep the meaning of `contact`. Linear by default. To differentiate
+        with respect to its parameters, pass an ``equinox.Module`` or ``jax.tree_util.Partial`` that holds them.
+
+    Raises
+    ------
+    ValueError
+        If a value lies outside its domain or a shape does not fit, naming both. Traced values cannot be looked at.
+    """
+    if right not in get_args(RightEnd):
+        raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
+    if slider.shape != ():
+        raise ValueError(f"slider has shape {slider.shape}: a chain is made of one slider; use jax.vmap for a batch")
+    if sites < 2:
+        raise ValueError(f"sites = {sites}: must be at least 2")
+    contact = slider.stiffness if contact is None else contact
+    upper = slider.K_L if upper is None else upper
+
+    def along(name: str, value: AnyArrayLike, count: int, domain: str, inside: Callable[[Any], Any]) -> Array:
+        if np.shape(value) not in ((), (count,)):
+            raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
+        if not isinstance(value, Tracer):
+            bad = ~(np.isfinite(value) & inside(np.asarray(value)))
+            if bad.any():
+                raise ValueError(f"{name} = {np.asarray(value)[bad].flat[0]:g}: must be {domain}")
+        array = jnp.asarray(value)
+        return jnp.broadcast_to(array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float), (count,))
+
+    K_T, q = slider.K_T, jnp.asarray(slider.stiffness)
+    zero = jnp.zeros_like(K_T)
+    ends = {
+        "free": lambda: Springs(zero, zero, zero),
+        "clamped": lambda: Springs(slider.K_L, jnp.ones_like(zero), zero),
+        "semi-infinite": lambda: endless(Springs(slider.K_L, jnp.ones_like(zero), K_T), q),
+    }
+    return Chain(
+        upper=along("upper", upper, sites - 1, "zero or more, in K", lambda x: x >= 0),
+        layer=along("layer", layer, sites - 1, "zero or more, in K", lambda x: x >= 0),
+        across=jnp.broadcast_to(K_T, (sites,)),
+        contact=along("contact", contact, sites, "zero or more, in K", lambda x: x >= 0),
+        threshold=along("threshold", threshold, sites, "positive, in σ_s", lambda x: x > 0),
+        prestress=along("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
+        stiffness=q,
+        end=ends[right](),
+        law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
+    )
+
+
+def relaxed(chain: Chain, load: AnyArrayLike = 0.0) -> State:
+    """Every contact pinned where it was made, at a given load U (in u_s)."""
+    return State(jnp.zeros_like(chain.contact), jnp.asarray(load, dtype=chain.contact.dtype))
+
+
+def endless(bonds: Springs, contact: Array) -> Springs:
+    """The three springs that an endless uniform half-line of bonds and contacts amounts to, seen through its first bond.
+
+    Parameters
+    ----------
+    bonds : Springs
+        K_L and K along the layers, K_T across, in K.
+    contact : array
+        k, in K; positive.
+
+    Notes
+    -----
+    In mode m the displacement falls by r_m per site, so a bond pulls back with its stiffness times (1 − r_m): the
+    end is B g(M), with B = diag(K_L, K), M the 2×2 matrix of the bulk equations with eigenvalues κ_m², and
+    g(κ²) = 1 − r. Of a 2×2 matrix, g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).
+    """
+    K_L, K, K_T = bonds
+    kT2, b, q = K_T / K_L, K_T / K, contact / K
+    splitting = jnp.sqrt((b + q - kT2) ** 2 + 4 * kT2 * b)
+    larger = (b + q + kT2 + splitting) / 2
+    smaller = kT2 * q / larger  # from the product: the difference of squares would cancel
+
+    def gap(square: Array) -> Array:
+        half = jnp.sqrt(square) / 2
+        return 2 * half / (half + jnp.sqrt(1 + half**2))
+
+    g_1, g_2 = gap(larger), gap(smaller)
+    slope = (g_1 - g_2) / splitting
+    # row sums: (M − κ_2²)(1, 1) = (−κ_2², q − κ_2²), and q − κ_2² = q (κ_1² − κ_T²)/κ_1²
+    beyond_upper = (b + q - kT2 + splitting) / 2
+    return Springs(
+        upper=K_L * (g_2 - slope * smaller),
+        layer=K * (g_2 + slope * q * beyond_upper / larger),
+        across=K_L * slope * kT2,
+    )

@@ -1,0 +1,213 @@
+"""Equilibrium of any chain, with derivatives of any order with respect to everything it depends on.
+
+The displacements solve the two lattice equations of section "Equations to be solved", with a stiffness of its own for
+every spring. The contacts may be nonlinear: then Newton's method runs around the O(N) elimination. No derivative goes
+through the iteration: they come from the equations the solution satisfies (implicit function theorem), by one more
+linear solve forward, and by one with the transposed, here the same, matrix in reverse.
+"""
+
+import enum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from slippulse_jax.lattice.chain import Chain, State
+from slippulse_jax.lattice.elimination import Pair, eliminate, respond
+
+MAX_NEWTON_STEPS = 50
+DAMPING = tuple(0.5**n for n in range(12))
+"""Parts of a Newton step that are tried; the one that leaves the least imbalance is taken."""
+
+
+class EquilibriumStatus(enum.IntEnum):
+    """How the solution of an equilibrium ended."""
+
+    SOLVED = 0, "solved: every site is in balance"
+    SINGULAR = (
+        1,
+        "singular: a part of the chain is held by no spring or contact, so that it may lie anywhere; it is reported at zero",
+    )
+    NOT_CONVERGED = 2, "not converged: Newton's method left sites out of balance; see the residual"
+    INVALID = 3, "no such chain or state: a stiffness, pinning point or load is not a number, or a stiffness is negative"
+
+    message: str
+
+    def __new__(cls, value: int, message: str) -> "EquilibriumStatus":
+        """Member whose value is stored in files and whose message is shown to the user."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.message = message
+        return member
+
+
+class Equilibrium(NamedTuple):
+    """Displacements in u_s, stresses in σ_s, forces in K u_s."""
+
+    upper: Float[Array, " N"]  # u_t
+    layer: Float[Array, " N"]  # u
+    stress: Float[Array, " N"]  # t_i
+    push: Float[Array, ""]  # force that holds the left edge of the upper layer at U
+    residual: Float[Array, ""]  # largest imbalance of a site, over the largest force in the chain
+    status: Int[Array, ""]
+
+
+@jax.jit
+def equilibrium(chain: Chain, state: State) -> Equilibrium:
+    """Equilibrium of a chain in a given state.
+
+    Parameters
+    ----------
+    chain : Chain
+    state : State
+        Pinning points u_b, shape (N,), and load U, both in u_s.
+
+    Returns
+    -------
+    Equilibrium
+        With a status (`EquilibriumStatus`) instead of an exception: one bad lane of ``jax.vmap`` leaves the others
+        alone. Where something floats or a value is not a number the fields are finite, and mean nothing there.
+
+    Notes
+    -----
+    Composes with ``jit``, ``vmap``, ``grad``, ``jvp``, ``hessian`` …, for every field of the chain and of the state. It
+    computes in the precision of its input: in float32, relative errors of a few 10⁻⁶ (docs/cascade.md).
+    Detaching every contact does not make a chain singular, since u_t[0] is imposed: it then moves as one. Cutting both
+    bonds of a part without contacts does.
+
+    The residual is that of the displacements returned. One unit in the last place of u_t, times K_L, is a force: a short
+    chain that moves as one under a load small beside K_L u_t cannot be in balance to better than that.
+    """
+    valid = all_numbers(chain, state)
+    safe, state = or_harmless(valid, chain, state)
+    (upper, layer), converged = solve(safe, state)
+    pull = imbalance(safe, state, (upper, layer))
+    force = safe.contact_force(layer - state.pinning)
+    push = safe.upper[0] * (upper[0] - upper[1]) + safe.across[0] * (upper[0] - layer[0])
+    scale = jnp.maximum(jnp.abs(push), jnp.abs(force).max())
+    worst = jnp.maximum(jnp.abs(pull[0]).max(), jnp.abs(pull[1]).max())
+    floating = eliminate(safe, safe.contact).floating
+    status = jnp.select(
+        [~valid, floating, ~converged],
+        [EquilibriumStatus.INVALID, EquilibriumStatus.SINGULAR, EquilibriumStatus.NOT_CONVERGED],
+        EquilibriumStatus.SOLVED,
+    ).astype(jnp.int32)
+    stress = safe.stress(layer, state.pinning)
+    return Equilibrium(upper, layer, stress, push, worst / jnp.where(scale > 0, scale, 1), status)
+
+
+@jax.custom_jvp
+def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
+    """Displacements in equilibrium, and whether Newton's method got there."""
+    start = (jnp.zeros_like(chain.contact).at[0].set(state.load), jnp.zeros_like(chain.contact))
+    if chain.law is not None:
+        return _newton(chain, state, start)
+    moved = respond(chain, chain.contact, imbalance(chain, state, start))
+    return (start[0] + moved[0], moved[1]), jnp.ones((), bool)
+
+
+@solve.defjvp  # pyright: ignore[reportArgumentType]
+def _implicit_derivative(primals, tangents):
+    """0 = d imbalance = −(tangent stiffness) dx + ∂imbalance, at the solution x, which is itself differentiable again."""
+    chain, state = primals
+    x, converged = solve(chain, state)
+    unmoved = (jnp.zeros_like(x[0]).at[0].set(tangents[1].load), jnp.zeros_like(x[1]))
+    forces = jax.jvp(imbalance, (chain, state, x), (*tangents, unmoved))[1]
+    moved = _solve_linear(chain, _tangent(chain, x[1] - state.pinning), forces)
+    none = np.zeros(np.shape(converged), jax.dtypes.float0)
+    return (x, converged), ((unmoved[0] + moved[0], moved[1]), none)
+
+
+def imbalance(chain: Chain, state: State, x: Pair) -> Pair:
+    """Force left over on every site of the two layers, in K u_s; on u_t[0], which is held, zero."""
+    upper, layer = x
+    forces = _springs(chain, x)
+    return forces[0].at[0].set(0), forces[1] - chain.contact_force(layer - state.pinning)
+
+
+def _springs(chain: Chain, x: Pair) -> Pair:
+    """Force of all springs but the contacts on every site."""
+    upper, layer = x
+    none = jnp.zeros(1, upper.dtype)
+    along = (chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer))
+    across = chain.across * (layer - upper)
+    end = chain.end
+    last = end.across * (layer[-1] - upper[-1])
+    forces = [jnp.concatenate([x, none]) - jnp.concatenate([none, x]) for x in along]
+    return (
+        (forces[0] + across).at[-1].add(last - end.upper * upper[-1]),
+        (forces[1] - across).at[-1].add(-last - end.layer * layer[-1]),
+    )
+
+
+def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
+    """Displacements under forces on every site, with u_t[0] held, as a linear map JAX can differentiate and transpose."""
+
+    # one array for both layers: a pair of them with a symbolic zero for one tangent trips custom_linear_solve
+    def stiffness(x: Array) -> Array:
+        forces = _springs(chain, (x[0].at[0].set(0), x[1]))
+        return jnp.stack([(-forces[0]).at[0].set(x[0, 0]), contact * x[1] - forces[1]])
+
+    def solver(_, b: Array) -> Array:
+        return jnp.stack(_respond(chain, contact, (b[0], b[1])))
+
+    upper, layer = lax.custom_linear_solve(stiffness, jnp.stack(force), solver, symmetric=True)
+    return upper, layer
+
+
+def _respond(chain: Chain, contact: Array, force: Pair) -> Pair:
+    """`respond`, extended by the identity on u_t[0], so that the matrix is symmetric."""
+    upper, layer = respond(chain, contact, force)
+    return upper.at[0].set(force[0][0]), layer
+
+
+def _tangent(chain: Chain, stretch: Array) -> Array:
+    """dForce/dstretch of every contact; a contact's force depends on its own stretch only."""
+    return jax.jvp(chain.contact_force, (stretch,), (jnp.ones_like(stretch),))[1]
+
+
+def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
+    """Newton's method, each step cut until it helps; stops where a full step no longer does."""
+    parts = jnp.asarray(DAMPING, start[0].dtype)
+
+    def size(x: Pair) -> Array:
+        return jnp.sum(jnp.stack(imbalance(chain, state, x)) ** 2)
+
+    def step(carry):
+        x, now, n, _ = carry
+        dx = respond(chain, _tangent(chain, x[1] - state.pinning), imbalance(chain, state, x))
+        tried = jax.vmap(lambda part: size(jax.tree.map(lambda a, b: a + part * b, x, dx)))(parts)
+        best = jnp.nanargmin(tried)
+        after = jnp.where(jnp.isnan(tried[best]), jnp.inf, tried[best])
+        better = after < now
+        moved = jax.tree.map(lambda a, b: jnp.where(better, a + parts[best] * b, a), x, dx)
+        return moved, jnp.where(better, after, now), n + 1, better
+
+    def going(carry) -> Array:
+        _, now, n, better = carry
+        return better & (now > 0) & (n < MAX_NEWTON_STEPS)
+
+    n = jnp.zeros((), jnp.int32)
+    x, now, n, _ = lax.while_loop(going, step, (start, size(start), n, jnp.ones((), bool)))
+    largest = jnp.maximum(
+        jnp.abs(chain.contact_force(x[1] - state.pinning)).max(), jnp.abs(chain.upper[0] * (x[0][0] - x[0][1]))
+    )
+    rounding = 1e3 * jnp.finfo(now.dtype).eps * chain.sites**0.5
+    scale = largest + jnp.finfo(now.dtype).tiny
+    return x, jnp.sqrt(now) <= rounding * scale * (1 + chain.upper.max())
+
+
+def all_numbers(chain: Chain, state: State) -> Array:
+    """Whether the values, traced ones included, are those of a chain and its state."""
+    leaves = [x for x in jax.tree.leaves((chain, state)) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.inexact)]
+    finite = jnp.stack([jnp.isfinite(x).all() for x in leaves]).all()
+    positive = [(x >= 0).all() for x in (chain.upper, chain.layer, chain.across, chain.contact, *chain.end)]
+    return finite & jnp.stack(positive).all() & (chain.stiffness > 0)
+
+
+def or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
+    """The chain and state, or ones instead where they are not valid: no NaN goes into a loop or a derivative."""
+    return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), (chain, state))

@@ -1,0 +1,182 @@
+"""Which contacts hold the front: the derivative of a first precursor's length in every contact's threshold and prestress.
+
+The stress on contact s when the front reaches it is linear in what the contacts before it gave up,
+
+    t(s) = φ_s + D(s) (θ_0 − φ_0) + Σ_{j<s} K(s, j) g(j),
+
+with g = t under the hard rule, p(t) t under the smooth one, D the drive and K the kernel of `slippulse_jax.lattice.front`.
+With λ_s the derivative of ℓ in the stress on contact s, everything it causes included,
+
+    λ_s = ∂ℓ/∂t_s + g'(t_s) Σ_{i>s} K(i, s) λ_i,        K(i, s) = Σ_m w_m r_m^{i−s} + Σ_mn r_m^i R_mn r_n^s,
+
+which needs four sums over the contacts ahead: one pass from the arrest back to the edge, O(1) a contact.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.lattice.front import advance, nucleate
+from slippulse_jax.lattice.modes import Modes, lattice_modes
+from slippulse_jax.lattice.surrogate import first_step
+from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
+from slippulse_jax.slider import Slider
+
+
+class Sensitivity(NamedTuple):
+    """Of a first precursor on a semi-infinite interface, site by site over the first `sites` contacts."""
+
+    length: Float[Array, ""]  # ℓ, or ℓ_w, in λc
+    stress: Float[Array, " sites"]  # t_s as the front reaches contact s, in σ_s
+    threshold: Float[Array, " sites"]  # dℓ/dθ_i, in λc/σ_s
+    prestress: Float[Array, " sites"]  # dℓ/dφ_i, in λc/σ_s
+    complete: Array  # whether the front arrested, or faded, within `sites`
+
+
+def sensitivity(
+    slider: Slider,
+    *,
+    sites: int,
+    rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
+    threshold: AnyArrayLike = 1.0,
+    prestress: AnyArrayLike = 0.0,
+) -> Sensitivity:
+    """Length of the first precursor of a semi-infinite interface, and its derivative in every contact.
+
+    Parameters
+    ----------
+    slider : Slider
+        One slider (fields of shape ()).
+    sites : int
+        Contacts looked at; more than the length, and for a smooth rule as many as the front takes to fade.
+    rule : HardBreak or SmoothBreak
+    threshold, prestress : array_like, shape () or (sites,)
+        θ_i and φ_i in σ_s. The first contact is loaded to θ_0.
+
+    Notes
+    -----
+    Under the hard rule a contact the front has passed holds nothing: it breaks, whatever its threshold. Only the last contact
+    broken and the one that stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load. A smooth rule spreads
+    it over the contacts near their threshold. The prestress of every contact matters under either, since it is released.
+    Composes with ``jit`` and ``vmap``.
+    """
+    check_rule(rule)
+    modes = lattice_modes(slider)
+    dtype = modes.load.dtype
+    theta, phi = (jnp.broadcast_to(jnp.asarray(x, dtype), (sites,)) for x in (threshold, prestress))
+    front = _sweep(modes, rule, theta, phi)
+    if isinstance(rule, SmoothBreak):
+        length, direct, direct_theta, gain, gain_theta, complete = _faded(rule, front, theta)
+    else:
+        length, direct, direct_theta, gain, gain_theta, complete = _arrested(front, theta)
+    adjoint, drive = _backward(modes, direct, gain)
+    ahead = _caused(modes, adjoint)
+    by_theta = direct_theta + gain_theta * ahead
+    return Sensitivity(
+        length=length,
+        stress=front,
+        threshold=by_theta.at[0].add(drive),
+        prestress=adjoint.at[0].add(-drive),
+        complete=complete,
+    )
+
+
+def _given_up(rule: BreakRule, stress: Array, threshold: Array, first: Array) -> Array:
+    """g(t); contact 0 breaks whole."""
+    if isinstance(rule, HardBreak):
+        return stress
+    return jnp.where(first, stress, rule.broken(stress, threshold) * stress)
+
+
+def _sweep(modes: Modes, rule: BreakRule, theta: Array, phi: Array) -> Float[Array, " sites"]:
+    """t_s, past the arrest too; the drive is that which loads contact 0 to its threshold."""
+    loaded = theta[0] - phi[0]
+    driven = eqx.tree_at(lambda m: m.drive, modes, modes.drive * loaded)
+    start = nucleate(driven)._replace(stress=loaded)
+
+    def step(front, here):
+        theta, phi, first = here
+        total = front.stress + phi
+        return advance(driven, front._replace(stress=_given_up(rule, total, theta, first))), total
+
+    return lax.scan(step, start, (theta, phi, jnp.arange(theta.size) == 0))[1]
+
+
+def _arrested(stress: Array, theta: Array) -> tuple:
+    """ℓ of the hard rule, its direct derivatives, and g' = 1 for the contacts broken."""
+    n = stress.size
+    over = stress - theta
+    held = over < 0
+    s0 = jnp.argmax(held.at[0].set(False))
+    complete = held[1:].any()
+
+    def length(stress: Array, theta: Array) -> Array:
+        over = stress - theta
+        behind = jnp.where(s0 == 1, 0.0, over[s0 - 1])  # contact 0 breaks at its threshold exactly
+        return s0 - 1 + behind / (behind - over[s0])
+
+    direct, direct_theta = jax.grad(length, (0, 1))(stress, theta)
+    gain = (jnp.arange(n) < s0).astype(stress.dtype)
+    value = jnp.where(complete, length(stress, theta), jnp.nan)
+    good = jnp.where(complete, 1, jnp.nan)
+    return value, good * direct, good * direct_theta, gain, jnp.zeros_like(gain), complete
+
+
+def _faded(rule: SmoothBreak, stress: Array, theta: Array) -> tuple:
+    """ℓ_w, its direct derivatives, and those of g; the derivatives of a contact's own function, site by site."""
+    first = jnp.arange(stress.size) == 0
+
+    def length(stress: Array, theta: Array) -> Array:
+        steps = jax.vmap(rule.overloaded_length)(stress[1:-1], stress[2:], theta[1:-1], theta[2:])
+        return first_step(rule, stress[1], theta[1]) + steps.sum()
+
+    direct, direct_theta = jax.grad(length, (0, 1))(stress, theta)
+    slopes = jax.vmap(jax.grad(lambda t, theta, first: _given_up(rule, t, theta, first), (0, 1)))
+    gain, gain_theta = slopes(stress, theta, first)
+    complete = rule.broken(stress[-1], theta[-1]) < 1e-9
+    good = jnp.where(complete, 1, jnp.nan)
+    return length(stress, theta) * good, direct * good, direct_theta, gain, gain_theta, complete
+
+
+def _backward(modes: Modes, direct: Array, gain: Array) -> tuple[Float[Array, " sites"], Array]:
+    """λ_s, and Σ_s D(s) λ_s, the derivative in the load."""
+    sites = jnp.arange(direct.size)
+    profiles = jax.vmap(modes.profile)(sites.astype(direct.dtype))
+
+    def step(sums: tuple[Array, Array], here: tuple) -> tuple[tuple[Array, Array], Array]:
+        near, edge = sums
+        direct, gain, profile = here
+        adjoint = direct + gain * _arriving(modes, near, edge, profile)
+        return (_one_back(modes, near + adjoint), edge + profile * adjoint), adjoint
+
+    none = jnp.zeros_like(modes.weight)
+    (_, edge), adjoint = lax.scan(step, (none, none), (direct, gain, profiles), reverse=True)
+    return adjoint, modes.drive @ edge
+
+
+def _caused(modes: Modes, adjoint: Array) -> Float[Array, " sites"]:
+    """Σ_{i>s} K(i, s) λ_i, the derivative of ℓ in what contact s gives up."""
+    profiles = jax.vmap(modes.profile)(jnp.arange(adjoint.size).astype(adjoint.dtype))
+
+    def step(sums: tuple[Array, Array], here: tuple) -> tuple[tuple[Array, Array], Array]:
+        near, edge = sums
+        adjoint, profile = here
+        return (_one_back(modes, near + adjoint), edge + profile * adjoint), _arriving(modes, near, edge, profile)
+
+    none = jnp.zeros_like(modes.weight)
+    return lax.scan(step, (none, none), (adjoint, profiles), reverse=True)[1]
+
+
+def _arriving(modes: Modes, near: Array, edge: Array, profile: Array) -> Array:
+    """Σ_m w_m A_m + Σ_mn B_m R_mn r_n^s, with A_m = Σ_{i>s} r_m^{i−s} λ_i and B_m = Σ_{i>s} r_m^i λ_i."""
+    return modes.weight @ near + edge @ modes.reflection @ profile
+
+
+def _one_back(modes: Modes, near: Array) -> Array:
+    """r_m A_m; written with the gap, as in `slippulse_jax.lattice.front.advance`."""
+    return near - modes.gap * near

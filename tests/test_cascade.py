@@ -1,0 +1,339 @@
+"""Ruptures against the dense event-by-event program, against the fast recursion, and against themselves in batches."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dense_chain import Dense, end_stiffness
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.cascade import RuptureStatus, nucleate, rupture
+from slippulse_jax.lattice.chain import State, chain, relaxed
+from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.response import dense, response
+from slippulse_jax.rules import SmoothBreak
+
+ENDS = ("semi-infinite", "free", "clamped")
+SITES = (2, 3, 5, 8, 13, 29, 64, 150, 300)
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+MAX_BREAKS = 1500
+
+
+def random_event(rng, sites, right):
+    """A heterogeneous, preloaded chain about to rupture, for the dense program and for the package."""
+    height, stiffness, poisson = 10 ** rng.uniform(0.3, 1.7), 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0, 0.5)
+    spread = rng.choice([0.02, 0.1, 0.3])
+    contact = stiffness * 10 ** rng.uniform(-spread, spread, sites) * (rng.random(sites) > rng.choice([0, 0, 0.1]))
+    contact[rng.integers(sites)] = stiffness
+    fields = {
+        "contact": contact,
+        "threshold": 1 + spread * rng.uniform(-1, 1, sites),
+        "prestress": rng.choice([0, 0.3, 0.5]) * rng.uniform(0.8, 1, sites),
+        "upper": height * 10 ** rng.uniform(-spread, spread, sites - 1),
+        "layer": 10 ** rng.uniform(-spread, spread, sites - 1),
+    }
+    K_T = 1 / (2 * (1 + poisson) * height)
+    numbers = Dense(
+        K_L=fields["upper"],
+        K=fields["layer"],
+        K_T=np.full(sites, K_T),
+        k=contact,
+        threshold=fields["threshold"],
+        prestress=fields["prestress"],
+        k_ref=stiffness,
+        end=end_stiffness(right, height, 1.0, K_T, stiffness),
+    )
+    mine = chain(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sites=sites, right=right, **fields)
+    pinning = rng.choice([0, 0.2]) * rng.uniform(-1, 1, sites)
+    load, trigger = numbers.nucleate(pinning)
+    more = rng.choice([1.0, 1.0, 1.2, 2.0])
+    if load < 0.1 or more > 1:  # overloaded by its preload already, or loaded beyond the first break at once
+        load = max(load, 1.0) * more
+        over = np.where(contact > 0, numbers.stress(pinning, load) - fields["threshold"], -np.inf)
+        trigger = int(over.argmax()) if over.max() >= 0 else trigger
+    return numbers, mine, State(jnp.asarray(pinning), jnp.asarray(load)), trigger
+
+
+def batch(trees):
+    return jax.tree.map(lambda *x: jnp.stack(x), *trees)
+
+
+events = jax.jit(jax.vmap(lambda c, s, i: rupture(c, s, trigger=i, max_breaks=MAX_BREAKS)))
+
+
+def compare(seed, per_shape):
+    """Worst differences over all shapes and ends; every sequence of breaks must be the same."""
+    worst = {"pinning": 0.0, "layer": 0.0, "upper": 0.0, "stress": 0.0, "energy": 0.0, "residual": 0.0, "drift": 0.0}
+    longest = again = beyond = 0
+    for sites in SITES:
+        cases = [random_event(np.random.default_rng([seed, sites, n]), sites, ENDS[n % 3]) for n in range(per_shape)]
+        found = events(batch([c[1] for c in cases]), batch([c[2] for c in cases]), jnp.asarray([c[3] for c in cases]))
+        found = jax.tree.map(np.asarray, found)
+        for n, (numbers, _, state, trigger) in enumerate(cases):
+            before, load = np.asarray(state.pinning), float(state.load)
+            pinning, order = numbers.rupture(before, load, trigger, MAX_BREAKS)
+            one = jax.tree.map(lambda x, n=n: x[n], found)
+            assert one.order[: one.breaks].tolist() == order, (sites, n)
+            longest, again = max(longest, len(order)), again + (len(set(order)) < len(order))
+            u_t, u = numbers.solve(pinning, load)
+            stress = numbers.stress(pinning, load)
+            assert one.status == expected_status(numbers, order, stress), (sites, n)
+            released = numbers.energy(before, load) - numbers.energy(pinning, load)
+            digit = 4 * np.finfo(float).eps * numbers.K_L.max() * np.abs(u_t).max() / abs(one.after.push)
+            beyond += one.after.residual > 1e-12
+            assert one.after.residual <= max(1e-12, digit)
+            for name, difference in {
+                "pinning": one.state.pinning - pinning,
+                "layer": one.after.layer - u,
+                "upper": one.after.upper - u_t,
+                "stress": one.after.stress - stress,
+                "energy": (one.energy - released) / max(1, abs(numbers.energy(before, load))),
+                "residual": one.after.residual,
+                "drift": one.drift,
+            }.items():
+                worst[name] = max(worst[name], np.abs(difference).max())
+    return worst, longest, again, beyond
+
+
+def expected_status(numbers, order, stress):
+    over = np.where(numbers.k > 0, stress - numbers.threshold, -np.inf)
+    if len(order) == MAX_BREAKS and over.max() >= 0:
+        return RuptureStatus.LIMIT
+    return RuptureStatus.RAN_THROUGH if max(order) == len(numbers.k) - 1 else RuptureStatus.ARRESTED
+
+
+def check(worst, longest, again, beyond, chains):
+    print(f"{chains} chains: longest {longest}, {again} with re-breaks, {beyond} over 1e-12 of balance; worst {worst}")
+    assert longest > 150
+    assert again > chains / 20  # the sample must hold events in which contacts break twice
+    for name in ("pinning", "layer", "upper", "stress", "energy"):
+        assert worst[name] < 1e-10, name
+
+
+def test_a_sample_of_random_chains_breaks_as_the_dense_program_does():
+    check(*compare(seed=1, per_shape=9), chains=9 * len(SITES))
+
+
+@pytest.mark.slow
+def test_1000_random_chains_break_as_the_dense_program_does():
+    check(*compare(seed=2, per_shape=112), chains=112 * len(SITES))
+
+
+@pytest.mark.parametrize("right", ENDS)
+@pytest.mark.parametrize("sites", [2, 9, 50])
+def test_response_is_the_inverse_of_the_stiffness_matrix(sites, right):
+    numbers, mine, _, _ = random_event(np.random.default_rng(sites), sites, right)
+    G = numbers.inverse[sites:, sites:] * numbers.k[:, None]
+    found = np.asarray(dense(jax.jit(response)(mine)))
+    np.testing.assert_allclose(found[:sites, :sites], G.T, rtol=1e-11, atol=1e-300)
+    assert not found[sites:].any()
+
+
+@jax.jit
+def first_precursor(slider_fields):
+    c = chain(sp.Slider(*slider_fields), sites=2000)
+    state, site = nucleate(c, relaxed(c))
+    return rupture(c, state, trigger=site), site
+
+
+@pytest.mark.parametrize(
+    ("height", "stiffness", "count", "load"),
+    [(10.0, 0.03, 10, 2.0197), (25.0, 0.03, 26, 3.1985), (50.0, 0.003, 35, 1.4736), (25.0, 0.003, 16, 1.2770)],
+)
+def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion(height, stiffness, count, load):
+    numbers = tuple(map(jnp.asarray, (height, stiffness, 0.3)))
+    found, site = first_precursor(numbers)
+    fast = arrest(sp.Slider(*numbers), "semi-infinite", None, 10_000)
+    assert site == 0
+    assert found.status == RuptureStatus.ARRESTED
+    assert found.extent == found.breaks == fast.contacts_broken == count
+    assert found.order[:count].tolist() == list(range(count))
+    np.testing.assert_allclose(found.length, fast.length, rtol=1e-11)
+    np.testing.assert_allclose(found.state.load, load, atol=5e-5)
+
+
+def test_error_over_a_hundred_thousand_breaks():
+    """The bound: n breaks leave a relative error of at most n (ε + 8u), componentwise; what is found is far below it."""
+    c = chain(FIG2, sites=3000, right="free")
+    found = jax.jit(lambda s: rupture(c, s, max_breaks=100_000))(relaxed(c, 2e5))
+    assert found.breaks == 100_000
+    assert found.status == RuptureStatus.LIMIT
+    # ε: relative error of the response, against the same in a reference where it is known to all digits
+    print(f"drift {float(found.drift):.2e} σ_s after {int(found.breaks)} breaks, largest {int(found.broken.max())} times")
+    largest = float(jnp.abs(found.after.layer).max())
+    assert found.drift < 100_000 * 16 * np.finfo(float).eps * max(1.0, float(found.after.stress.max()))
+    # the fresh solve itself cannot tell u from u_b to better than a last digit of u
+    assert found.drift < 100 * np.finfo(float).eps * largest
+
+
+def test_a_rupture_goes_on_where_it_was_given_up():
+    """Stopping after n breaks and going on from that state is the same rupture: nothing is remembered but the state."""
+    c = chain(FIG2, sites=100, right="free")
+    whole = jax.jit(lambda s: rupture(c, s, max_breaks=1000))(relaxed(c, 20.0))
+    part = jax.jit(lambda s: rupture(c, s, max_breaks=300))(relaxed(c, 20.0))
+    rest = jax.jit(lambda s: rupture(c, s, max_breaks=1000))(part.state)
+    assert part.status == RuptureStatus.LIMIT
+    n = int(whole.breaks)
+    assert int(whole.broken.max()) > 1
+    np.testing.assert_array_equal(np.concatenate([part.order, rest.order])[:n], whole.order[:n])
+    np.testing.assert_allclose(rest.state.pinning, whole.state.pinning, atol=1e-11)
+
+
+# --- batches ---------------------------------------------------------------------------------------------------------
+
+LOADS = np.linspace(2.5, 9.0, 200)
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    c = chain(FIG2, sites=120)
+    run = jax.jit(jax.vmap(lambda load: rupture(c, State(jnp.zeros(120), load), max_breaks=400)))
+    return run, run(jnp.asarray(LOADS))
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 33, 64])
+def test_lanes_do_not_depend_on_the_size_of_the_batch(lanes, size):
+    run, all_of_them = lanes
+    assert len(np.unique(all_of_them.breaks)) > 20
+    some = run(jnp.asarray(LOADS[-size:]))
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[-size:], b), all_of_them, some)
+
+
+def test_lanes_do_not_depend_on_their_order_and_one_may_fail(lanes):
+    run, all_of_them = lanes
+    order = np.random.default_rng(0).permutation(200)
+    mixed = run(jnp.asarray(LOADS[order]))
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(np.asarray(a)[order], b), all_of_them, mixed)
+    broken = LOADS.copy()
+    broken[77] = np.nan
+    found = run(jnp.asarray(broken))
+    assert found.status[77] == RuptureStatus.INVALID
+    assert found.breaks[77] == 0
+    assert np.isnan(found.length[77])
+    others = np.arange(200) != 77
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(np.asarray(a)[others], np.asarray(b)[others]), all_of_them, found)
+
+
+def test_lanes_do_not_depend_on_the_number_of_devices():
+    """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/cascade.md)."""
+    program = """
+    import jax, jax.numpy as jnp, numpy as np
+    from jax.sharding import PartitionSpec
+    jax.config.update("jax_enable_x64", True)
+    import slippulse_jax as sp
+    from slippulse_jax.lattice.cascade import rupture
+    from slippulse_jax.lattice.chain import State, chain
+    devices = jax.devices()
+    assert len(devices) == 2
+    c = chain(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3), sites=60)
+    run = jax.jit(jax.vmap(lambda load: rupture(c, State(jnp.zeros(60), load), max_breaks=200)))
+    loads = np.linspace(2.5, 9.0, 24)
+    one = run(jax.device_put(loads, devices[0]))
+    two = [run(jax.device_put(part, device)) for part, device in zip(np.split(loads, 2), devices)]
+    for a, first, second in zip(*map(jax.tree.leaves, (one, *two))):
+        assert np.asarray(a).tobytes() == np.asarray(first).tobytes() + np.asarray(second).tobytes()
+    mesh = jax.make_mesh((2,), ("lanes",), axis_types=(jax.sharding.AxisType.Auto,))
+    spec = PartitionSpec("lanes")
+    shared = jax.jit(jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))(loads)
+    np.testing.assert_array_equal(shared.order, one.order)
+    np.testing.assert_allclose(shared.after.layer, one.after.layer, rtol=0, atol=1e-12)
+    """
+    flags = "--xla_force_host_platform_device_count=2"
+    found = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+
+
+# --- what it refuses and how it ends ---------------------------------------------------------------------------------
+
+
+def energy_at(height):
+    c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
+    return rupture(c, relaxed(c, 3.5)).energy
+
+
+@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian])
+def test_hard_rupture_refuses_to_be_differentiated_and_names_the_surrogate(derivative):
+    with pytest.raises(TypeError, match="SmoothBreak"):
+        derivative(energy_at)(25.0)
+    with pytest.raises(TypeError, match="SmoothBreak"):
+        jax.jit(jax.vmap(derivative(energy_at)))(jnp.array([20.0, 25.0]))
+
+
+def test_loading_to_nucleation_is_differentiable():
+    def load(height):
+        c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
+        return nucleate(c, relaxed(c))[0].load
+
+    load, slope, h = jax.jit(load), jax.jit(jax.grad(load)), 1e-3
+    np.testing.assert_allclose(slope(25.0), (load(25 + h) - load(25 - h)) / (2 * h), rtol=1e-7)
+
+
+def test_how_a_rupture_ends():
+    def ends(c, load, **options):
+        found = rupture(c, relaxed(c, load), **options)
+        return RuptureStatus(int(found.status)), float(found.length), found
+
+    semi, free = chain(FIG2, sites=40), chain(FIG2, sites=40, right="free")
+    status, length, found = ends(semi, 1.0)
+    assert (status, length, int(found.breaks), int(found.extent)) == (RuptureStatus.NOTHING_BROKE, 0.0, 0, 0)
+    assert not found.slip.any()
+    assert ends(semi, 3.5)[0] == RuptureStatus.ARRESTED
+    status, length, found = ends(free, 9.0)
+    assert (status, length, int(found.extent)) == (RuptureStatus.RAN_THROUGH, np.inf, 40)
+    status, length, _ = ends(free, 9.0, max_breaks=5)
+    assert status == RuptureStatus.LIMIT
+    assert np.isnan(length)
+    cut = np.ones(39)
+    cut[9] = 0
+    contact = np.where(np.arange(40) < 10, 0.03, 0)
+    floating = chain(FIG2, sites=40, right="free", contact=contact, layer=cut, upper=25 * cut)
+    status, length, found = ends(floating, 9.0)
+    assert status == RuptureStatus.SINGULAR
+    assert int(found.breaks) == 0
+    assert ends(semi, np.nan)[0] == RuptureStatus.INVALID
+
+
+def test_a_detached_contact_never_breaks_and_the_front_may_pass_it():
+    contact = np.full(40, 0.03)
+    contact[5] = 0
+    c = chain(FIG2, sites=40, contact=contact)
+    state, site = nucleate(c, relaxed(c))
+    found = rupture(c, state, trigger=site)
+    assert found.broken[5] == 0
+    assert found.broken[4] == found.broken[6] == 1
+
+
+def test_refusals():
+    c = chain(FIG2, sites=5)
+    with pytest.raises(ValueError, match=r"state.pinning has shape \(4,\): must be \(5,\)"):
+        rupture(c, State(jnp.zeros(4), jnp.asarray(1.0)))
+    with pytest.raises(ValueError, match="linear contacts"):
+        rupture(chain(FIG2, sites=5, law=jnp.tanh), relaxed(c))
+    with pytest.raises(ValueError, match=r"batch.*jax.vmap"):
+        rupture(batch([c, c]), relaxed(c))
+    with pytest.raises(TypeError, match="must be HardBreak"):
+        rupture(c, relaxed(c), rule=0.01)
+    with pytest.raises(ValueError, match="1e-6, 1"):
+        SmoothBreak(width=2.0)
+
+
+def test_float32():
+    with jax.enable_x64(False):
+        c = chain(sp.Slider(height=np.float32(25), stiffness=np.float32(0.03), poisson=np.float32(0.3)), sites=200)
+        state, site = nucleate(c, relaxed(c))
+        found = jax.jit(lambda s, i: rupture(c, s, trigger=i, max_breaks=100))(state, site)
+        assert found.after.stress.dtype == jnp.float32
+    assert found.breaks == 26
+    np.testing.assert_allclose(found.length, 25.789811275, atol=2e-3)
+    assert found.drift < 1e-5

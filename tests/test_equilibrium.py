@@ -1,0 +1,402 @@
+"""Equilibrium of any chain against dense matrices, against the lattice modes, and against a manufactured solution."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dense_chain import Dense, end_stiffness
+from jax.tree_util import Partial
+from scipy.optimize import fsolve
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.chain import Chain, Springs, State, chain, endless, relaxed
+from slippulse_jax.lattice.elimination import respond
+from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, imbalance
+from slippulse_jax.lattice.modes import lattice_modes
+
+ENDS = ("semi-infinite", "free", "clamped")
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+solve = jax.jit(jax.vmap(equilibrium))
+
+
+def random_case(rng, sites, right):
+    """A heterogeneous, preloaded chain: as numbers, as the dense program, and as the package's arguments."""
+    height, stiffness, poisson = 10 ** rng.uniform(0.3, 2.3), 10 ** rng.uniform(-3, -0.3), rng.uniform(0, 0.5)
+    contact = stiffness * 10 ** rng.uniform(-0.5, 0.5, sites) * (rng.random(sites) > 0.15)
+    contact[rng.integers(sites)] = stiffness
+    fields = {
+        "contact": contact,
+        "threshold": rng.uniform(0.5, 1.5, sites),
+        "prestress": rng.uniform(-0.2, 0.4, sites),
+        "upper": height * 10 ** rng.uniform(-0.3, 0.3, sites - 1),
+        "layer": 10 ** rng.uniform(-0.3, 0.3, sites - 1),
+    }
+    pinning, load = rng.uniform(-1, 1, sites) * rng.choice([0, 0.3]), rng.uniform(0, 5)
+    K_T = 1 / (2 * (1 + poisson) * height)
+    dense = Dense(
+        K_L=fields["upper"],
+        K=fields["layer"],
+        K_T=np.full(sites, K_T),
+        k=contact,
+        threshold=fields["threshold"],
+        prestress=fields["prestress"],
+        k_ref=stiffness,
+        end=end_stiffness(right, height, 1.0, K_T, stiffness),
+    )
+    mine = chain(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sites=sites, right=right, **fields)
+    return dense, mine, State(jnp.asarray(pinning), jnp.asarray(load))
+
+
+def balance_bound(chains, found, floor=1e-12):
+    """10⁻¹² of the load; more only where a last digit of a displacement, times the stiffness of a bond, exceeds that."""
+    load = np.abs(found.push)
+    digit = np.finfo(found.upper.dtype).eps * np.abs(found.upper).max(-1)
+    return np.maximum(floor, 4 * np.asarray(chains.upper).max(-1) * digit / load)
+
+
+def batch(trees):
+    return jax.tree.map(lambda *x: jnp.stack(x), *trees)
+
+
+@pytest.mark.parametrize("right", ENDS)
+@pytest.mark.parametrize("sites", [2, 3, 17, 120])
+def test_against_dense_matrices(sites, right):
+    rng = np.random.default_rng(sites)
+    dense, mine, states = zip(*[random_case(rng, sites, right) for _ in range(25)], strict=True)
+    found = solve(batch(mine), batch(states))
+    assert np.all(found.status == EquilibriumStatus.SOLVED)
+    assert np.all(found.residual <= balance_bound(batch(mine), found))
+    for n, (d, s) in enumerate(zip(dense, states, strict=True)):
+        pinning, load = np.asarray(s.pinning), float(s.load)
+        u_t, u = d.solve(pinning, load)
+        np.testing.assert_allclose(found.upper[n], u_t, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found.layer[n], u, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found.stress[n], d.stress(pinning, load), rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found.push[n], d.matrix[0] @ np.concatenate([u_t, u]), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_uniform_chain_against_its_lattice_modes(right):
+    sites = None if right == "semi-infinite" else 100
+    modes = lattice_modes(FIG2, right, sites)
+    exact = jax.vmap(lambda i: modes.drive @ modes.profile(i))(jnp.arange(100.0))
+    found = jax.jit(equilibrium)(chain(FIG2, sites=100, right=right), relaxed_at(FIG2, modes.load))
+    np.testing.assert_allclose(found.layer, exact, rtol=1e-12)
+
+
+def relaxed_at(slider, load, sites=100):
+    return relaxed(chain(slider, sites=sites), load)
+
+
+@pytest.mark.parametrize("height", [25.0, 1e3, 1e5])
+def test_an_endless_chain_does_not_notice_where_it_is_cut(height):
+    slider = sp.Slider(height=height, stiffness=0.03, poisson=0.3)
+    short, long = (jax.jit(equilibrium)(chain(slider, sites=n), relaxed_at(slider, 2.0, n)) for n in (7, 5000))
+    np.testing.assert_allclose(short.layer, long.layer[:7], rtol=1e-12)
+    np.testing.assert_allclose(short.upper, long.upper[:7], rtol=1e-12)
+
+
+def test_endless_end_is_the_limit_of_long_walls():
+    for height, stiffness, poisson in [(25.0, 0.03, 0.3), (1.1, 1.0, 0.5), (100.0, 1e-3, 0.0)]:
+        slider = sp.Slider(height=height, stiffness=stiffness, poisson=poisson)
+        K_T = float(slider.K_T)
+        end = endless(Springs(slider.K_L, jnp.ones(()), slider.K_T), jnp.asarray(stiffness))
+        matrix = np.diag([float(end.upper), float(end.layer)]) + float(end.across) * np.array([[1, -1], [-1, 1]])
+        np.testing.assert_allclose(matrix, end_stiffness("semi-infinite", height, 1.0, K_T, stiffness), rtol=1e-9)
+
+
+# --- manufactured solution -------------------------------------------------------------------------------------------
+
+A, B, Q, LENGTH = 0.3, 2.0, 1.5, 3.0  # κ_T², K_T/K and k/K of the continuum equations, and the length of the slider
+
+
+def manufactured(right):
+    """u_t(x), even about the left edge; u and u_b follow from the two continuum equations."""
+    x = np.polynomial.Polynomial([0, 1 / LENGTH])
+    if right == "semi-infinite":  # nothing at all beyond the resolved part, and smoothly so
+        f = (1 - x**2) ** 10
+    elif right == "free":  # no slope at x = L either, in u_t nor in u
+        f = 1 + 20 * (x * (1 - x)) ** 4
+    else:  # neither layer moves at x = L
+        f = (1 - x**2) ** 3
+    u = f - f.deriv(2) / A
+    return f, u, u - (u.deriv(2) - B * (u - f)) / Q
+
+
+def discretisation_error(right, sites):
+    # sites at the middle of cells of length h; the left face at x = 0, the wall of a clamped end at x = L
+    h = LENGTH / (sites + 0.5) if right == "clamped" else LENGTH / sites
+    x = (np.arange(sites) + 0.5) * h
+    f, u, u_b = manufactured(right)
+    K_L, K_T, k = B / A, B * h**2, Q * h**2  # of a cell, in units of its bond of the interfacial layer
+    one, zero = jnp.ones(()), jnp.zeros(())
+    end = {
+        "free": Springs(zero, zero, zero),
+        "clamped": Springs(one * K_L, one, zero),
+        "semi-infinite": endless(Springs(one * K_L, one, one * K_T), one * k),
+    }[right]
+    cells = Chain(
+        upper=jnp.full(sites - 1, K_L),
+        layer=jnp.ones(sites - 1),
+        across=jnp.full(sites, K_T),
+        contact=jnp.full(sites, k),
+        threshold=jnp.ones(sites),
+        prestress=jnp.zeros(sites),
+        stiffness=one * k,
+        end=end,
+    )
+    found = jax.jit(equilibrium)(cells, State(jnp.asarray(u_b(x)), jnp.asarray(f(x[0]))))
+    return max(np.abs(found.layer - u(x)).max(), np.abs(found.upper - f(x)).max())
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_continuum_equations_are_approached_at_second_order(right):
+    # the left edge asks u'(0) = 0 and imposes u_t; the manufactured u has both
+    assert abs(manufactured(right)[1].deriv()(0.0)) < 1e-9
+    errors = [discretisation_error(right, n) for n in (100, 200, 400, 800)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 2.0, atol=0.1)
+
+
+# --- nonlinear contacts ----------------------------------------------------------------------------------------------
+
+
+def hardening(stretch):
+    return stretch + 0.3 * stretch**3
+
+
+@pytest.mark.parametrize("law", [jnp.tanh, jnp.arctan, hardening, jnp.sinh])
+def test_nonlinear_contacts_against_a_general_root_finder(law):
+    rng = np.random.default_rng(5)
+    for right in ENDS:
+        dense, mine, state = random_case(rng, 12, right)
+        nonlinear = Chain(**{**{f: getattr(mine, f) for f in mine.__dataclass_fields__}, "law": Partial(law)})
+        found = equilibrium(nonlinear, state)
+        assert found.status == EquilibriumStatus.SOLVED
+        one = jax.tree.map(lambda x: x[None], (nonlinear, found))
+        assert np.all(found.residual <= balance_bound(*one))
+
+        def balance(x, dense=dense, state=state):
+            forces = dense.matrix @ x
+            z = x[12:] - np.asarray(state.pinning)
+            forces[12:] += dense.k * (np.asarray(law(z)) - z) - dense.k * np.asarray(state.pinning)
+            forces[0] = x[0] - float(state.load)
+            return forces
+
+        start = np.concatenate(dense.solve(np.asarray(state.pinning), float(state.load)))
+        x, _, ok, _ = fsolve(balance, start, full_output=True, xtol=1e-14)
+        assert np.abs(balance(x)).max() < 1e-9, ok
+        np.testing.assert_allclose(np.concatenate([found.upper, found.layer]), x, rtol=0, atol=1e-8)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def from_parameters(law, parameters):
+    """A scalar of the solution, from a flat dictionary of every input."""
+    p = dict(parameters)
+    state = State(p.pop("pinning"), p.pop("load"))
+    slider = sp.Slider(height=p.pop("height"), stiffness=p.pop("stiffness"), poisson=p.pop("poisson"))
+    found = equilibrium(chain(slider, sites=9, law=law, **p), state)
+    weight = jnp.cos(jnp.arange(9.0))
+    return weight @ found.layer + weight @ found.stress + jnp.sin(weight @ found.upper) + found.push
+
+
+def random_parameters(rng):
+    n = 9
+    return {
+        "height": rng.uniform(2, 40),
+        "stiffness": 10 ** rng.uniform(-2, -0.5),
+        "poisson": rng.uniform(0, 0.45),
+        "contact": 10 ** rng.uniform(-2, 0, n),
+        "prestress": rng.uniform(-0.2, 0.3, n),
+        "upper": rng.uniform(2, 40, n - 1),
+        "layer": rng.uniform(0.5, 2, n - 1),
+        "pinning": rng.uniform(-0.3, 0.3, n),
+        "load": rng.uniform(0.5, 3),
+    }
+
+
+@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
+    rng = np.random.default_rng(0)
+    points = batch([jax.tree.map(jnp.asarray, random_parameters(rng)) for _ in range(200)])
+    # directions of the size of the parameters themselves, so that none drowns in the others
+    ways = jax.tree.map(lambda x: jnp.asarray(rng.uniform(-1, 1, x.shape)) * (0.1 + jnp.abs(x)), points)
+    along = jax.vmap(lambda p, v, e: from_parameters(law, jax.tree.map(lambda x, y: x + e * y, p, v)), (0, 0, None))
+    value = jax.jit(along)
+    forward = jax.jit(jax.vmap(lambda p, v: jax.jvp(lambda x: from_parameters(law, x), (p,), (v,))[1]))(points, ways)
+    gradient = jax.jit(jax.vmap(jax.grad(lambda x: from_parameters(law, x))))(points)
+    reverse = sum(
+        jnp.sum((g * v).reshape(200, -1), axis=1) for g, v in zip(*map(jax.tree.leaves, (gradient, ways)), strict=True)
+    )
+    scale = sum(
+        jnp.sum(jnp.abs(g * v).reshape(200, -1), axis=1) for g, v in zip(*map(jax.tree.leaves, (gradient, ways)), strict=True)
+    )
+    # fourth-order differences: truncation and rounding both far below 1e-6 at this step
+    h = 1e-3
+    difference = (
+        (8 * (value(points, ways, h) - value(points, ways, -h)) - value(points, ways, 2 * h) + value(points, ways, -2 * h))
+        / 12
+        / h
+    )
+    assert np.abs((forward - reverse) / scale).max() < 1e-12
+    assert np.abs((forward - difference) / scale).max() < 1e-6
+    assert all(np.all(np.any(g.reshape(200, -1) != 0, axis=1)) for g in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+def test_second_derivatives(law):
+    rng = np.random.default_rng(1)
+    p = jax.tree.map(jnp.asarray, random_parameters(rng))
+    v = jax.tree.map(lambda x: jnp.asarray(rng.uniform(-1, 1, x.shape)) * (0.1 + jnp.abs(x)), p)
+
+    def f(x):
+        return from_parameters(law, x)
+
+    def dot(a, b):
+        return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+    def g(x):
+        return dot(jax.grad(f)(x), v)
+
+    def at(e):
+        return jax.tree.map(lambda x, y: x + e * y, p, v)
+
+    slope = jax.jit(g)
+    over = dot(jax.jit(lambda: jax.jvp(jax.grad(f), (p,), (v,))[1])(), v)  # forward over reverse
+    again = dot(jax.jit(jax.grad(g))(p), v)  # reverse over reverse
+    twice = jax.jit(lambda: jax.jvp(lambda e: jax.jvp(lambda d: f(at(d)), (e,), (1.0,))[1], (0.0,), (1.0,))[1])()
+    h = 1e-3
+    difference = (8 * (slope(at(h)) - slope(at(-h))) - slope(at(2 * h)) + slope(at(-2 * h))) / 12 / h
+    np.testing.assert_allclose([over, again, twice], difference, rtol=1e-6)
+    np.testing.assert_allclose([over, again], twice, rtol=1e-10)
+
+
+@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+def test_implicit_and_unrolled_routes_agree(law):
+    """Differentiate through the elimination itself, and through Newton's steps written out."""
+    rng = np.random.default_rng(2)
+    p = jax.tree.map(jnp.asarray, random_parameters(rng))
+
+    def unrolled(parameters):
+        q = dict(parameters)
+        state = State(q.pop("pinning"), q.pop("load"))
+        slider = sp.Slider(height=q.pop("height"), stiffness=q.pop("stiffness"), poisson=q.pop("poisson"))
+        c = chain(slider, sites=9, law=law, **q)
+        x = (jnp.zeros(9).at[0].set(state.load), jnp.zeros(9))
+        for _ in range(1 if law is None else 12):
+            z = x[1] - state.pinning
+            slope = jnp.ones(9) if law is None else jax.vmap(jax.grad(law))(z)
+            dx = respond(c, c.contact * slope, imbalance(c, state, x))
+            x = (x[0] + dx[0], x[1] + dx[1])
+        stress, weight = c.stress(x[1], state.pinning), jnp.cos(jnp.arange(9.0))
+        push = c.upper[0] * (x[0][0] - x[0][1]) + c.across[0] * (x[0][0] - x[1][0])
+        return weight @ x[1] + weight @ stress + jnp.sin(weight @ x[0]) + push
+
+    implicit = jax.jit(jax.grad(lambda x: from_parameters(law, x)))(p)
+    through = jax.jit(jax.grad(unrolled))(p)
+    for name in p:
+        np.testing.assert_allclose(implicit[name], through[name], rtol=1e-9, atol=1e-11, err_msg=name)
+
+
+def test_parameters_of_a_force_law_have_derivatives():
+    def pushed(strength):
+        law = Partial(lambda s, z: z + s * z**3, strength)
+        c = chain(FIG2, sites=20, law=law)
+        return equilibrium(c, relaxed(c, 2.0)).push
+
+    pushed, h = jax.jit(pushed), 1e-4
+    np.testing.assert_allclose(jax.jit(jax.grad(pushed))(0.2), (pushed(0.2 + h) - pushed(0.2 - h)) / (2 * h), rtol=1e-6)
+
+
+# --- statuses and precision ------------------------------------------------------------------------------------------
+
+
+def with_cut(cut_upper, detached_from, sites=8):
+    upper, layer, contact = np.full(sites - 1, 25.0), np.ones(sites - 1), np.full(sites, 0.03)
+    contact[detached_from:] = 0
+    if cut_upper is not None:
+        upper[cut_upper] = layer[cut_upper] = 0
+    return chain(FIG2, sites=sites, right="free", contact=contact, upper=upper, layer=layer)
+
+
+def test_detaching_everything_moves_the_chain_as_one():
+    c = with_cut(None, 0)
+    found = equilibrium(c, relaxed(c, 2.0))
+    assert found.status == EquilibriumStatus.SOLVED
+    np.testing.assert_allclose(found.layer, 2.0, rtol=1e-13)
+    np.testing.assert_array_equal(found.stress, 0.0)
+    np.testing.assert_allclose(found.push, 0.0, atol=1e-13)
+
+
+def test_a_floating_part_is_a_status_and_never_a_nan():
+    floating, whole = with_cut(4, 5), with_cut(4, 8)
+    found = solve(batch([floating, whole]), batch([relaxed(floating, 2.0)] * 2))
+    np.testing.assert_array_equal(found.status, [EquilibriumStatus.SINGULAR, EquilibriumStatus.SOLVED])
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
+    alone = solve(batch([whole]), batch([relaxed(whole, 2.0)]))
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b[0]), found, alone)
+    held = np.asarray(found.layer[0][:5])
+    np.testing.assert_allclose(held, found.layer[1][:5], rtol=1e-14)
+
+
+def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
+    c = chain(FIG2, sites=30)
+    states = State(jnp.zeros((3, 30)), jnp.array([1.0, jnp.nan, 3.0]))
+    found = jax.jit(jax.vmap(equilibrium, (None, 0)))(c, states)
+    np.testing.assert_array_equal(found.status, [0, EquilibriumStatus.INVALID, 0])
+    good = jax.jit(jax.vmap(equilibrium, (None, 0)))(c, State(jnp.zeros((3, 30)), jnp.array([1.0, 2.0, 3.0])))
+    np.testing.assert_array_equal(np.asarray(found.layer)[[0, 2]], np.asarray(good.layer)[[0, 2]])
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
+
+
+def test_newton_that_cannot_converge_says_so():
+    c = chain(FIG2, sites=5, law=lambda z: 0 * z + jnp.where(z > 0, 1.0, -1.0))  # a law that jumps has no slope to follow
+    found = equilibrium(c, relaxed(c, 0.7))
+    assert found.status == EquilibriumStatus.NOT_CONVERGED
+    assert found.residual > 1e-6
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_float32(right):
+    rng = np.random.default_rng(3)
+    cases = [random_case(rng, 120, right) for _ in range(25)]
+    double = batch([c[1] for c in cases]), batch([c[2] for c in cases])
+    exact = solve(*double)
+    with jax.enable_x64(False):
+        found = solve(*jax.tree.map(lambda x: jnp.asarray(np.asarray(x, np.float32)), double))
+        assert found.layer.dtype == jnp.float32
+    size = np.abs(exact.layer).max(axis=1, keepdims=True)
+    assert (np.abs(np.asarray(found.layer, float) - exact.layer) / size).max() < 1e-5
+    assert np.all(found.residual <= balance_bound(double[0], found, 1e-5))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"sites": 1}, "sites = 1: must be at least 2"),
+        ({"right": "open"}, "right = 'open': must be one of"),
+        ({"contact": [0.03, 0.03]}, r"contact has shape \(2,\): must be \(\) or \(5,\) for 5 sites"),
+        ({"contact": -1.0}, "contact = -1: must be zero or more"),
+        ({"threshold": 0.0}, "threshold = 0: must be positive"),
+        ({"layer": np.nan}, "layer = nan: must be zero or more"),
+    ],
+)
+def test_refusals(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        chain(FIG2, **{"sites": 5, **wrong})
+
+
+def test_a_batch_of_sliders_is_sent_to_vmap():
+    with pytest.raises(ValueError, match=r"slider has shape \(2,\).*jax.vmap"):
+        chain(sp.Slider(height=[25.0, 26.0], stiffness=0.03, poisson=0.3), sites=5)
+
+
+def test_a_long_chain_is_in_balance_to_rounding():
+    n = 100_000
+    rng = np.random.default_rng(4)
+    c = chain(FIG2, sites=n, contact=0.03 * rng.uniform(0, 2, n))
+    found = jax.jit(equilibrium)(c, State(jnp.asarray(rng.uniform(-1, 1, n)), jnp.asarray(3.0)))
+    assert found.status == EquilibriumStatus.SOLVED
+    assert found.residual < 1e-12

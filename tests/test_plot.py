@@ -1,0 +1,70 @@
+"""Pictures draw what they are given on the Axes they are given, with a unit on every axis."""
+
+import jax.numpy as jnp
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax import plot
+from slippulse_jax.lattice.cascade import nucleate, rupture
+from slippulse_jax.lattice.chain import chain, relaxed
+from slippulse_jax.lattice.sensitivity import sensitivity
+
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+
+
+@pytest.fixture(scope="module")
+def event():
+    c = chain(FIG2, sites=80)
+    state, site = nucleate(c, relaxed(c))
+    return c, rupture(c, state, trigger=site)
+
+
+@pytest.fixture
+def ax():
+    figure, ax = plt.subplots()
+    yield ax
+    plt.close(figure)
+
+
+def has_units(ax, across, up):
+    return across in ax.get_xlabel() and up in ax.get_ylabel()
+
+
+def test_displacements(ax, event):
+    _, found = event
+    plot.displacements(ax, found.after, before=found.before, sites=40)
+    assert has_units(ax, "lambda_c", "u_s")
+    assert len(ax.lines) == 4
+    np.testing.assert_array_equal(ax.lines[3].get_ydata(), found.after.layer[:40])
+
+
+def test_stress(ax, event):
+    c, found = event
+    plot.stress(ax, found.after, chain=c, before=found.before)
+    assert has_units(ax, "lambda_c", "sigma_s")
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), found.after.stress)
+
+
+def test_front_stress(ax, event):
+    _, found = event
+    plot.front_stress(ax, found.released[:26], length=float(found.length))
+    assert has_units(ax, "lambda_c", "sigma_s")
+    assert "25.79" in ax.lines[2].get_label()
+
+
+def test_space_time(ax, event):
+    _, found = event
+    plot.space_time(ax, found)
+    assert has_units(ax, "lambda_c", "breaks")
+    np.testing.assert_array_equal(ax.collections[0].get_offsets()[:, 0], np.arange(26))
+
+
+def test_sensitivity(ax):
+    plot.sensitivity(ax, sensitivity(FIG2, sites=60), sites=32)
+    assert has_units(ax, "lambda_c", "sigma_s")
+    assert jnp.allclose(ax.patches[5].get_height(), 0)

@@ -1,0 +1,96 @@
+"""The backward recursion against differences, against the surrogate's own derivatives, and against what it must be."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.cascade import nucleate, rupture
+from slippulse_jax.lattice.chain import chain, relaxed
+from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.sensitivity import sensitivity
+from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.rules import HardBreak, SmoothBreak
+
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+SITES = 200
+RULES = [HardBreak(), SmoothBreak(width=0.02), SmoothBreak(width=1e-3)]
+
+
+def fields(seed):
+    rng = np.random.default_rng(seed)
+    return 1 + 0.02 * rng.uniform(-1, 1, SITES), 0.1 * rng.uniform(0, 1, SITES)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=repr)
+def test_every_contact_against_differences(rule):
+    theta, phi = fields(1)
+    run = jax.jit(lambda theta, phi: sensitivity(FIG2, sites=SITES, rule=rule, threshold=theta, prestress=phi))
+    found = run(theta, phi)
+    lengths = jax.jit(jax.vmap(lambda theta, phi: run(theta, phi).length))
+    assert found.complete
+    h = 1e-6
+    steps = h * np.eye(SITES)
+    same = np.zeros_like(steps)
+    by_theta = (lengths(theta + steps, phi + same) - lengths(theta - steps, phi + same)) / (2 * h)
+    by_phi = (lengths(theta + same, phi + steps) - lengths(theta + same, phi - steps)) / (2 * h)
+    scale = np.abs(found.prestress).max()
+    np.testing.assert_allclose(found.threshold, by_theta, atol=1e-5 * scale)
+    np.testing.assert_allclose(found.prestress, by_phi, atol=1e-5 * scale)
+
+
+def test_length_is_that_of_recursion_surrogate_and_cascade():
+    np.testing.assert_allclose(sensitivity(FIG2, sites=60).length, arrest(FIG2, "semi-infinite", None, 1000).length, rtol=1e-12)
+    rule = SmoothBreak(width=0.02)
+    found = sensitivity(FIG2, sites=400, rule=rule)
+    np.testing.assert_allclose(found.length, smooth_length(FIG2, rule)[0], rtol=1e-12)
+    theta, phi = fields(2)
+    theta[0], phi[0] = 0.9, 0.0
+    c = chain(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    state, site = nucleate(c, relaxed(c))
+    event = rupture(c, state, trigger=site)
+    assert site == 0
+    n = int(event.breaks)
+    np.testing.assert_array_equal(event.order[:n], np.arange(n))
+    found = sensitivity(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    np.testing.assert_allclose(found.length, event.length, rtol=1e-10)
+    np.testing.assert_allclose(found.stress[:n], event.released[:n], rtol=1e-10)
+
+
+def test_backward_recursion_is_the_reverse_mode_of_the_surrogate_in_a_chain():
+    theta, phi = (jnp.asarray(x) for x in fields(3))
+    theta = theta.at[0].set(0.9)
+    rule = SmoothBreak(width=0.02)
+
+    def length(theta, phi):
+        c = chain(FIG2, sites=SITES, threshold=theta, prestress=phi)
+        state, site = nucleate(c, relaxed(c))
+        return rupture(c, state, trigger=site, rule=rule).length
+
+    by_theta, by_phi = jax.jit(jax.grad(length, (0, 1)))(theta, phi)
+    found = sensitivity(FIG2, sites=SITES, rule=rule, threshold=theta, prestress=phi)
+    np.testing.assert_allclose(found.threshold, by_theta, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(found.prestress, by_phi, rtol=1e-7, atol=1e-9)
+
+
+def test_stress_scale_does_not_matter():
+    """Λ is independent of σ_s: raising every threshold and prestress by the same factor changes nothing (claim C6)."""
+    theta, phi = fields(4)
+    found = sensitivity(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    np.testing.assert_allclose(found.threshold @ theta + found.prestress @ phi, 0, atol=1e-9 * np.abs(found.threshold).max())
+
+
+def test_under_the_hard_rule_only_the_first_and_the_last_two_thresholds_matter():
+    found = sensitivity(FIG2, sites=60)
+    assert np.flatnonzero(found.threshold).tolist() == [0, 25, 26]
+    assert np.all(found.prestress[1:27] > 0)
+    assert not found.prestress[27:].any()
+
+
+def test_a_front_that_does_not_end_within_the_sites_says_so():
+    for rule in RULES:
+        found = sensitivity(FIG2, sites=20, rule=rule)
+        assert not found.complete
+        assert np.isnan(found.length)
+        assert np.isnan(found.prestress).all()
