@@ -82,9 +82,9 @@ class Chain:
 
         def t(s):
             s = mp.mpf(s)
-            p, q = r[0] ** s, r[1] ** s
+            p, q = ([(x**s) ** n for n in range(degree + 1)] for x in r)
             return sum(
-                amplitudes[i] * start**s * sum(v * p**a * q**b for (a, b), v in tau.items())
+                amplitudes[i] * start**s * sum(v * p[a] * q[b] for (a, b), v in tau.items())
                 for i, (start, tau, _) in enumerate(families)
             )
 
@@ -140,8 +140,9 @@ class Line:
         c = mp.lu_solve(mp.matrix([[total[0][m], total[1][m]] for m in (0, 1)]), mp.matrix(self.V0))
 
         def t(s):
+            p, q = ([mp.exp(-x * s * n) for n in range(degree + 1)] for x in k)
             return sum(
-                c[i] * sum(v * mp.exp(-(start + a * k[0] + b * k[1]) * s) for (a, b), v in tau.items())
+                c[i] * mp.exp(-start * s) * sum(v * p[a] * q[b] for (a, b), v in tau.items())
                 for i, (start, tau, _) in enumerate(families)
             )
 
