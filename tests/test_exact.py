@@ -41,6 +41,12 @@ def lengths(theta):
     return jax.lax.map(lambda x: exact_front(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4]), theta)
 
 
+def fronts(*rows):
+    """`lengths` of few sliders, filled up to the one shape that is compiled."""
+    few = np.array(rows, float)
+    return [np.asarray(x)[: len(few)] for x in lengths(jnp.asarray(np.resize(few, (60, 5))))]
+
+
 @jax.jit
 def length(theta):
     return exact_length(sp.Slider(theta[0], theta[1], theta[2]))
@@ -56,7 +62,7 @@ def test_values_worked_out_before():
     np.testing.assert_allclose(front.load, 3.1985, rtol=2e-5)
     assert (front.contacts_broken, front.status) == (26, ExactStatus.ARRESTED)
     tall = sp.Slider(height=75_000.0, stiffness=1 / (2.6 * 75_000), poisson=0.3)
-    np.testing.assert_allclose(exact_length(tall), 54194.6893438, rtol=1e-12)
+    np.testing.assert_allclose(exact_front(tall).length, 54194.6893438, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -79,11 +85,10 @@ def test_whole_contacts_and_load_of_the_reference_table(height, stiffness, conta
 
 def test_prestress_sequence_and_runaway():
     phi = np.array([0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, 0.54])
-    front = exact_front(FIG2, prestress=phi)
-    assert list(front.contacts_broken) == [30, 34, 42, 56, 71, 107, 204, -1]
-    assert front.status[-1] == ExactStatus.NEVER_STOPS
-    assert np.isinf(front.length[-1])
-    assert not np.isfinite(jax.grad(lambda p: exact_length(FIG2, prestress=p))(0.54))
+    length, contacts_broken, _, status = fronts(*([25.0, 0.03, 0.3, p, 0.0] for p in phi))
+    assert list(contacts_broken) == [30, 34, 42, 56, 71, 107, 204, -1]
+    assert status[-1] == ExactStatus.NEVER_STOPS
+    assert np.isinf(length[-1])
 
 
 def against_recursion(sliders, count):
@@ -120,7 +125,7 @@ def against_mpmath(sliders, seed):
 
 
 def test_real_positions_against_sixty_digits():
-    assert against_mpmath(random_sliders(25, 43), 44) < 1e-11
+    assert against_mpmath(random_sliders(15, 43), 44) < 1e-11
 
 
 @pytest.mark.slow
@@ -217,6 +222,16 @@ def resonance(n, height):
     return float(np.exp(low))
 
 
+@jax.jit
+def stress_bend(x):
+    """d²t/dq² at s = 2.3."""
+
+    def t(q):
+        return plain_stresses(x.at[1].set(q)[None], jnp.asarray([2.3]))[0, 0]
+
+    return jax.jvp(lambda q: jax.jvp(t, (q,), (jnp.ones_like(q),))[1], (x[1],), (jnp.ones_like(x[1]),))[1]
+
+
 @pytest.mark.parametrize(
     ("n", "height"),
     [(1, 2.0), pytest.param(3, 12.0, marks=pytest.mark.slow), pytest.param(9, 25.0, marks=pytest.mark.slow)],
@@ -230,10 +245,9 @@ def test_resonances_are_not_seen(n, height):
         s = np.array([0.3, 2.0, 7.7])
         found = plain_stresses(jnp.asarray([x]), jnp.asarray(s))[0]
         assert max(relative(a, t(b)) for a, b in zip(found, s, strict=True)) < 1e-12
-        slope = jax.jit(jax.hessian(lambda y: plain_stresses(y[None], jnp.asarray([2.3]))[0, 0]))(jnp.asarray(x))
-        assert np.isfinite(slope).all()
+        bend = stress_bend(jnp.asarray(x))
         two = differentiate(lambda y: Chain(*y).series(90)(2.3), x, 1, 2)
-        assert abs(float((mp.mpf(float(slope[1, 1])) - two) * x[1] ** 2)) < 1e-10
+        assert abs(float((mp.mpf(float(bend)) - two) * x[1] ** 2)) < 1e-10
 
 
 def test_choice_of_resonance_does_not_change_the_sum():
@@ -348,13 +362,13 @@ def test_differentiation_agrees_in_every_mode():
         return exact_length(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
 
     x = jnp.asarray([25.0, 0.03, 0.3, 0.1, 1e-3])
-    reverse, forward = jax.jit(jax.jacrev(f))(x), jax.jit(jax.jacfwd(f))(x)
+    gradient = jax.jit(jax.jacrev(f))
+    reverse, forward = gradient(x), jax.jit(jax.jacfwd(f))(x)
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
-    h = 1e-5
-    for i in range(5):
-        step = h * np.eye(5)[i] * (x[i] if x[i] > 1e-2 else 1e-2)
-        numeric = (f(x + step) - f(x - step)) / (2 * step[i])
-        np.testing.assert_allclose(reverse[i], numeric, rtol=1e-7)
+    step = 1e-5 * np.diag(np.maximum(x, 1e-2))
+    around = fronts(*(x + step), *(x - step))[0]
+    np.testing.assert_allclose(reverse, (around[:5] - around[5:]) / (2 * np.diag(step)), rtol=1e-7)
+    assert not np.isfinite(gradient(jnp.asarray([25.0, 0.03, 0.3, 0.54, 0.0]))[3])  # where the front never stops
 
 
 @pytest.mark.slow

@@ -113,7 +113,7 @@ def _held(beta: Array, z: Array) -> Array:
     g = beta / (2 * (1 + beta))
     n = np.arange(TERMS)
     power = jnp.concatenate([jnp.ones_like(g)[None], jnp.cumprod(-g / n[1:])])  # (−g)ⁿ/n!
-    return power @ overlap(1 / (1 + beta), 2.0 * n, z) * jnp.exp(g * jnp.exp(-2 * z))
+    return power @ overlap(1 / (1 + beta), 2 * jnp.arange(TERMS, dtype=z.dtype), z) * jnp.exp(g * jnp.exp(-2 * z))
 
 
 def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
