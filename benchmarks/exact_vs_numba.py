@@ -1,7 +1,7 @@
 """A million lengths: the exact solution beside the recursion in numba, one core each unless JAX takes more.
 
-Usage: python exact_vs_numba.py [sliders [of them by the recursion]]. The recursion's time is scaled up from its sample, every
-so manieth slider in order of expected length.
+Usage: python exact_vs_numba.py [sliders [of them by the recursion]]. The recursion's time is scaled up from its sample, each
+slider taken at even steps in order of expected length.
 """
 
 import sys
