@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slippulse_jax import plot as plot
+    from slippulse_jax import theory as theory
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.events import Spring as Spring
     from slippulse_jax.lattice.events import Steps as Steps
     from slippulse_jax.lattice.events import series as series
+    from slippulse_jax.lattice.exact import exact_fields as exact_fields
+    from slippulse_jax.lattice.exact import exact_front as exact_front
+    from slippulse_jax.lattice.exact import exact_front_stress as exact_front_stress
+    from slippulse_jax.lattice.exact import exact_length as exact_length
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
@@ -65,6 +70,10 @@ _HOME = {
     "ThresholdDistribution": "lattice.distribution",
     "chain": "lattice.chain",
     "equilibrium": "lattice.equilibrium",
+    "exact_fields": "lattice.exact",
+    "exact_front": "lattice.exact",
+    "exact_front_stress": "lattice.exact",
+    "exact_length": "lattice.exact",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
     "force_law": "lattice.distribution",
@@ -78,6 +87,7 @@ _HOME = {
     "sensitivity": "lattice.sensitivity",
     "series": "lattice.events",
     "simulate_inertial": "lattice.dynamics",
+    "theory": "theory",
 }
 
 __all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -15,6 +15,7 @@ from slippulse_jax.commands.shared import FAILURE, INTERRUPTED
 COMMANDS = {
     "series": "A series of precursors, as a catalogue of events.",
     "claims": "Measure the claims of the paper, one by one.",
+    "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
     "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
     "length": "Length of the first precursor of one slider.",
 }

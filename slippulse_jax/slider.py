@@ -61,7 +61,7 @@ class Slider(eqx.Module):
         for name, (inside, requirement) in _DOMAIN.items():
             value = getattr(self, name)
             if not isinstance(value, Tracer):
-                _check(f"Slider.{name}", np.asarray(value), inside, requirement)
+                check_domain(f"Slider.{name}", np.asarray(value), inside, requirement)
         try:
             self.shape  # noqa: B018
         except ValueError:
@@ -107,7 +107,7 @@ class Slider(eqx.Module):
         for name, raw in si.items():
             value = si[name] = _as_float(raw)
             if not isinstance(value, Tracer):
-                _check(
+                check_domain(
                     f"Slider.from_material: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {units[name]}"
                 )
         return cls(
@@ -207,10 +207,30 @@ class Slider(eqx.Module):
         return jnp.where(z < 0, larger, self.K_T * self.stiffness / larger)
 
 
-def _check(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
+def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
+    """Refuse values outside a domain, or not finite, naming the first and its index.
+
+    Raises
+    ------
+    ValueError
+        Name, value, index, and `requirement` as the user should read it.
+    """
     bad = ~(np.isfinite(value) & inside(value))
     if bad.any():
         index = [int(i) for i in np.argwhere(bad)[0]]
         where = f" at index {index[0] if len(index) == 1 else tuple(index)}" if index else ""
         more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
         raise ValueError(f"{name} = {value[tuple(index)]:g}{where}{more}: {requirement}")
+
+
+def broadcast(slider: Slider, *others: Any) -> list[Array]:
+    """The fields of `slider` and `others`, of one shape and one floating type."""
+    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
+    dtype = jnp.result_type(float, *values)
+    shape = jnp.broadcast_shapes(*(x.shape for x in values))
+    return [jnp.broadcast_to(x.astype(dtype), shape) for x in values]
+
+
+def each_slider(function: Any, slider: Slider, *others: Any) -> Any:
+    """``function(slider, *others)``, written for one slider and scalars, over all that broadcast together."""
+    return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*broadcast(slider, *others))

@@ -136,7 +136,7 @@ def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path):
 def test_interrupted():
     """Ctrl-C ends with 130 and no traceback."""
     code = (
-        "import sys; sys.argv = 'slippulse length --height 9e5 --stiffness 1e-6 --poisson 0.3'.split()\n"
+        "import sys; sys.argv = ['slippulse', 'fit', 'fit_examples/pmma_block/lengths.csv']\n"
         "from slippulse_jax.cli import main\n"
         "print('ready', flush=True)\n"
         "main()"
@@ -145,7 +145,7 @@ def test_interrupted():
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         assert process.stdout.readline() == "ready\n"
-        time.sleep(0.3)
+        time.sleep(2)  # jax is imported, and the fit goes on for some seconds
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130

@@ -1,0 +1,108 @@
+"""The continuum, self-consistent in both layers: labels cra08–cra37.
+
+Lengths in λc, displacements in u_s, stresses in σ_s. The front leaves u_b(x) = ũ(x+0; x) behind it (cra26); the six
+coefficients D(s) of cra28–cra33 follow from two boundary and four continuity conditions, and close on the front stress
+t(s) = ũ(s+0; s). Written for the two parts V_m of t = V_1 + V_2 in the modes κ_m,
+
+    dV_m/ds = −κ_m V_m + W_m t + Σ_n R_mn e^{−(κ_m + κ_n)s} t,        W_m = (k/K) α_m g_m/(2κ_m),
+
+with (0, 1) = Σ g_m (1, α_m): a linear system that `slippulse_jax.double_series` solves, as on the lattice, at any real s.
+Valid, as a limit of the lattice, for κ_1 λc ≪ 1: H ≫ λc and k ≪ K.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slippulse_jax import double_series as series
+from slippulse_jax.slider import Slider, each_slider
+from slippulse_jax.theory.crossing import crossing
+
+
+class ContinuumFields(NamedTuple):
+    """Displacements in u_s, stress in σ_s."""
+
+    upper: Float[Array, "..."]  # u_t
+    layer: Float[Array, "..."]  # u
+    stress: Float[Array, "..."]  # σ_c = u − u_b
+
+
+class _Line(NamedTuple):
+    rate: Array  # κ_m
+    weight: Array  # W_m
+    upper: Array  # 1/α_m
+    reflection: Array  # R_mn
+    start: Array  # V_m when contact 0 has broken, u_b(0) = u_s
+    initial: Array  # V_m at nucleation (cra18), sum 1
+    load: Array  # U0
+
+
+def _line(slider: Slider) -> _Line:
+    k, q = jnp.stack([slider.kappa_1, slider.kappa_2]), jnp.asarray(slider.stiffness)
+    alpha = jnp.stack([slider.alpha_1, slider.alpha_2])
+    share = jnp.stack([-alpha[0], alpha[1]]) * slider.kappa_T**2 / slider.mode_splitting
+    weight, upper = q * share / (2 * k), 1 / alpha
+    # at x = 0:  Σ V_m/α_m = U  (cra14),   u' = κ²u − K_T U − q u_b(0)  (cra15)
+    pull, KT = k + slider.kappa**2, slider.K_T
+    edge = upper[0] * pull[1] - upper[1] * pull[0]
+
+    def amplitudes(first: Array, second: Array) -> Array:
+        """B_m from Σ B_m/α_m = first, Σ (κ_m + κ²) B_m = second."""
+        return jnp.stack([first * pull[1] - upper[1] * second, upper[0] * second - first * pull[0]]) / edge
+
+    per_load = amplitudes(jnp.ones_like(KT), KT)
+    load = 1 / (per_load[0] + per_load[1])
+    back = [amplitudes(-weight[n] * upper[n], weight[n] * (k[n] - slider.kappa**2)) for n in (0, 1)]
+    broken = load * per_load + amplitudes(jnp.zeros_like(KT), q)
+    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load)
+
+
+def _solution(line: _Line) -> series.Solution:
+    return series.solve(series.roots_of(line.rate, line.weight, line.reflection), (line.start[0], line.start[1]))
+
+
+@jax.jit
+def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
+    """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
+    return each_slider(lambda x, y: series.stress(_solution(_line(x)), y), slider, s)
+
+
+@jax.jit
+def length_continuum(slider: Slider) -> Float[Array, "..."]:
+    """Length of the first precursor in the self-consistent continuum, t(Λ) = 1, in λc; NaN where the front does not start."""
+
+    def one(slider: Slider) -> Array:
+        guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
+
+        def excess(x: Slider, s: Array) -> Array:
+            return series.stress(_solution(_line(x)), s) - 1
+
+        return crossing(excess, slider, jnp.zeros_like(guess), 4 * guess + 4)
+
+    return each_slider(one, slider)
+
+
+@jax.jit
+def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
+    """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (cra17, cra18).
+
+    At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
+    X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.
+    """
+    return ContinuumFields(*each_slider(_fields, slider, s, x))
+
+
+def _fields(slider: Slider, s: Array, x: Array) -> tuple[Array, Array, Array]:
+    line = _line(slider)
+    solution = _solution(line)
+    behind, beyond = jnp.where(x < s, x, s), jnp.where(x < s, 0, x - s)  # not min and max: one-sided derivatives at x = s
+    near = jnp.where(s == 0, line.initial, series.parts(solution, behind))
+    later = series.stress_sums(solution, behind, s)
+    ahead = jnp.exp(-beyond * line.rate) * near
+    back = line.weight * later
+    echo = jnp.exp(-x * line.rate) * (line.reflection @ (jnp.exp(-x * line.rate) * later))
+    mode = ahead + back + echo
+    held = jnp.where(x < s, (back + echo).sum(), mode.sum())
+    return line.upper @ mode, mode.sum(), held

@@ -1,0 +1,167 @@
+"""Limits and closed forms: the run-away prestress, the macroscopic law, its ceiling, and a line for an envelope.
+
+Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slippulse_jax.double_series import overlap
+from slippulse_jax.slider import Slider, check_domain, each_slider
+from slippulse_jax.theory.crossing import crossing
+
+TERMS = 20
+"""Terms of e^{−g e^{−2y}}, g ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
+
+
+@jax.jit
+def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
+    """φ_c = (1 + G_00)/2: with σ_0/σ_s ≥ φ_c the stress far from the edge settles at φ/φ_c ≥ 1, and nothing stops the front.
+
+    G_00 = Σ_m q share_m/(κ_m √(4 + κ_m²)) is the response of an endless lattice to its own pinning point. A soft interface
+    whose domino dies beside the edge never reaches that far stress: there φ ≥ φ_c is necessary, not sufficient
+    (`slippulse_jax.exact_front` decides).
+    """
+
+    def one(slider: Slider) -> Array:
+        k = jnp.stack([slider.kappa_1, slider.kappa_2])
+        share = jnp.stack([-slider.alpha_1, slider.alpha_2]) * slider.kappa_T**2 / slider.mode_splitting
+        return (1 + (jnp.asarray(slider.stiffness) * share / (k * jnp.sqrt(4 + k**2))).sum()) / 2
+
+    return each_slider(one, slider)
+
+
+def b_from_areal_stiffness(areal_stiffness: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
+    """The macroscopic number b = (k/λc²) H/G with G = E/2(1+ν): areal stiffness in Pa/m, height in m, Young's modulus in Pa."""
+    areal, H, nu, E = (jnp.asarray(x, dtype=float) for x in (areal_stiffness, height, poisson, young))
+    return areal * H * 2 * (1 + nu) / E
+
+
+def areal_stiffness_from_b(b: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
+    """k/λc² = b G/H in Pa/m, the inverse of `b_from_areal_stiffness`."""
+    b, H, nu, E = (jnp.asarray(x, dtype=float) for x in (b, height, poisson, young))
+    return b * E / (2 * (1 + nu) * H)
+
+
+def length_ceiling(poisson: Any) -> Float[Array, "..."]:
+    """Largest Λ/H of the macroscopic law, √(2(1+ν)) ln 2, approached as b → ∞."""
+    return jnp.sqrt(2 * (1 + jnp.asarray(poisson, dtype=float))) * np.log(2)
+
+
+def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[Array, "..."]:
+    """Λ/H for λc → 0 at fixed b, self-consistent in the upper layer.
+
+    Parameters
+    ----------
+    b : array_like
+        Areal shear stiffness of the interface times H over the shear modulus; > 0.
+    poisson : array_like
+        ν.
+    prestress : array_like
+        φ = σ_0/σ_s in (−1, 1). inf for φ ≥ ½, the macroscopic run-away threshold.
+
+    Raises
+    ------
+    ValueError
+        If a concrete value lies outside its domain.
+
+    Notes
+    -----
+    With z = κ_2Λ, p(z) = [z + (β/2)(1 − e^{−2z})]/(1 + β) and κ_2⁻¹ = H √(2(1+ν)(1+1/b)):
+
+        e^{−p(z)} [1 + φ ∫_0^z e^{p(y)} dy] = (1 + β)/2;     without prestress  p(z) = ln[2/(1 + β)].
+    """
+    for name, value, inside, rule in (
+        ("b", b, lambda x: x > 0, "must be positive: areal stiffness times height over shear modulus"),
+        ("poisson", poisson, lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
+        ("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s"),
+    ):
+        if not hasattr(value, "aval") or hasattr(value, "addressable_data"):
+            check_domain(name, np.asarray(value, dtype=float), inside, rule)
+
+    b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
+    return _macroscopic(b, nu, phi)
+
+
+@jax.jit
+def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
+    def one(b: Array, nu: Array, phi: Array) -> Array:
+        beta, released = 1 / (1 + b), b / (1 + b)
+
+        def excess(p: tuple[Array, Array, Array], z: Array) -> Array:
+            """(1 + β)(t − 1)/2 from ln t, which keeps small b: 2/(1+β) = 1 + (1−β)/(1+β)."""
+            beta, released, phi = p
+            fall = (z - beta / 2 * jnp.expm1(-2 * z)) / (1 + beta)
+            drive = jnp.expm1(jnp.log1p(released / (1 + beta)) - fall)
+            return (1 + beta) / 2 * drive + phi * _held(beta, z)
+
+        plateau = 2 * phi
+        far = jnp.log(4 / jnp.maximum(1 - plateau, 1e-12)) * (1 + beta) + 2
+        z = crossing(excess, (beta, released, phi), jnp.zeros_like(b), far)
+        z = jnp.where(plateau < 1, z, jnp.inf * (1 + b))
+        return z * jnp.sqrt(2 * (1 + nu) / released)
+
+    return jnp.vectorize(one)(b, nu, phi)
+
+
+def _held(beta: Array, z: Array) -> Array:
+    """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
+    g = beta / (2 * (1 + beta))
+    n = np.arange(TERMS)
+    power = jnp.concatenate([jnp.ones_like(g)[None], jnp.cumprod(-g / n[1:])])  # (−g)ⁿ/n!
+    return power @ overlap(1 / (1 + beta), 2 * jnp.arange(TERMS, dtype=z.dtype), z) * jnp.exp(g * jnp.exp(-2 * z))
+
+
+def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
+    """Coefficient c in Λ/H = `macroscopic_length` + c (H/λc)^{−1/2} + O(λc/H), at fixed b, without prestress.
+
+    With g(z) = (1 + βe^{−2z})/(1 + β) at z = κ_2Λ, two effects of the same order: the layer at the edge and the gradient of
+    the stress, both of order κ_2/κ = √(β(1−β)λc/H), and discreteness, of order λcκ = √((1+b)λc/(2(1+ν)H)):
+
+        g δz = (κ_2/κ) [1 + (1−β)g/(1+β) + β(1−β)/(1+β)² ∫_0^z (1 − e^{−2y}) g dy]
+               − λcκ (1−β)/2(1+β) [1 + β/(1+β) (z − (1 − e^{−2z})/2)].
+    """
+    b, nu = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson)))
+    beta, released = 1 / (1 + b), b / (1 + b)
+    unit = jnp.sqrt(2 * (1 + nu) / released)  # 1/(κ_2 H)
+    z = macroscopic_length(b, nu) / unit
+    once, twice = -jnp.expm1(-2 * z) / 2, -jnp.expm1(-4 * z) / 4  # ∫e^{−2y}, ∫e^{−4y}
+    g = (1 + beta * jnp.exp(-2 * z)) / (1 + beta)
+    integral = (z - (1 - beta) * once - beta * twice) / (1 + beta)
+    layer = 1 + released / (1 + beta) * g + beta * released / (1 + beta) ** 2 * integral
+    discrete = released / (2 * (1 + beta)) * (1 + beta / (1 + beta) * (z - once))
+    return (jnp.sqrt(beta * released) * layer - jnp.sqrt((1 + b) / (2 * (1 + nu))) * discrete) * unit / g
+
+
+@jax.jit
+def envelope_length(slider: Slider) -> Float[Array, "..."]:
+    """A closed formula for Λ, within max(0.4 λc, 1.6 %) of the exact length over H/λc 5–10⁵, k/K 1e-6–1, ν 0–0.5.
+
+    Notes
+    -----
+    With B = β + (1−β)κ/√(4+κ²), L = ln[2/(1+B)] and c = 1.93 − 0.83β,
+
+        P = (κ/κ_2) {L + β [L − ½ + (1+B)²/8] / [1 + B − β + β(1+B)²/4]},
+        Λ ≈ κ⁻¹ {P + c [1 − (1 + 1.15 P/c)⁻²]} − 0.29 − 0.12 β.
+
+    P is the macroscopic law with the lattice's response and one step of Newton's method in place of its solution; c is the
+    layer at the edge (2 → 1 from stiff to soft, exactly) as it fades for soft interfaces. The other numbers are fitted.
+    Never negative.
+    """
+    return each_slider(_envelope, slider)
+
+
+def _envelope(slider: Slider) -> Array:
+    k, k2, beta = slider.kappa, slider.kappa_2, slider.beta
+    released = slider.b * beta
+    lattice = released * k / jnp.sqrt(4 + k**2)
+    B = beta + lattice
+    # 2/(1+B) = 1 + (1−B)/(1+B), and 1 − B = (1−β)(1 − κ/√(4+κ²))
+    L = jnp.log1p((released - lattice) / (1 + B))
+    P = k / k2 * (L + beta * (L + jnp.expm1(-2 * L) / 2) / (1 + lattice + beta * jnp.exp(-2 * L)))
+    c = 1.93 - 0.83 * beta
+    return jnp.maximum((P + c * (1 - (1 + 1.15 * P / c) ** -2)) / k - 0.29 - 0.12 * beta, 0)

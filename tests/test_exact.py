@@ -1,0 +1,419 @@
+"""The exact solution against the recursion, arbitrary precision, dense chains, and the values worked out before it."""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from lattice_mp import Chain, random_sliders
+
+import slippulse_jax as sp
+from slippulse_jax import double_series
+from slippulse_jax.lattice.exact import ExactStatus, exact_fields, exact_front, exact_front_stress, exact_length, front_series
+from slippulse_jax.lattice.front import front_stress
+from slippulse_jax.lattice.modes import lattice_modes
+
+FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
+
+
+@pytest.fixture(autouse=True)
+def sixty_digits():
+    with mp.workdps(60):
+        yield
+
+
+@jax.jit
+def stresses(theta, s):
+    return jax.vmap(lambda s: exact_front_stress(sp.Slider(theta[0], theta[1], theta[2]), s, prestress=theta[3]))(s)
+
+
+@jax.jit
+def plain_stresses(theta, s):
+    def one(x):
+        solution = front_series(lattice_modes(sp.Slider(x[0], x[1], x[2])), None)
+        return jax.vmap(lambda y: double_series.stress(solution, y))(s)
+
+    return jax.lax.map(one, theta)
+
+
+@jax.jit
+def lengths(theta):
+    return jax.lax.map(lambda x: exact_front(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4]), theta)
+
+
+def fronts(*rows):
+    """`lengths` of few sliders, filled up to the one shape that is compiled."""
+    few = np.array(rows, float)
+    return [np.asarray(x)[: len(few)] for x in lengths(jnp.asarray(np.resize(few, (60, 5))))]
+
+
+@jax.jit
+def length(theta):
+    return exact_length(sp.Slider(theta[0], theta[1], theta[2]))
+
+
+def relative(found, expected):
+    return abs(float((mp.mpf(float(found)) - expected) / expected))
+
+
+def test_values_worked_out_before():
+    front = exact_front(FIG2)
+    np.testing.assert_allclose(front.length, 25.788815261, rtol=0, atol=5e-10)
+    np.testing.assert_allclose(front.load, 3.1985, rtol=2e-5)
+    assert (front.contacts_broken, front.status) == (26, ExactStatus.ARRESTED)
+    tall = sp.Slider(height=75_000.0, stiffness=1 / (2.6 * 75_000), poisson=0.3)
+    np.testing.assert_allclose(exact_front(tall).length, 54194.6893438, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("height", "stiffness", "contacts", "kinked", "load"),
+    [
+        (10, 0.03, 10, 9.722, 2.0197),
+        (25, 0.03, 26, 25.790, 3.1985),
+        (50, 0.03, 52, 51.393, 5.1521),
+        (25, 0.01, 22, 21.637, 1.7977),
+        (25, 0.003, 16, 15.022, 1.2770),
+        (50, 0.003, 35, 34.651, 1.4736),
+    ],
+)
+def test_whole_contacts_and_load_of_the_reference_table(height, stiffness, contacts, kinked, load):
+    front = exact_front(sp.Slider(height, stiffness, 0.3))
+    assert front.contacts_broken == contacts
+    np.testing.assert_allclose(front.load, load, atol=5e-5)
+    assert abs(front.length - kinked) < 5e-3
+
+
+def test_prestress_sequence_and_runaway():
+    phi = np.array([0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, 0.54])
+    length, contacts_broken, _, status = fronts(*([25.0, 0.03, 0.3, p, 0.0] for p in phi))
+    assert list(contacts_broken) == [30, 34, 42, 56, 71, 107, 204, -1]
+    assert status[-1] == ExactStatus.NEVER_STOPS
+    assert np.isinf(length[-1])
+
+
+def against_recursion(sliders, count):
+    recursion = jax.jit(
+        jax.vmap(lambda x: front_stress(lattice_modes(sp.Slider(x[0], x[1], x[2])), count)),
+    )(jnp.asarray(sliders))
+    exact = plain_stresses(jnp.asarray(sliders), jnp.arange(count, dtype=float))
+    seen = np.abs(recursion) > 1e-280  # below, float64 itself loses digits
+    return np.max(np.where(seen, np.abs(exact / np.where(seen, recursion, 1) - 1), 0))
+
+
+def test_every_whole_contact_against_the_recursion():
+    assert against_recursion(random_sliders(60, 41), 1001) < 1e-11
+
+
+@pytest.mark.slow
+def test_every_whole_contact_up_to_ten_thousand_against_the_recursion():
+    sliders = random_sliders(2000, 42)
+    assert max(against_recursion(sliders[i : i + 100], 10_001) for i in range(0, 2000, 100)) < 1e-11
+
+
+def against_mpmath(sliders, seed):
+    rng = np.random.default_rng(seed)
+    worst = 0.0
+    for H, q, nu in sliders:
+        phi = rng.choice([0.0, rng.uniform(0, 0.9)])
+        chain = Chain(H, q, nu)
+        # from beside the edge to well past the arrest
+        s = np.append(rng.uniform(0, 3, 2), rng.uniform(0, 2, 2) * H)
+        t = chain.series(44, phi)
+        found = stresses(jnp.asarray([H, q, nu, phi]), jnp.asarray(s))
+        worst = max(worst, *(relative(x, t(y)) for x, y in zip(found, s, strict=True)))
+    return worst
+
+
+def test_real_positions_against_sixty_digits():
+    assert against_mpmath(random_sliders(15, 43), 44) < 1e-11
+
+
+@pytest.mark.slow
+def test_real_positions_against_sixty_digits_over_the_whole_domain():
+    assert against_mpmath(random_sliders(2000, 45), 46) < 1e-11
+
+
+def test_arbitrary_precision_reference_is_itself_right():
+    # the plain series meets the recursion at whole s, and the polynomial through 60 whole s in between
+    chain = Chain(6, 0.05, 0.2)
+    for phi in (0, 0.3):
+        steps, t = chain.recursion(61, phi), chain.series(60, phi)
+        assert max(abs(t(s) - x) for s, x in enumerate(steps)) < mp.mpf(10) ** -35
+        s = mp.mpf("29.37")
+        weights = [mp.mpf(-1) ** i * mp.binomial(60, i) / (s - i) for i in range(61)]
+        polynomial = sum(w * x for w, x in zip(weights, steps, strict=True)) / sum(weights)
+        assert abs(t(s) / polynomial - 1) < 1e-15
+
+
+def mp_length(chain, near):
+    t = chain.series(44)
+    return mp.findroot(lambda s: t(s) - 1, mp.mpf(float(near)), tol=1e-50)
+
+
+def differentiate(function, x, index, order):
+    """Central differences whose error, h⁴ and 10⁻⁶⁰/h^order, is beyond 1e-20."""
+    h = mp.mpf(10) ** -9 * x[index]
+    at = [function([mp.mpf(v) + (k * h if i == index else 0) for i, v in enumerate(x)]) for k in (-2, -1, 0, 1, 2)]
+    if order == 1:
+        return (at[0] - 8 * at[1] + 8 * at[3] - at[4]) / (12 * h)
+    return (-at[0] + 16 * at[1] - 30 * at[2] + 16 * at[3] - at[4]) / (12 * h**2)
+
+
+@jax.jit
+def length_along_axes(theta):
+    """ℓ*, its first and its second derivative along H and along q; all modes at once are the matter of another test."""
+
+    def along(direction):
+        def once(x):
+            return jax.jvp(length, (x,), (direction,))
+
+        (value, first), (_, second) = jax.jvp(once, (theta,), (direction,))
+        return value, first, second
+
+    return jax.vmap(along)(jnp.eye(3)[:2])
+
+
+def length_against_mpmath(sliders):
+    """Worst relative errors of ℓ*, of its first and second derivatives (in logarithms of H and q)."""
+    worst = np.zeros(3)
+    for x in sliders:
+        value, g, h = (np.asarray(y) for y in length_along_axes(jnp.asarray(x)))
+        value = value[0]
+        if not value > 0.05:  # nothing to differentiate where no front runs; tiny lengths are ill-conditioned by nature
+            continue
+        expected = mp_length(Chain(*x), value)
+        scale = expected
+        worst[0] = max(worst[0], relative(value, expected))
+        for i in (0, 1):
+            one, two = (differentiate(lambda y, near=value: mp_length(Chain(*y), near), x, i, k) for k in (1, 2))
+            worst[1] = max(worst[1], float(abs(mp.mpf(float(g[i])) - one) * mp.mpf(x[i]) / scale))
+            worst[2] = max(worst[2], float(abs(mp.mpf(float(h[i])) - two) * mp.mpf(x[i]) ** 2 / scale))
+    return worst
+
+
+def test_length_and_derivatives_against_sixty_digits():
+    value, first, second = length_against_mpmath(random_sliders(2, 47)[1:])
+    assert value < 1e-11
+    assert first < 1e-8
+    assert second < 1e-8
+
+
+@pytest.mark.slow
+def test_length_and_derivatives_against_sixty_digits_over_the_domain():
+    value, first, second = length_against_mpmath(random_sliders(150, 48))
+    assert value < 1e-10
+    assert first < 1e-8
+    assert second < 1e-8
+
+
+def resonance(n, height):
+    """k/K at which ρ_2 r_2^{2n} = ρ_1 for this height: there the plain series has a pole."""
+
+    def mismatch(log_q):
+        chain = Chain(height, mp.exp(log_q), 0.3)
+        rho = chain.roots()
+        return float(mp.log(rho[1] * chain.r[1] ** (2 * n) / rho[0]))
+
+    low, high = np.log(0.1), 0.0
+    assert mismatch(low) * mismatch(high) < 0
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if mismatch(middle) * mismatch(low) > 0 else (low, middle)
+    return float(np.exp(low))
+
+
+@jax.jit
+def stress_bend(x):
+    """d²t/dq² at s = 2.3."""
+
+    def t(q):
+        return plain_stresses(x.at[1].set(q)[None], jnp.asarray([2.3]))[0, 0]
+
+    return jax.jvp(lambda q: jax.jvp(t, (q,), (jnp.ones_like(q),))[1], (x[1],), (jnp.ones_like(x[1]),))[1]
+
+
+@pytest.mark.parametrize(
+    ("n", "height"),
+    [(1, 2.0), pytest.param(3, 12.0, marks=pytest.mark.slow), pytest.param(9, 25.0, marks=pytest.mark.slow)],
+)
+def test_resonances_are_not_seen(n, height):
+    q = resonance(n, height)
+    mp.mp.dps = 100  # at a distance δ from the pole the reference loses 1/δ² of its digits, and of its convergence
+    for nudge in (0, 1e-9):
+        x = (height, q * (1 + nudge), 0.3)
+        t = Chain(*x).series(90)
+        s = np.array([0.3, 2.0, 7.7])
+        found = plain_stresses(jnp.asarray([x]), jnp.asarray(s))[0]
+        assert max(relative(a, t(b)) for a, b in zip(found, s, strict=True)) < 1e-12
+        bend = stress_bend(jnp.asarray(x))
+        two = differentiate(lambda y: Chain(*y).series(90)(2.3), x, 1, 2)
+        assert abs(float((mp.mpf(float(bend)) - two) * x[1] ** 2)) < 1e-10
+
+
+def test_choice_of_resonance_does_not_change_the_sum():
+    # shifts the nearest n by moving through the boundary between two choices: no jump
+    H = np.linspace(8.0, 30.0, 4001)
+    t = np.asarray(
+        plain_stresses(jnp.stack([jnp.asarray(H), jnp.full(H.shape, 0.03), jnp.full(H.shape, 0.3)], -1), jnp.asarray([1.7]))
+    )
+    bend = np.diff(t[:, 0], 2)
+    assert np.max(np.abs(np.diff(bend))) < 1e-10
+
+
+def dense_chain(height, stiffness, poisson, pinned, sites=600):
+    """u_t, u of a long chain held by a wall, by one dense solve; the wall is too far away to be felt."""
+    KT = 1 / (2 * (1 + poisson) * height)
+    A, f = np.zeros((2 * sites, 2 * sites)), np.zeros(2 * sites)
+    for i in range(sites):
+        t, u = i, sites + i
+        A[t, t] = 2 * height + KT
+        A[t, u] = -KT
+        A[u, u] = (1 if i == 0 else 2) + stiffness + KT
+        A[u, t] = -KT
+        f[u] = stiffness * pinned[i]
+        for j in (i - 1, i + 1):
+            if 0 <= j < sites:
+                A[t, j], A[u, sites + j] = -height, -1
+    A[0] = 0
+    A[0, 0] = 1
+    return A, f
+
+
+@pytest.mark.parametrize("prestress", [0.0, 0.3])
+def test_fields_behind_and_ahead_against_a_dense_chain(prestress):
+    height, stiffness, poisson, sites = 12.0, 0.05, 0.2, 600
+    slider = sp.Slider(height, stiffness, poisson)
+    A, f = dense_chain(height, stiffness, poisson, np.zeros(sites))
+    f[0] = 1.0
+    unit = np.linalg.solve(A, f)
+    load = (1 - prestress) / unit[sites]
+    np.testing.assert_allclose(exact_front(slider, prestress=prestress).load, load, rtol=1e-11)
+    pinned, site = np.zeros(sites), np.arange(40)
+    for s in range(15):
+        _, f = dense_chain(height, stiffness, poisson, pinned)
+        f[0] = load
+        u = np.linalg.solve(A, f)
+        carried = u[sites:] - pinned + prestress
+        if s in (0, 1, 7, 14):
+            fields = exact_fields(slider, s, site, prestress=prestress)
+            np.testing.assert_allclose(fields.upper, u[:40], rtol=1e-11)
+            np.testing.assert_allclose(fields.layer, u[sites : sites + 40], rtol=1e-11)
+            # a contact broken under φ repins at zero stretch of the whole stress
+            np.testing.assert_allclose(fields.stress, carried[:40], rtol=1e-10, atol=1e-13)
+        pinned[s] += carried[s]
+
+
+def counted(theta):
+    """Whole contacts by the recursion in NumPy, prestress and threshold slope included."""
+    H, q, nu, phi, eps = theta
+    m = lattice_modes(sp.Slider(H, q, nu))
+    r, w, R, C = (np.asarray(x) for x in (m.ratio, m.weight, m.reflection, m.drive))
+    S, T, E = np.zeros(2), np.zeros(2), np.ones(2)
+    for s in range(100_000):
+        t = phi + w @ S + E @ ((1 - phi) * C + R @ T)
+        if s and t < 1 + eps * s:
+            return s
+        S, T, E = r * (S + t), T + E * t, r * E
+    return -1
+
+
+def test_ceiling_of_the_length_is_the_whole_count():
+    rng = np.random.default_rng(49)
+    sliders = random_sliders(60, 50)
+    sliders[:, 0] = 2 * 150 ** rng.uniform(size=60)
+    phi = rng.choice([0, 0, 1], 60) * rng.uniform(-0.5, 0.9, 60)
+    slope = rng.choice([0, 1], 60) * rng.choice([-1, 1], 60) * 10 ** rng.uniform(-6, -2, 60)
+    theta = np.column_stack([sliders, phi, slope])
+    front = lengths(jnp.asarray(theta))
+    for x, n, status, length in zip(theta, front.contacts_broken, front.status, front.length, strict=True):
+        m = lattice_modes(sp.Slider(*x[:3]))
+        ahead = m.drive @ m.ratio * (1 - x[3]) + x[3]
+        if x[4] < 0 and ahead > 1 + x[4]:
+            continue  # contact 1 would break before contact 0: not a front that starts at the edge
+        assert status in (ExactStatus.ARRESTED, ExactStatus.NO_DOMINO, ExactStatus.NEVER_STOPS), x
+        assert counted(x) == n, (x, length)
+
+
+def test_real_crossing_beside_the_straight_lines_of_the_recursion():
+    sliders = random_sliders(2000, 60)
+    sliders[:, 0] = 2 * (sliders[:, 0] / 2) ** 0.5  # up to 450: the recursion takes as long as the front
+    slider = sp.Slider(*sliders.T)
+    exact, kinked = np.asarray(exact_length(slider)), np.asarray(sp.precursor_lengths(slider))
+    moving = exact > 1
+    np.testing.assert_array_equal(np.ceil(exact[moving]), np.ceil(kinked[moving]))
+    assert np.max(np.abs(exact - kinked)[moving]) < 0.2
+    assert np.all(kinked[~moving] == 0)
+
+
+def test_no_domino_is_length_zero():
+    soft = sp.Slider(2.0, 1e-6, 0.3)
+    assert exact_length(soft) == 0
+    assert exact_front(soft).status == ExactStatus.NO_DOMINO
+    assert exact_front(soft).contacts_broken == 1
+    # just above the threshold of the domino the length leaves zero without a jump
+    q = np.geomspace(1e-4, 1e-2, 200)
+    lengths = np.asarray(exact_length(sp.Slider(5.0, q, 0.3)))
+    assert lengths[0] == 0
+    assert 0 < lengths[lengths > 0][0] < 0.2
+
+
+def test_differentiation_agrees_in_every_mode():
+    def f(x):
+        return exact_length(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+    x = np.array([25.0, 0.03, 0.3, 0.1, 1e-3])
+    gradient = jax.jit(jax.jacrev(f))
+    reverse, forward = gradient(x), jax.jit(jax.jacfwd(f))(x)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+    step = 1e-5 * np.diag(np.maximum(x, 1e-2))
+    around = fronts(*(x + step), *(x - step))[0]
+    np.testing.assert_allclose(reverse, (around[:5] - around[5:]) / (2 * np.diag(step)), rtol=1e-7)
+    assert not np.isfinite(gradient(jnp.asarray([25.0, 0.03, 0.3, 0.54, 0.0]))[3])  # where the front never stops
+
+
+@pytest.mark.slow
+def test_second_derivatives_agree_in_every_mode():
+    def f(x):
+        return exact_length(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+    x = jnp.asarray([25.0, 0.03, 0.3, 0.1, 1e-3])
+    over = jax.jit(jax.jacfwd(jax.jacrev(f)))(x)
+    np.testing.assert_allclose(over, over.T, rtol=1e-9, atol=1e-9 * np.abs(over).max())
+    np.testing.assert_allclose(over, jax.jit(jax.jacrev(jax.jacfwd(f)))(x), rtol=1e-9, atol=1e-9 * np.abs(over).max())
+
+
+def test_batches_are_the_single_sliders():
+    H, q = np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03])
+    together = exact_length(sp.Slider(H, q, 0.3))
+    assert together.shape == (2, 3)
+    for i, j in np.ndindex(2, 3):
+        np.testing.assert_allclose(together[i, j], exact_length(sp.Slider(H[i, 0], q[j], 0.3)), rtol=1e-13)
+
+
+def test_refused_and_undefined_values():
+    with pytest.raises(ValueError, match=r"prestress = 1\.5 at index 1"):
+        exact_length(FIG2, prestress=np.array([0.0, 1.5]))
+    with pytest.raises(ValueError, match="threshold_slope = -2"):
+        exact_length(FIG2, threshold_slope=-2.0)
+    with pytest.raises(ValueError, match="s = -1"):
+        exact_front_stress(FIG2, -1.0)
+    with pytest.raises(ValueError, match=r"site = 0\.5"):
+        exact_fields(FIG2, 3, 0.5)
+    traced = jax.jit(lambda h, p: exact_front(sp.Slider(h, 0.03, 0.3), prestress=p))
+    for h, p in ((-3.0, 0.0), (jnp.nan, 0.0), (25.0, 1.2)):
+        front = traced(h, p)
+        assert np.isnan(front.length)
+        assert front.status == ExactStatus.INVALID
+    assert np.isnan(jax.jit(jax.grad(lambda h: exact_length(sp.Slider(h, 0.03, 0.3))))(-3.0))
+    assert all(ExactStatus(code).message for code in ExactStatus)
+
+
+@pytest.mark.usefixtures("float32")
+def test_single_precision():
+    sliders = random_sliders(40, 51)
+    found = exact_front(sp.Slider(*(jnp.asarray(x, jnp.float32) for x in sliders.T)))
+    assert found.length.dtype == jnp.float32
+    with jax.enable_x64(True):
+        expected = np.asarray(exact_length(sp.Slider(*(np.float32(x).astype(float) for x in sliders.T))))
+    long = expected > 1
+    np.testing.assert_allclose(np.asarray(found.length)[long], expected[long], rtol=1e-3)
