@@ -1,6 +1,5 @@
 """Minimise χ² from several starts at once, each inside the bracket a scan found for it, with optax."""
 
-import enum
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,23 +7,16 @@ import jax
 import numpy as np
 import optax
 
+from slippulse_jax.status import Status
 
-class Outcome(enum.IntEnum):
+
+class Outcome(Status):
     """What became of one start."""
 
     CONVERGED = 0, "converged"
     KINK = 1, "at a corner: the minimum lies where the length passes a whole number of contacts or a domino starts"
     FLAT = 2, "flat: the length does not respond here, so that nothing was learnt"
     NOT_CONVERGED = 3, "did not converge within the allowed steps"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "Outcome":
-        """Member whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class Local(NamedTuple):

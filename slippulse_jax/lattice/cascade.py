@@ -11,7 +11,6 @@ positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact.
 what is seen is far less; the final fields are solved afresh, and `Rupture.drift` is the difference found.
 """
 
-import enum
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -26,12 +25,13 @@ from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
 from slippulse_jax.lattice.response import Response, arriving, into_blocks, response
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
+from slippulse_jax.status import Status
 
 BREAKS_PER_SITE = 20
 """Breaks per site after which a rupture is given up, unless the caller says otherwise."""
 
 
-class RuptureStatus(enum.IntEnum):
+class RuptureStatus(Status):
     """How a rupture ended."""
 
     ARRESTED = 0, "arrested: no contact is at its threshold any more"
@@ -46,15 +46,6 @@ class RuptureStatus(enum.IntEnum):
     LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks (length NaN)"
     SINGULAR = 4, "no equilibrium: a part of the chain is held by nothing (length NaN)"
     INVALID = 5, "no such chain or state: a value is not a number, or outside its domain (length NaN)"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "RuptureStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class Rupture(NamedTuple):

@@ -192,3 +192,24 @@ def endless(bonds: Springs, contact: Array) -> Springs:
         layer=K * (g_2 + slope * q * beyond_upper / larger),
         across=K_L * slope * kT2,
     )
+
+
+def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
+    """`chain` with one more site before its first: the driver, tied to the upper layer alone by a spring (in K)."""
+    dtype = chain.contact.dtype
+
+    def before(first: AnyArrayLike, rest: Array) -> Array:
+        return jnp.concatenate([jnp.asarray(first, dtype)[None], rest])
+
+    return eqx.tree_at(
+        lambda c: (c.upper, c.layer, c.across, c.contact, c.threshold, c.prestress),
+        chain,
+        (
+            before(stiffness, chain.upper),
+            before(0.0, chain.layer),
+            before(1.0, chain.across),  # the driver's idle layer site follows it, and carries nothing
+            before(0.0, chain.contact),
+            before(1.0, chain.threshold),
+            before(0.0, chain.prestress),
+        ),
+    )

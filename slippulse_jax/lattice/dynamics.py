@@ -9,7 +9,6 @@ A general-purpose integrator would not do better here: the right-hand side jumps
 steps of one fixed size, and a method of higher order loses its order there.
 """
 
-import enum
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,24 +22,16 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.lattice.cascade import nucleate
 from slippulse_jax.lattice.chain import Chain, State, relaxed
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
+from slippulse_jax.status import Status
 
 
-class MotionStatus(enum.IntEnum):
+class MotionStatus(Status):
     """How a simulation ended."""
 
     AT_REST = 0, "at rest: no contact over threshold, no motion left"
     TIME_OVER = 1, "time over: still moving after the given duration"
     SPANNED = 2, "the last contact of the chain broke"
     INVALID = 3, "no such chain or start, or the motion left the range of numbers"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "MotionStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class SelfHealing(eqx.Module):

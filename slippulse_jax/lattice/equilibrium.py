@@ -6,7 +6,6 @@ through the iteration: they come from the equations the solution satisfies (impl
 linear solve forward, and by one with the transposed, here the same, matrix in reverse.
 """
 
-import enum
 from typing import NamedTuple
 
 import jax
@@ -17,13 +16,14 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.elimination import Pair, eliminate, respond
+from slippulse_jax.status import Status
 
 MAX_NEWTON_STEPS = 50
 DAMPING = tuple(0.5**n for n in range(12))
 """Parts of a Newton step that are tried; the one that leaves the least imbalance is taken."""
 
 
-class EquilibriumStatus(enum.IntEnum):
+class EquilibriumStatus(Status):
     """How the solution of an equilibrium ended."""
 
     SOLVED = 0, "solved: every site is in balance"
@@ -33,15 +33,6 @@ class EquilibriumStatus(enum.IntEnum):
     )
     NOT_CONVERGED = 2, "not converged: Newton's method left sites out of balance; see the residual"
     INVALID = 3, "no such chain or state: a stiffness, pinning point or load is not a number, or a stiffness is negative"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "EquilibriumStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class Equilibrium(NamedTuple):

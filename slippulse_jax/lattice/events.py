@@ -13,7 +13,6 @@ The energy stored follows from the state alone, Π = ½ F U − ½ Σ k (t_i + �
 other.
 """
 
-import enum
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,12 +25,13 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
-from slippulse_jax.lattice.chain import Chain, State, relaxed
+from slippulse_jax.lattice.chain import Chain, State, driven, relaxed
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
 from slippulse_jax.lattice.response import Response, arriving, into_blocks, response
+from slippulse_jax.status import Status
 
 
-class SeriesStatus(enum.IntEnum):
+class SeriesStatus(Status):
     """How a series ended."""
 
     DONE = 0, "done: as many events as were asked for"
@@ -40,32 +40,14 @@ class SeriesStatus(enum.IntEnum):
     LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks of one event"
     INVALID = 4, "no such chain: a part is held by nothing, or a value is outside its domain"
 
-    message: str
 
-    def __new__(cls, value: int, message: str) -> "SeriesStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
-
-
-class EventClass(enum.IntEnum):
+class EventClass(Status):
     """What kind of event it was; the first that fits."""
 
     SPANNING = 0, "broke the last contact of the chain"
     EDGE = 1, "nucleated at the left edge"
     CREEP = 2, "nucleated at a stress peak, on the contact just ahead of where an earlier event had stopped"
     INTERIOR = 3, "nucleated anywhere else"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "EventClass":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class Adiabatic(eqx.Module):
@@ -352,24 +334,3 @@ _hard_series = jax.custom_jvp(jax.jit(_series, static_argnums=0), nondiff_argnum
 @_hard_series.defjvp
 def _refuse(shape, primals, tangents):
     raise TypeError("a series of hard events cannot be differentiated: which contact breaks next is a comparison")
-
-
-def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
-    """`chain` with one more site before its first: the driver, tied to the upper layer alone by a spring (in K)."""
-    dtype = chain.contact.dtype
-
-    def before(first: AnyArrayLike, rest: Array) -> Array:
-        return jnp.concatenate([jnp.asarray(first, dtype)[None], rest])
-
-    return eqx.tree_at(
-        lambda c: (c.upper, c.layer, c.across, c.contact, c.threshold, c.prestress),
-        chain,
-        (
-            before(stiffness, chain.upper),
-            before(0.0, chain.layer),
-            before(1.0, chain.across),  # the driver's idle layer site follows it, and carries nothing
-            before(0.0, chain.contact),
-            before(1.0, chain.threshold),
-            before(0.0, chain.prestress),
-        ),
-    )

@@ -12,7 +12,6 @@ Nothing like it is in the paper. The prestress φ and the threshold slope ε are
 contact, released when it breaks and borne anew by its successor, and σ_s(i) = σ_s0 (1 + ε i).
 """
 
-import enum
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,12 +27,13 @@ from slippulse_jax import double_series as series
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider, broadcast, check_domain
+from slippulse_jax.status import Status
 
 MAX_STEPS = 100
 """Newton or bisection steps before a crossing is given up (length NaN); five to eight are usual."""
 
 
-class ExactStatus(enum.IntEnum):
+class ExactStatus(Status):
     """What the exact front stress says of the first precursor."""
 
     ARRESTED = 0, "arrested: the front stress crosses the threshold at the length"
@@ -41,15 +41,6 @@ class ExactStatus(enum.IntEnum):
     NEVER_STOPS = 2, "never stops: the front stress stays above the threshold for ever (length inf)"
     NOT_CONVERGED = 3, "given up: the crossing was not found in MAX_STEPS steps (length NaN)"
     INVALID = 4, "no such slider or interface: a value outside its domain (length NaN)"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "ExactStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class ExactFront(NamedTuple):

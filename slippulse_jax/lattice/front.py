@@ -9,7 +9,6 @@ with the modes of `slippulse_jax.lattice.modes`. Four sums are the whole memory 
 t(s) ≥ 1; Λ = s0 λc, where s0 is the first s with t(s) < 1.
 """
 
-import enum
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -19,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice.modes import Modes, RightEnd, lattice_modes
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Status
 
 DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
@@ -27,7 +27,7 @@ DEFAULT_MAX_CONTACTS = 10_000_000
 AnyArray = Array | np.ndarray
 
 
-class FrontStatus(enum.IntEnum):
+class FrontStatus(Status):
     """How a first precursor ended."""
 
     ARRESTED = 0, "arrested: the first contact ahead stayed below its threshold"
@@ -43,15 +43,6 @@ class FrontStatus(enum.IntEnum):
     LIMIT = 4, "given up: the front was still running after max_contacts breaks (length NaN)"
     INVALID = 5, "no such slider or interface: a value outside its domain (length NaN)"
     RUN_AWAY = 6, "run-away: nothing ahead of the front will ever stop it, so it has no length (inf)"
-
-    message: str
-
-    def __new__(cls, value: int, message: str) -> "FrontStatus":
-        """Member whose value is stored in files and whose message is shown to the user."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.message = message
-        return member
 
 
 class Front(NamedTuple):

@@ -1,0 +1,17 @@
+"""Outcomes: a number to store in arrays and files, and a sentence to show to people."""
+
+import enum
+from typing import Self
+
+
+class Status(enum.IntEnum):
+    """Base of the outcomes of fronts, ruptures, series and searches: members are written ``NAME = number, "message"``."""
+
+    message: str
+
+    def __new__(cls, value: int, message: str) -> Self:
+        """Member whose value is stored in files and whose message is shown to the user."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.message = message
+        return member
