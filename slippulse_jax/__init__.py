@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slippulse_jax import plot as plot
+    from slippulse_jax import style as style
     from slippulse_jax import theory as theory
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
@@ -87,6 +88,7 @@ _HOME = {
     "sensitivity": "lattice.sensitivity",
     "series": "lattice.events",
     "simulate_inertial": "lattice.dynamics",
+    "style": "style",
     "theory": "theory",
 }
 

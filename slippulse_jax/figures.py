@@ -1,7 +1,4 @@
-"""The paper's Figures 2 and 3, computed: the drawings, and the numbers they are drawn from.
-
-Colours are Okabe and Ito's, told apart by every kind of colour vision; lines carry their labels.
-"""
+"""The paper's Figures 2 and 3, computed: the drawings, and the numbers they are drawn from; lines carry their labels."""
 
 import csv
 import io
@@ -12,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from slippulse_jax.files import write_atomically
+from slippulse_jax.style import LIGHT
 
 HEIGHT, STIFFNESS, POISSON, SITES = 25.0, 0.03, 0.3, 100
 """Parameters of Fig. 2; SITES is the L/λc of both figures."""
 
-STIFFNESSES = {0.03: "#D55E00", 0.01: "#0072B2", 0.003: "#000000"}
-HEIGHTS = {10: "#D55E00", 25: "#0072B2", 50: "#000000"}
+STIFFNESSES = {0.03: LIGHT.vermilion, 0.01: LIGHT.blue, 0.003: LIGHT.ink}
+HEIGHTS = {10: LIGHT.vermilion, 25: LIGHT.blue, 50: LIGHT.ink}
 FORMATS = ("png", "pdf", "svg")
 
 Table = dict[str, np.ndarray]
@@ -171,11 +169,11 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
     fields, tip = data["fig2_fields"], data["fig2_stress"]
     x, styles = fields["x"], {0: ":", 13: "--", 26: "-"}
     for s, style in styles.items():
-        a.plot(x, fields[f"upper_s{s}"], style, color="#0072B2")
-        a.plot(x, fields[f"layer_s{s}"], style, color="#D55E00")
-        b.plot(x, fields[f"stress_s{s}"], style, color="#000000")
-    a.text(6, 3.0, "upper layer $u_t$", color="#0072B2")
-    a.text(0.8, 0.42, "interfacial layer $u$", color="#D55E00")
+        a.plot(x, fields[f"upper_s{s}"], style, color=LIGHT.blue)
+        a.plot(x, fields[f"layer_s{s}"], style, color=LIGHT.vermilion)
+        b.plot(x, fields[f"stress_s{s}"], style, color=LIGHT.ink)
+    a.text(6, 3.0, "upper layer $u_t$", color=LIGHT.blue)
+    a.text(0.8, 0.42, "interfacial layer $u$", color=LIGHT.vermilion)
     a.set(xlabel="$x/\\lambda_c$", ylabel="displacement ($u_s$)", ylim=(0, 3.4), xlim=(0, 60))
     handles = [a.plot([], [], style, color="0.3")[0] for style in styles.values()]
     a.legend(handles, ["nucleation, $s=0$", "$s=13\\,\\lambda_c$", "arrest, $s=26\\,\\lambda_c$"], frameon=False, fontsize=8)
@@ -183,15 +181,15 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
         b.text(*where, f"$s={s}$", fontsize=9)
     b.axhline(1, color="0.75", lw=0.8, zorder=0)
     b.set(xlabel="$x/\\lambda_c$", ylabel="interface stress $\\sigma_c$ ($\\sigma_s$)", xlim=(0, 60), ylim=(0, 1.5))
-    c.plot(x, tip["nucleation"], "--", color="#0072B2")
-    c.plot(x, tip["front"], "-", color="#000000")
-    c.plot(x, tip["extra"], ":", color="#D55E00")
+    c.plot(x, tip["nucleation"], "--", color=LIGHT.blue)
+    c.plot(x, tip["front"], "-", color=LIGHT.ink)
+    c.plot(x, tip["extra"], ":", color=LIGHT.vermilion)
     c.axhline(1, color="0.75", lw=0.8, zorder=0)
     c.axvline(26, color="0.75", lw=0.8, zorder=0)
     c.text(27, 0.03, "$\\Lambda=26\\,\\lambda_c$", fontsize=9)
-    c.text(28, 1.06, "at the passing front", color="#000000")
-    c.text(1.2, 0.62, "at nucleation", color="#0072B2")
-    c.text(40, 0.17, "extra $\\Delta\\sigma_c$", color="#D55E00")
+    c.text(28, 1.06, "at the passing front", color=LIGHT.ink)
+    c.text(1.2, 0.62, "at nucleation", color=LIGHT.blue)
+    c.text(40, 0.17, "extra $\\Delta\\sigma_c$", color=LIGHT.vermilion)
     c.set(xlabel="$x/\\lambda_c$", ylabel="interface stress ($\\sigma_s$)", xlim=(0, 60), ylim=(0, 1.5))
     return figure
 

@@ -1,4 +1,4 @@
-"""Pictures of a series of events; each is drawn on an Axes it is given, with units. Colours of Okabe and Ito."""
+"""Pictures of a series of events, with units; each is drawn on the Axes it is given, and gives it back."""
 
 from typing import TYPE_CHECKING
 
@@ -6,35 +6,48 @@ import numpy as np
 
 from slippulse_jax.lattice.catalogue import table
 from slippulse_jax.lattice.events import Catalogue, EventClass
+from slippulse_jax.style import DISTANCE, axes, colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = {
-    EventClass.EDGE: "#0072B2",
-    EventClass.CREEP: "#E69F00",
-    EventClass.INTERIOR: "#009E73",
-    EventClass.SPANNING: "#D55E00",
+    EventClass.EDGE: "blue",
+    EventClass.CREEP: "orange",
+    EventClass.INTERIOR: "green",
+    EventClass.SPANNING: "vermilion",
 }
+"""Of the class of an event: a name in `slippulse_jax.style.Colours`."""
 
 
-def friction_curve(ax: "Axes", catalogue: Catalogue) -> None:
+def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """Force on the left edge against the load: rising between events, dropping at each."""
+    ax = axes(ax)
+    c = colours(ax)
     events = table(catalogue)
     load = np.repeat(np.append(0.0, events["load"]), 2)[1:]
     force = np.append(0.0, np.stack([events["force_before"], events["force_after"]], axis=1).ravel())
-    ax.plot(load, force, color="0.2", lw=1)
+    ax.plot(load, force, color=c.ink, lw=1)
     for kind in (EventClass.EDGE, EventClass.SPANNING):
         chosen = events["kind"] == kind
         if chosen.any():
-            ax.plot(events["load"][chosen], events["force_before"][chosen], ".", color=COLOURS[kind], label=kind.name.lower())
+            ax.plot(
+                events["load"][chosen],
+                events["force_before"][chosen],
+                ".",
+                color=getattr(c, COLOURS[kind]),
+                label=kind.name.lower(),
+            )
     ax.set(xlabel="load, $U/u_s$", ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
     ax.legend(frameon=False, title="event", loc="lower right")
+    return ax
 
 
-def space_time(ax: "Axes", catalogue: Catalogue) -> None:
+def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """Every recorded break, by site and load, in the colour of its event's class."""
+    ax = axes(ax)
+    c = colours(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)
     recorded = event >= 0
     if not recorded.any():
@@ -44,6 +57,7 @@ def space_time(ax: "Axes", catalogue: Catalogue) -> None:
     for kind, colour in COLOURS.items():
         chosen = kinds == kind
         if chosen.any():
-            ax.plot(site[chosen], load[chosen], ".", ms=3, color=colour, label=kind.name.lower())
-    ax.set(xlabel="distance from the trailing edge, $x/\\lambda_c$", ylabel="load, $U/u_s$")
+            ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=kind.name.lower())
+    ax.set(xlabel=DISTANCE, ylabel="load, $U/u_s$")
     ax.legend(frameon=False, title="event", loc="lower right", markerscale=3)
+    return ax

@@ -37,7 +37,7 @@ def has_units(ax, across, up):
 
 def test_displacements(ax, event):
     _, found = event
-    plot.displacements(ax, found.after, before=found.before, sites=40)
+    plot.displacements(found.after, before=found.before, sites=40, ax=ax)
     assert has_units(ax, "lambda_c", "u_s")
     assert len(ax.lines) == 4
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), found.after.layer[:40])
@@ -45,26 +45,26 @@ def test_displacements(ax, event):
 
 def test_stress(ax, event):
     c, found = event
-    plot.stress(ax, found.after, chain=c, before=found.before)
+    plot.stress(found.after, chain=c, before=found.before, ax=ax)
     assert has_units(ax, "lambda_c", "sigma_s")
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), found.after.stress)
 
 
 def test_front_stress(ax, event):
     _, found = event
-    plot.front_stress(ax, found.released[:26], length=float(found.length))
+    plot.front_stress(found.released[:26], length=float(found.length), ax=ax)
     assert has_units(ax, "lambda_c", "sigma_s")
     assert "25.79" in ax.lines[2].get_label()
 
 
 def test_space_time(ax, event):
     _, found = event
-    plot.space_time(ax, found)
+    plot.space_time(found, ax=ax)
     assert has_units(ax, "lambda_c", "breaks")
     np.testing.assert_array_equal(ax.collections[0].get_offsets()[:, 0], np.arange(26))
 
 
 def test_sensitivity(ax):
-    plot.sensitivity(ax, sensitivity(FIG2, sites=60), sites=32)
+    plot.sensitivity(sensitivity(FIG2, sites=60), sites=32, ax=ax)
     assert has_units(ax, "lambda_c", "sigma_s")
     assert jnp.allclose(ax.patches[5].get_height(), 0)

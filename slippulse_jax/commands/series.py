@@ -56,8 +56,8 @@ def command(
 
             picture = Figure(figsize=(10, 4.2), layout="constrained")
             left, right_axes = picture.subplots(1, 2)
-            friction_curve(left, found)
-            space_time(right_axes, found)
+            friction_curve(found, ax=left)
+            space_time(found, ax=right_axes)
             save_figure(picture, figure)  # pyright: ignore[reportArgumentType]
         if as_json:
             print_json({"status": status.name.lower(), **{name: column.tolist() for name, column in table(found).items()}})

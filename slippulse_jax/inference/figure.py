@@ -8,10 +8,10 @@ from matplotlib.ticker import LogLocator
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.slider import Slider
+from slippulse_jax.style import LIGHT
 
-# Okabe and Ito's colours, told apart by all kinds of sight
-BLUE, VERMILION, GREY = "#0072B2", "#D55E00", "#666666"
-FAMILY = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+BLUE, VERMILION, GREY = LIGHT.blue, LIGHT.vermilion, LIGHT.grey
+FAMILY = LIGHT.data
 STIFFNESS_LABELS = {
     "stiffness": "stiffness $k/K$",
     "areal_stiffness": r"areal stiffness $k/\lambda_c^2$ (Pa/m)",
