@@ -143,6 +143,12 @@ class Slider(eqx.Module):
         return 2 * (1 + jnp.asarray(self.poisson)) * self.stiffness * self.height
 
     @property
+    @quantity("\\varepsilon", "1", "cra42")
+    def epsilon(self) -> Array:
+        """κ_T²/κ² = (λc/H)/(1 + b), the small number of the paper's Appendix."""
+        return self.beta / self.height
+
+    @property
     @quantity("\\beta", "1", "cra10")
     def beta(self) -> Array:
         """K_T/(K_T + k)."""
@@ -193,6 +199,16 @@ class Slider(eqx.Module):
     def alpha_2(self) -> Array:
         """u/u_t in the slow mode, 1 − κ_2²/κ_T² (between 0 and 1). Erratum: as for `alpha_1`."""
         return self._excess_over_contacts / self.kappa_1**2
+
+    def driving_stress(self, upper: Real, layer: Real) -> Array:
+        """σ_d = K_T(u_t − u)/λc², by which the upper layer drives the interfacial one, in σ_s; label cra07.
+
+        Parameters
+        ----------
+        upper, layer : array_like
+            u_t and u, in u_s.
+        """
+        return (jnp.asarray(upper) - layer) / self.b
 
     @property
     def _excess_over_upper(self) -> Array:

@@ -21,6 +21,7 @@ def test_values_worked_out_before():
     np.testing.assert_allclose(theory.appendix(FIG2, printed=True).A0, 0.854, atol=5e-4)
     assert np.isnan(theory.length(FIG2, printed=True))
     height, stiffness = np.array([10, 25, 50, 25, 25, 50.0]), np.array([0.03, 0.03, 0.03, 0.01, 0.003, 0.003])
+    # label cra58b
     eq25 = theory.length_eq25(sp.Slider(height, stiffness, 0.3))
     np.testing.assert_allclose(eq25, [10.794, 26.680, 54.030, 21.666, 16.102, 33.907], atol=6e-4)
 
@@ -152,19 +153,19 @@ def test_continuum_fields_satisfy_their_equations(x, s):
     for y in (0.1, 1.0, 5.0, 8.9, 9.1, 20.0, 60.0):
         upper, layer, stress = field(y, s)
         bend = second(y, s)
-        # cra08, and cra09 with cra10 as u'' = q (u − u_b) + K_T (u − u_t)
+        # labels cra08, cra09 and cra10, as u'' = q (u − u_b) + K_T (u − u_t)
         assert abs(bend[0] - kT2 * (upper - layer)) < 1e-9 * kT2
         assert abs(bend[1] - (q * stress + KT * (layer - upper))) < 1e-9 * (q + KT)
         pinned = theory.continuum_stress(sp.Slider(*x), y) if y < s else 0.0
         np.testing.assert_allclose(layer - stress, pinned, atol=1e-9)
-    # cra14 (the load does not move during the front), cra15 with u_b(0) = u_s once contact 0 has broken
+    # labels cra14 and cra15: the load does not move during the front, u_b(0) = u_s once contact 0 has broken
     upper, layer, _ = field(0.0, s)
     np.testing.assert_allclose(upper, field(0.0, 0.0).upper, rtol=1e-10)
     force = q * (layer - (s > 0)) + KT * (layer - upper)
     assert abs(first(0.0, s)[1] - force) < 1e-9 * (q + KT)
     if s == 0:
         np.testing.assert_allclose(layer, 1.0, rtol=1e-12)
-    else:  # cra34–cra37 across the front
+    else:  # labels cra34–cra37, across the front
         close = 1e-10
         for f in (first, lambda y, s: jnp.stack(field(y, s)[:2])):
             np.testing.assert_allclose(f(s - close, s), f(s + close, s), atol=1e-9)
@@ -285,6 +286,7 @@ def test_derivatives_and_batches(name):
 
 
 def test_asymptote():
+    # label cra44
     tall = sp.Slider(1e5, 1e-3, 0.3)
     np.testing.assert_allclose(theory.slow_decay_length(tall), 1 / tall.kappa_2, rtol=1e-4)
 

@@ -120,7 +120,7 @@ class Fields(eqx.Module):
 
 
 def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"]) -> Fields:
-    """Fields of a uniform chain in equilibrium, in O(sites).
+    """Fields of a uniform chain in equilibrium (labels discr1, discr2), in O(sites).
 
     Parameters
     ----------

@@ -86,7 +86,9 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
 
 @jax.jit
 def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
-    """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (cra17, cra18).
+    """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (labels cra17, cra18).
+
+    They solve labels cra08, cra09 under the conditions of labels cra14, cra15, cra27, cra34–cra37.
 
     At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
     X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.

@@ -1,0 +1,144 @@
+"""Which function computes each equation of the paper, and which test checks it, read from the code: docs/equations.md.
+
+The labels are in `equations.csv`. A function, class or field computes what its docstring or comment names after the word
+"label" or "labels", or what its `quantity` carries; a test checks what it names after that word, in its docstring or a comment.
+
+python docs/equation_index.py            writes the page
+python docs/equation_index.py --check    says whether it is up to date
+"""
+
+import ast
+import csv
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+
+LABEL = r"(?:cra\d+[a-z]?\d?|discr\d)"
+NAMED = re.compile(rf"\b[Ll]abels?\s+({LABEL}(?:(?:,\s+and|\s+and|,|–)\s*{LABEL})*)")
+PARENTHESIS = re.compile(rf"\(({LABEL}(?:(?:, |–){LABEL})*)\)\s*(?:,.*|;.*)?$")
+
+
+def equations() -> dict[str, dict[str, str]]:
+    """Rows of equations.csv by label, in the order of the paper."""
+    with open(HERE / "equations.csv", newline="", encoding="utf-8") as file:
+        return {row["label"]: row for row in csv.DictReader(file)}
+
+
+ORDER = list(equations())
+
+
+def expand(text: str) -> list[str]:
+    """The labels a text like "cra26, cra28–cra33" stands for, in the paper's order."""
+    found: list[str] = []
+    for part in re.split(r",\s*and\s+|\s+and\s+|,\s*", text):
+        first, *rest = part.split("–")
+        if not rest:
+            found.append(first)
+        else:
+            found += [x for x in ORDER if ORDER.index(first) <= ORDER.index(x) <= ORDER.index(rest[0])]
+    return found
+
+
+def named(text: str) -> list[str]:
+    """Labels that a text names after "label" or "labels"."""
+    return [label for match in NAMED.finditer(text) for label in expand(match[1])]
+
+
+def definitions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
+    """Functions and classes with their qualified names; not those inside functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield prefix + node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from definitions(node, f"{prefix}{node.name}.")
+
+
+def in_code(path: Path) -> Iterator[tuple[str, str]]:
+    """(label, qualified name) of what a module computes."""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    for name, node in definitions(ast.parse(text)):
+        for label in named(ast.get_docstring(node) or ""):  # pyright: ignore[reportArgumentType]
+            yield label, name
+        for decorator in getattr(node, "decorator_list", []):
+            if isinstance(decorator, ast.Call) and getattr(decorator.func, "id", "") == "quantity":
+                yield from ((label, name) for label in re.findall(LABEL, ast.unparse(decorator)))
+        if isinstance(node, ast.ClassDef):
+            for field in node.body:
+                if isinstance(field, ast.AnnAssign):
+                    line = lines[field.lineno - 1]
+                    comment = PARENTHESIS.search(line.partition("#")[2])
+                    labels = expand(comment[1]) if comment else []
+                    if "quantity_field(" in line:
+                        labels += re.findall(LABEL, line)
+                    yield from ((label, f"{name}.{ast.unparse(field.target)}") for label in labels)
+
+
+def in_tests(path: Path) -> Iterator[tuple[str, str]]:
+    """(label, name) of what the tests of a module check."""
+    text = path.read_text(encoding="utf-8")
+    for name, node in definitions(ast.parse(text)):
+        if name.startswith("test_"):
+            segment = ast.get_source_segment(text, node) or ""
+            yield from ((label, name) for label in named(segment))
+
+
+def index() -> dict[str, tuple[list[str], list[str]]]:
+    """For every label: where it is computed, and where it is tested, as module.name and file::test."""
+    computed, tested = defaultdict(list), defaultdict(list)
+    for path in sorted((ROOT / "slippulse_jax").rglob("*.py")):
+        module = ".".join(path.relative_to(ROOT / "slippulse_jax").with_suffix("").parts)
+        for label, name in in_code(path):
+            if f"{module}.{name}" not in computed[label]:
+                computed[label].append(f"{module}.{name}")
+    for path in sorted((ROOT / "tests").glob("test_*.py")):
+        for label, name in in_tests(path):
+            if f"{path.name}::{name}" not in tested[label]:
+                tested[label].append(f"{path.name}::{name}")
+    unknown = (set(computed) | set(tested)) - set(ORDER)
+    if unknown:
+        raise ValueError(f"labels that are not in equations.csv: {sorted(unknown)}")
+    return {label: (computed[label], tested[label]) for label in ORDER}
+
+
+def missing() -> list[str]:
+    """What the index lacks, one complaint each."""
+    return [
+        f"{label}: no {what} names it"
+        for label, found in index().items()
+        for what, places in zip(("function", "test"), found, strict=True)
+        if not places
+    ]
+
+
+def page() -> str:
+    """The page, as Markdown."""
+    rows = []
+    for label, (computed, tested) in index().items():
+        equation = equations()[label]
+        functions = ", ".join(f"`{x}`" for x in computed)
+        tests = ", ".join(f"`{x}`" for x in tested)
+        rows.append(f"| {equation['number'] or '–'} | {label} | {equation['statement']} | {functions} | {tests} |")
+    return "\n".join([HEADER, *rows, ""])
+
+
+HEADER = """# Index of the paper's equations
+
+Written by `docs/equation_index.py` from the code; a test fails where an equation has no function or no test. Labels are those
+of the paper's LaTeX source, numbers count them as they are set (the Appendix goes on from 26); the two lattice equations have
+no number, and a label only in a comment. Where the paper errs ({doc}`errata`), the function computes the corrected form.
+
+| number | label | what | computed by | checked by |
+|---|---|---|---|---|"""
+
+if __name__ == "__main__":
+    if missing():
+        sys.exit("\n".join(missing()))
+    if sys.argv[1:] == ["--check"]:
+        sys.exit(page() != (HERE / "equations.md").read_text(encoding="utf-8"))
+    (HERE / "equations.md").write_text(page(), encoding="utf-8")
