@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from slippulse_jax.interface import Interface as Interface
     from slippulse_jax.interface import Profile as Profile
     from slippulse_jax.lattice.ageing import Ageing as Ageing
+    from slippulse_jax.lattice.bulk import precursor_length_gradients as precursor_length_gradients
     from slippulse_jax.lattice.bulk import precursor_lengths as precursor_lengths
     from slippulse_jax.lattice.cascade import nucleate as nucleate
     from slippulse_jax.lattice.cascade import rupture as rupture
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
     from slippulse_jax.rules import HardBreak as HardBreak
     from slippulse_jax.rules import SmoothBreak as SmoothBreak
     from slippulse_jax.slider import Slider as Slider
+    from slippulse_jax.sweeps.run import open_sweep as open_sweep
+    from slippulse_jax.sweeps.run import sweep as sweep
+    from slippulse_jax.sweeps.store import StoreError as StoreError
 
 
 _HOME = {
@@ -67,6 +71,7 @@ _HOME = {
     "SmoothBreak": "rules",
     "Spring": "lattice.events",
     "State": "lattice.chain",
+    "StoreError": "sweeps.store",
     "Steps": "lattice.events",
     "ThresholdDistribution": "lattice.distribution",
     "chain": "lattice.chain",
@@ -79,8 +84,10 @@ _HOME = {
     "fit": "inference.fit",
     "force_law": "lattice.distribution",
     "nucleate": "lattice.cascade",
+    "open_sweep": "sweeps.run",
     "plot": "plot",
     "precursor_length": "lattice.precursor",
+    "precursor_length_gradients": "lattice.bulk",
     "precursor_lengths": "lattice.bulk",
     "read_measurements": "inference.measurements",
     "relaxed": "lattice.chain",
@@ -89,6 +96,7 @@ _HOME = {
     "series": "lattice.events",
     "simulate_inertial": "lattice.dynamics",
     "style": "style",
+    "sweep": "sweeps.run",
     "theory": "theory",
 }
 

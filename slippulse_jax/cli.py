@@ -16,6 +16,7 @@ COMMANDS = {
     "series": "A series of precursors, as a catalogue of events.",
     "claims": "Measure the claims of the paper, one by one.",
     "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
+    "sweep": "First precursors over ranges of parameters, labelled, into a table or a store.",
     "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
     "length": "Length of the first precursor of one slider.",
 }

@@ -75,6 +75,21 @@ def chunk_function(delay: int, configuration: Configuration) -> Callable[[np.nda
 
 
 @functools.cache
+def gradient_function(delay: int, configuration: Configuration) -> Callable[[np.ndarray], tuple[Array, ...]]:
+    """ℓ of a chunk of lanes, shape (lanes, n), and its n derivatives."""
+
+    def one(lane: Array) -> tuple[Array, ...]:
+        def length(x: Array) -> tuple[Array, Array]:
+            value = jnp.asarray(arrest_of(x, delay, configuration).length)
+            return value, value
+
+        gradient, value = jax.jacfwd(length, has_aux=True)(lane)
+        return value, *gradient
+
+    return jax.jit(jax.vmap(one))
+
+
+@functools.cache
 def profile_function(configuration: Configuration) -> Callable[[Slider, Profile], Arrest]:
     """`Arrest` of one slider on a profile."""
     return eqx.filter_jit(lambda slider, profile: interface_front.arrest(slider, profile, *configuration))

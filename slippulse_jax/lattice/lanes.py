@@ -17,9 +17,7 @@ off the compiled program:
 """
 
 import functools
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -28,6 +26,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.devices import spread
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -55,16 +54,9 @@ def sorted_lengths(lanes: np.ndarray, max_contacts: int) -> np.ndarray:
     def run(chunk: tuple[np.ndarray, int]) -> None:
         chosen, size = chunk
         parameters = np.take(lanes, np.resize(chosen, size), axis=1)
-        with jax.enable_x64(True):  # a setting of the thread
-            result[chosen] = np.asarray(_compiled(max_contacts)(parameters))[: len(chosen)]
+        result[chosen] = np.asarray(_compiled(max_contacts)(parameters))[: len(chosen)]
 
-    chunks = list(_chunks(order))
-    if len(chunks) > 1:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(run, chunks))
-    else:
-        for chunk in chunks:
-            run(chunk)
+    spread(run, _chunks(order))
     return result
 
 

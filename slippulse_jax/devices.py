@@ -1,0 +1,37 @@
+"""Work spread over what this process has: its cores, and its local devices."""
+
+import itertools
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import jax
+
+Piece = TypeVar("Piece")
+
+
+def cores() -> int:
+    """Cores this process may use (a batch system or ``taskset`` may give it fewer than the machine has)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
+    """Call ``work(piece)`` for every piece, in double precision, the pieces dealt to the local devices in turn.
+
+    Each piece runs whole, by the same compiled program, on one device: which one, and beside what, does not show in its bits
+    (a program compiled for several devices at once would round differently). Threads: one a core, and at least one a device.
+    """
+    dealt = list(zip(pieces, itertools.cycle(jax.local_devices())))  # noqa: B905  # the devices go round
+
+    def run(dealt: tuple[Piece, Any]) -> None:
+        piece, device = dealt
+        with jax.enable_x64(True), jax.default_device(device):  # settings of the thread
+            work(piece)
+
+    if len(dealt) == 1:
+        run(dealt[0])
+        return
+    with ThreadPoolExecutor(max(cores(), len(jax.local_devices()))) as pool:
+        for _ in pool.map(run, dealt):
+            pass

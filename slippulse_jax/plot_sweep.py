@@ -1,0 +1,94 @@
+"""Pictures of sweeps: a map over two axes, or a family of lines; drawn on an Axes that is given, with units."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+LABELS = {
+    "height": "height, $H/\\lambda_c$",
+    "stiffness": "contact stiffness, $k/K$",
+    "poisson": "Poisson's ratio, $\\nu$",
+    "prestress": "prestress, $\\varphi/\\sigma_s$",
+    "threshold_slope": "threshold gradient, $\\epsilon$ ($\\sigma_s$ per site)",
+    "repin_delay": "repinning delay, $n$ (sites)",
+    "width": "width of the break rule, $w/\\sigma_s$",
+}
+UNITS = {"lambda_c": "$\\lambda_c$", "sigma_s": "$\\sigma_s$", "u_s": "$u_s$", "lambda_c/sigma_s": "$\\lambda_c/\\sigma_s$"}
+LINES = 8
+"""Most lines of a family; an axis with more values makes a map."""
+
+
+def draw(ax: "Axes", found: "xr.Dataset", name: str | None = None) -> None:
+    """Draw one output: lines along one axis, one for each of at most 8 values of another, or a map over two.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : xarray.Dataset
+        Of `sweep`, with one or two axes left of more than one value; ``.sel`` the others first.
+    name : str, optional
+        Which output; the first by default.
+
+    Raises
+    ------
+    ValueError
+        If there are not one or two such axes.
+    """
+    column = found[str(next(iter(found.data_vars))) if name is None else name].squeeze()
+    axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
+    if not 1 <= len(axes) <= 2 or "point" in axes:
+        raise ValueError(f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'})")
+    if len(axes) == 1 or column.sizes[axes[0]] <= LINES:
+        _lines(ax, column, axes[-1], axes[0] if len(axes) == 2 else None)
+    else:
+        _map(ax, column, *(axes if axes[0] == column.dims[1] else axes[::-1]))
+    fixed = [
+        f"{label.split(', ')[1]} = {float(column[name]):g}"
+        for name, label in LABELS.items()
+        if name in column.coords and not column[name].ndim
+    ]
+    ax.set_title(", ".join(fixed), fontsize="medium")
+
+
+def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -> None:
+    import matplotlib as mpl
+
+    members = [column] if family is None else [column.isel({family: i}) for i in range(column.sizes[family])]
+    colours = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(members)))
+    for member, colour in zip(members, colours, strict=True):
+        label = None if family is None else f"{float(member[family]):g}"
+        ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)
+    _scale(ax.set_xscale, column[along].values)
+    ax.set(xlabel=LABELS[along], ylabel=_label(column))
+    if family is not None:
+        ax.legend(title=LABELS[family], frameon=False)
+
+
+def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> None:
+    x, y = column[horizontal].values, column[vertical].values
+    shown = column.transpose(vertical, horizontal).values.astype(float)
+    shown = np.ma.masked_invalid(shown)  # fronts that never stop, or were given up, stay blank
+    mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis", rasterized=True)
+    if shown.count() and np.ptp(shown) > 0 and column.dtype.kind == "f":
+        lines = ax.contour(x, y, shown, colors="white", linewidths=0.7)
+        ax.clabel(lines, fontsize="small")
+    _scale(ax.set_xscale, x)
+    _scale(ax.set_yscale, y)
+    ax.set(xlabel=LABELS[horizontal], ylabel=LABELS[vertical])
+    ax.figure.colorbar(mesh, ax=ax, label=_label(column))
+
+
+def _scale(set_scale: Any, values: np.ndarray) -> None:
+    """Logarithmic where the values are, or reach over a factor of 30."""
+    if values.min() > 0 and values.max() / values.min() > 30:
+        set_scale("log")
+
+
+def _label(column: "xr.DataArray") -> str:
+    unit = column.attrs.get("units", "1")
+    name = column.attrs.get("long_name", column.name)
+    return f"{name}" if unit == "1" else f"{name} ({UNITS.get(unit, unit)})"

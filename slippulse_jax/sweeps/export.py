@@ -1,0 +1,98 @@
+"""A sweep as CSV, NetCDF, JSON or a line of text; rows are written as they are read, in constant memory."""
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import xarray as xr
+
+from slippulse_jax.files import write_atomically
+
+ROWS = 1 << 16
+"""Points read at a time."""
+
+
+def write(found: xr.Dataset, path: Path) -> None:
+    """Write to ``.nc`` (with units, request and versions) or ``.csv``, whole or not at all."""
+    if path.suffix == ".nc":
+        content = found.to_netcdf(engine="h5netcdf")
+        write_atomically(path, bytes(content))
+        return
+    table = io.StringIO()
+    write_csv(found, table)
+    write_atomically(path, table.getvalue().encode())
+
+
+def write_csv(found: xr.Dataset, file: TextIO) -> None:
+    """One line a point: the swept parameters and the outputs; the last axis runs fastest."""
+    table = csv.writer(file, lineterminator="\n")
+    swept = [name for name in found.coords if found[name].ndim]
+    table.writerow([*swept, *found.data_vars])
+    if not found.sizes:
+        table.writerow(_plain(column.values) for column in found.data_vars.values())
+        return
+    dims = list(next(iter(found.data_vars.values())).dims)
+    step = max(1, ROWS // math.prod(found.sizes[dim] for dim in dims[1:]))
+    for start in range(0, found.sizes[dims[0]], step):
+        part = found.isel({dims[0]: slice(start, start + step)})
+        whole = [part[name].broadcast_like(part[next(iter(part.data_vars))]).transpose(*dims) for name in swept]
+        columns = [column.values.ravel().tolist() for column in (*whole, *part.data_vars.values())]
+        table.writerows(zip(*columns, strict=True))
+
+
+def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
+    """Request, axes, and either all values (null where there is no number) or the range of each output."""
+    content: dict[str, Any] = {
+        "points": math.prod(found.sizes.values()),
+        "complete": bool(found.attrs["complete"]),
+        "dims": list(found.sizes),
+        "coords": {str(name): _plain(found[name].values) for name in found.coords},
+        "request": json.loads(found.attrs["request"]),
+        "request_sha256": found.attrs["request_sha256"],
+        "versions": {name: found.attrs[name] for name in ("slippulse_jax", "jax", "jaxlib")},
+        "units": {str(name): found[name].attrs["units"] for name in (*found.coords, *found.data_vars)},
+    }
+    if values:
+        content["data"] = {str(name): _plain(found[name].values) for name in found.data_vars}
+    else:
+        content["ranges"] = {str(name): list(_range(found[name])) for name in found.data_vars}
+    return content
+
+
+def summary(found: xr.Dataset, where: str) -> str:
+    """What there is, in lines for a person."""
+    sizes = " × ".join(f"{dim} {n}" for dim, n in found.sizes.items()) or "one"
+    lines = [f"{math.prod(found.sizes.values())} points ({sizes}) in {where}"]
+    for name, column in found.data_vars.items():
+        low, high, missing = _range(column)
+        span = "no finite value" if low is None else f"{low:.6g} … {high:.6g} {column.attrs['units']}"
+        lines.append(f"{name!s:26s} {span}" + (f", {missing} not finite" if missing else ""))
+    return "\n".join(lines)
+
+
+def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
+    """Smallest and largest finite value, and how many are not finite, read a piece at a time."""
+    low, high, missing = math.inf, -math.inf, 0
+    pieces = [column]
+    if column.ndim:
+        step = max(1, (1 << 20) // max(1, column.size // column.shape[0]))
+        pieces = [column[start : start + step] for start in range(0, column.shape[0], step)]
+    for piece in pieces:
+        values = piece.values
+        finite = values[np.isfinite(values)]
+        missing += values.size - finite.size
+        if finite.size:
+            low, high = min(low, float(finite.min())), max(high, float(finite.max()))
+    return (low, high, missing) if low <= high else (None, None, missing)
+
+
+def _plain(values: np.ndarray) -> Any:
+    """Nested lists, with None for what is not finite."""
+    if values.ndim:
+        return [_plain(part) for part in values]
+    number = values.item()
+    return None if isinstance(number, float) and not math.isfinite(number) else number

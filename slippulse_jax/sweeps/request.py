@@ -1,0 +1,169 @@
+"""What a sweep is asked for: described in full, never materialised, so that 10⁸ points cost what their axes cost."""
+
+import hashlib
+import json
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.lattice.modes import RightEnd, check_right_end
+from slippulse_jax.lattice.precursor import check_max_contacts
+from slippulse_jax.quantities import Quantity, quantities
+from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.slider import Slider
+
+Columns = dict[str, np.ndarray]
+"""One value a point for each parameter, or for each output."""
+
+_SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
+INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites")}
+PARAMETERS: dict[str, Quantity] = {**_SLIDER, **INTERFACE, **quantities(SmoothBreak)}
+"""What can be swept, in the order of the axes."""
+
+LONG_NAMES = {
+    "height": "height of the slider, H/λc",
+    "stiffness": "contact stiffness, k/K",
+    "poisson": "Poisson's ratio",
+    "prestress": "prestress of the contacts",
+    "threshold_slope": "threshold gradient",
+    "repin_delay": "delay before a contact repins",
+    "width": "width of the smooth break rule",
+}
+
+
+class Request(NamedTuple):
+    """A sweep, checked.
+
+    Attributes
+    ----------
+    parameters : dict of numpy.ndarray
+        Shape () where fixed, (n,) where swept, float64 (``repin_delay``: int64); only those given.
+    product : bool
+        Every combination of the axes; or, if false, points: axes of one length, taken together.
+    outputs : tuple of str
+    right, sites, max_contacts
+        As for `slippulse_jax.precursor_length`.
+    """
+
+    parameters: Columns
+    product: bool
+    outputs: tuple[str, ...]
+    right: RightEnd = "semi-infinite"
+    sites: int | None = None
+    max_contacts: int = DEFAULT_MAX_CONTACTS
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Parameters that are swept."""
+        return tuple(name for name, values in self.parameters.items() if values.ndim)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dimensions of the result."""
+        return self.axes if self.product else ("point",)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the result."""
+        sizes = tuple(self.parameters[name].size for name in self.axes)
+        return sizes if self.product else sizes[:1]
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return math.prod(self.shape)
+
+    @property
+    def has_interface(self) -> bool:
+        """Whether anything beyond the paper's own interface was given."""
+        return any(name in self.parameters for name in INTERFACE)
+
+    def columns(self, start: int, stop: int) -> Columns:
+        """Parameters of points `start` to `stop`, counted with the last axis running fastest."""
+        index = np.arange(start, stop)
+        at = dict(zip(self.axes, np.unravel_index(index, self.shape), strict=True)) if self.product and self.axes else {}
+        return {
+            name: values[at.get(name, index)] if values.ndim else np.full(stop - start, values)
+            for name, values in self.parameters.items()
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """The request as JSON takes it; the values of the axes, which are coordinates of the result, by their digest."""
+        parameters = {
+            name: {"size": values.size, "sha256": _digest(values)} if values.ndim else {"value": values.item()}
+            for name, values in self.parameters.items()
+        }
+        return {
+            "parameters": parameters,
+            "combined": "product" if self.product else "points",
+            "outputs": list(self.outputs),
+            "right": self.right,
+            "sites": self.sites,
+            "max_contacts": self.max_contacts,
+        }
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that the result depends on."""
+        return hashlib.sha256(json.dumps(self.describe(), sort_keys=True).encode()).hexdigest()
+
+
+def _digest(values: np.ndarray) -> str:
+    return hashlib.sha256(values.astype(values.dtype.newbyteorder("<")).tobytes()).hexdigest()
+
+
+def make_request(
+    given: dict[str, Any],
+    *,
+    points: bool,
+    outputs: tuple[str, ...],
+    right: RightEnd,
+    sites: int | None,
+    max_contacts: int,
+) -> Request:
+    """Check everything before anything is computed.
+
+    Raises
+    ------
+    ValueError
+        For a parameter that is missing, of more than one dimension, empty or outside its domain, naming it.
+    """
+    check_right_end(right, sites)
+    check_max_contacts(max_contacts)
+    parameters = {name: _values(name, given[name]) for name in PARAMETERS if given.get(name) is not None}
+    if missing := [name for name in _SLIDER if name not in parameters]:
+        raise ValueError(f"a sweep needs {', '.join(missing)}: a number, or an array to sweep over")
+    _check_domains(parameters)
+    if points:
+        sizes = {name: values.size for name, values in parameters.items() if values.ndim}
+        if not sizes or len(set(sizes.values())) > 1:
+            raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
+    return Request(parameters, not points, outputs, right, sites, max_contacts)
+
+
+def _values(name: str, given: Any) -> np.ndarray:
+    values = np.array(given, dtype=np.float64)  # a copy: the caller's array may change while the sweep runs
+    if values.ndim > 1 or values.size == 0:
+        raise ValueError(f"{name} has shape {values.shape}: must be a number or a one-dimensional array with values")
+    if name == "repin_delay":
+        if not (values == np.round(values)).all():
+            raise ValueError(f"repin_delay = {given}: must be whole numbers of sites")
+        values = values.astype(np.int64)
+    return values
+
+
+def _check_domains(parameters: Columns) -> None:
+    """Let the classes that own the parameters refuse what lies outside their domains, each axis by itself."""
+    fixed = {"height": 2.0, "stiffness": 1.0, "poisson": 0.0}
+    for name in _SLIDER:
+        Slider(**{**fixed, name: parameters[name]})
+    zero = np.zeros(())
+    Interface(parameters.get("prestress", zero))
+    Interface(threshold_slope=parameters.get("threshold_slope", zero))
+    for delay in np.unique(parameters.get("repin_delay", 0)):
+        Interface(repin_delay=int(delay))
+    if "width" in parameters:
+        SmoothBreak(parameters["width"])

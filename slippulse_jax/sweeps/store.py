@@ -1,0 +1,217 @@
+"""A sweep on disk: a folder with the request, the axes, and one file for each chunk of points.
+
+::
+
+    manifest.json       request, digest of the request, versions, points a chunk
+    axes.npz            values of the parameters
+    chunks/000000.npz   outputs of the first points, one member each; its SHA-256 is the file's zip comment
+
+Every file is written whole or not at all, and a chunk is the same bytes whoever computes it, so that any process may be killed
+at any moment and what is there counts. A chunk file can be read without this package: it is a NumPy archive.
+"""
+
+import functools
+import hashlib
+import io
+import json
+import struct
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slippulse_jax.files import write_atomically
+from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request
+
+FORMAT = 1
+VERSIONS = ("slippulse_jax", "jax", "jaxlib")
+"""What the digits of a result depend on, beside the request and the processor."""
+
+_COMMENT = "sha256 {} of all before; request {} chunk {:06d}"
+
+
+class StoreError(ValueError):
+    """A store that cannot be used as asked: another request, another version, not a store, or damaged."""
+
+
+class Store:
+    """The folder of one sweep.
+
+    Attributes
+    ----------
+    path : Path
+    request : Request
+    chunk : int
+        Points a file; the last has fewer.
+    versions : dict
+        Of the packages that computed it.
+    """
+
+    def __init__(self, path: Path, request: Request, chunk: int, versions: dict[str, str]) -> None:
+        self.path, self.request, self.chunk, self.versions = path, request, chunk, versions
+
+    def __repr__(self) -> str:
+        return f"Store({str(self.path)!r}, {self.request.size} points in {self.chunks} chunks)"
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return -(-self.request.size // self.chunk)
+
+    def span(self, index: int) -> tuple[int, int]:
+        """First point of a chunk, and the first beyond it."""
+        return index * self.chunk, min((index + 1) * self.chunk, self.request.size)
+
+    def file(self, index: int) -> Path:
+        """File of a chunk."""
+        return self.path / "chunks" / f"{index:06d}.npz"
+
+    def write(self, index: int, columns: Columns) -> None:
+        """Write one chunk, whole or not at all."""
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **{k: v.astype(v.dtype.newbyteorder("<")) for k, v in columns.items()})
+        write_atomically(self.file(index), _sealed(content.getvalue(), self.request.digest, index))
+
+    def read(self, index: int) -> Columns:
+        """Read one chunk.
+
+        Raises
+        ------
+        FileNotFoundError
+            If it has not been computed.
+        StoreError
+            If it is damaged, or not the chunk it should be.
+        """
+        path = self.file(index)
+        start, stop = self.span(index)
+        try:
+            columns = _opened(path.read_bytes(), self.request.digest, index)
+        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+            raise StoreError(f"{path}: damaged chunk ({error}); the same sweep, resumed, computes it again") from None
+        if set(columns) != set(self.request.outputs) or any(v.shape != (stop - start,) for v in columns.values()):
+            raise StoreError(f"{path}: holds other outputs or points than this sweep; delete it to have it computed again")
+        return columns
+
+    def present(self) -> list[int]:
+        """Chunks whose files are there, not looked into."""
+        names = (p.stem for p in (self.path / "chunks").glob("*.npz"))
+        return sorted(i for i in (int(name) for name in names if name.isdigit()) if i < self.chunks)
+
+    def clear_leftovers(self, index: int) -> None:
+        """Remove what a process killed while writing this chunk has left."""
+        for left in (self.path / "chunks").glob(f".{index:06d}.npz.*.tmp"):
+            left.unlink(missing_ok=True)
+
+
+def create(path: Path, request: Request, chunk: int) -> Store:
+    """Make the folder of a new sweep, or find that another process has just made it."""
+    if path.exists() and not path.is_dir():
+        raise StoreError(f"{path}: is a file; a store is a folder")
+    if path.is_dir() and any(p.name not in ("chunks", "axes.npz") and not p.name.startswith(".") for p in path.iterdir()):
+        raise StoreError(f"{path}: is a folder with other things in it; give one that is new or empty")
+    (path / "chunks").mkdir(parents=True, exist_ok=True)
+    axes = io.BytesIO()
+    np.savez(axes, allow_pickle=False, **request.parameters)
+    write_atomically(path / "axes.npz", axes.getvalue())
+    manifest = {
+        "format": FORMAT,
+        "request": request.describe(),
+        "digest": request.digest,
+        "versions": current_versions(),
+        "points": request.size,
+        "chunk": chunk,
+    }
+    write_atomically(path / "manifest.json", (json.dumps(manifest, indent=2, ensure_ascii=False) + "\n").encode())
+    return open_store(path)
+
+
+def open_store(path: Path) -> Store:
+    """Find the sweep in a folder.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or one that this version cannot read.
+    """
+    try:
+        manifest: dict[str, Any] = json.loads((path / "manifest.json").read_bytes())
+        described = manifest["request"]
+        if manifest["format"] != FORMAT:
+            raise StoreError(f"{path}: a store of format {manifest['format']}; this version reads format {FORMAT}")
+        with np.load(path / "axes.npz", allow_pickle=False) as axes:
+            parameters = {name: axes[name] for name in PARAMETERS if name in axes}
+    except FileNotFoundError as missing:
+        raise StoreError(f"{path}: not the store of a sweep ({missing.filename} is missing)") from None
+    except (json.JSONDecodeError, KeyError, TypeError, zipfile.BadZipFile, OSError) as error:
+        raise StoreError(f"{path}: the store of a sweep with a damaged manifest or axes ({error})") from None
+    request = Request(
+        parameters,
+        described["combined"] == "product",
+        tuple(described["outputs"]),
+        described["right"],
+        described["sites"],
+        described["max_contacts"],
+    )
+    if request.digest != manifest["digest"]:
+        raise StoreError(f"{path}: request and axes do not agree: the store was tampered with or is damaged")
+    return Store(path, request, manifest["chunk"], manifest["versions"])
+
+
+def exists(path: Path) -> bool:
+    """Whether a sweep was begun there."""
+    return (path / "manifest.json").exists()
+
+
+def check_same(store: Store, request: Request, chunk: int | None) -> None:
+    """Refuse to go on with a store of another request or another version, saying what differs."""
+    if store.request.digest != request.digest:
+        old, new = store.request.describe(), request.describe()
+        differs = [
+            *(f"{key}: {old[key]!r}, now {new[key]!r}" for key in old if key != "parameters" and old[key] != new[key]),
+            *(
+                f"{name}: {_brief(store.request, name)}, now {_brief(request, name)}"
+                for name in PARAMETERS
+                if old["parameters"].get(name) != new["parameters"].get(name)
+            ),
+        ]
+        raise StoreError(f"{store.path}: holds another sweep ({'; '.join(differs)}); give it a store of its own")
+    if chunk is not None and chunk != store.chunk:
+        raise StoreError(f"{store.path}: has {store.chunk} points a chunk, not {chunk}; leave chunk out to go on with it")
+    if changed := {k: (v, store.versions.get(k)) for k, v in current_versions().items() if v != store.versions.get(k)}:
+        differs = "; ".join(f"{name} {old}, now {new}" for name, (new, old) in changed.items())
+        raise StoreError(f"{store.path}: was computed with {differs}: digits may differ. Finish it there, or start a new store")
+
+
+def current_versions() -> dict[str, str]:
+    """Versions of what the digits depend on."""
+    return {name: _version(name) for name in VERSIONS}
+
+
+@functools.cache
+def _version(name: str) -> str:
+    return version(name)
+
+
+def _brief(request: Request, name: str) -> str:
+    values = request.parameters.get(name)
+    if values is None:
+        return "not given"
+    return f"{values.size} values {values[0]:g} … {values[-1]:g}" if values.ndim else f"{values:g}"
+
+
+def _sealed(archive: bytes, digest: str, index: int) -> bytes:
+    """A zip archive with its own checksum as the comment that ends it."""
+    comment = _COMMENT.format(hashlib.sha256(archive).hexdigest(), digest, index).encode()
+    return archive[:-2] + struct.pack("<H", len(comment)) + comment
+
+
+def _opened(content: bytes, digest: str, index: int) -> Columns:
+    length = len(_COMMENT.format("0" * 64, digest, index))
+    archive = content[: -length - 2] + b"\0\0"
+    expected = _COMMENT.format(hashlib.sha256(archive).hexdigest(), digest, index)
+    if content[-length:] != expected.encode():
+        raise ValueError("its checksum does not fit")
+    with np.load(io.BytesIO(content), allow_pickle=False) as columns:
+        return {name: columns[name] for name in columns.files}

@@ -1,0 +1,169 @@
+"""Sweeps: what they compute, how it is labelled, and what they refuse."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+import slippulse_jax as sp
+from slippulse_jax import plot_sweep
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.sweeps import outputs as table
+from slippulse_jax.sweeps.request import LONG_NAMES, PARAMETERS, make_request
+
+AXES = {"height": np.array([10.0, 25.0, 50.0]), "stiffness": np.array([0.003, 0.01, 0.03, 0.1]), "poisson": 0.3}
+
+
+def test_values_are_those_of_the_functions_point_by_point():
+    found = sp.sweep(
+        **AXES, outputs=("length", "contacts_broken", "status", "nucleation_load", "length_eq25", "runaway_prestress")
+    )
+    assert found.length.dims == ("height", "stiffness")
+    for h in found.height.values:
+        for q in found.stiffness.values:
+            point, slider = found.sel(height=h, stiffness=q), sp.Slider(h, q, 0.3)
+            front = sp.first_precursor(slider, recorded_sites=60)
+            assert float(point.length) == pytest.approx(float(front.length), abs=1e-10)
+            assert int(point.contacts_broken) == int(front.contacts_broken)
+            assert int(point.status) == int(front.status)
+            assert float(point.nucleation_load) == pytest.approx(float(front.load), rel=1e-13)
+            assert float(point.length_eq25) == pytest.approx(float(sp.theory.length_eq25(slider)), rel=1e-13)
+            assert float(point.runaway_prestress) == pytest.approx(float(sp.theory.runaway_prestress(slider)), rel=1e-13)
+
+
+def test_gradients_are_those_of_the_length():
+    found = sp.sweep(**AXES, outputs="gradients")
+    assert set(found.data_vars) == {"dlength_dheight", "dlength_dstiffness", "dlength_dpoisson"}
+    slope = jax.grad(sp.precursor_length)(sp.Slider(25.0, 0.01, 0.3))
+    for name in ("height", "stiffness", "poisson"):
+        assert float(found[f"dlength_d{name}"].sel(height=25, stiffness=0.01)) == pytest.approx(
+            float(getattr(slope, name)), rel=1e-10
+        )
+
+
+def test_interface_parameters_are_axes_too():
+    phi, delay = np.array([0.0, 0.3, 0.54]), np.array([0, 2])
+    found = sp.sweep(
+        height=25.0,
+        stiffness=0.03,
+        poisson=0.3,
+        prestress=phi,
+        repin_delay=delay,
+        outputs=("length", "nucleation_load", "status"),
+    )
+    assert found.length.dims == ("prestress", "repin_delay")
+    for n in delay:
+        exact = sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), interface=sp.Interface(phi, repin_delay=int(n)))
+        np.testing.assert_array_equal(found.length.sel(repin_delay=n), exact)
+    assert np.isinf(found.length.sel(prestress=0.54, repin_delay=0))
+    load = float(lattice_modes(sp.Slider(25.0, 0.03, 0.3)).load)
+    np.testing.assert_allclose(found.nucleation_load.sel(repin_delay=0), (1 - phi) * load, rtol=1e-14)
+    both = sp.sweep(height=25.0, stiffness=0.03, poisson=0.3, prestress=[0.0, 0.3], outputs=("gradients",))
+    slope = jax.grad(lambda p: sp.precursor_length(sp.Slider(25.0, 0.03, 0.3), interface=sp.Interface(p)))(0.3)
+    assert float(both.dlength_dprestress[1]) == pytest.approx(float(slope), rel=1e-10)
+
+
+def test_points_are_taken_together():
+    h, q = np.array([10.0, 25.0, 50.0]), np.array([0.03, 0.01, 0.003])
+    found = sp.sweep(height=h, stiffness=q, poisson=0.3, points=True, outputs="length")
+    assert found.length.dims == ("point",)
+    assert found.height.dims == ("point",)
+    np.testing.assert_array_equal(found.length, sp.precursor_lengths(sp.Slider(h, q, 0.3)))
+
+
+def test_dataset_says_what_it_is(tmp_path):
+    found = sp.sweep(**AXES)
+    assert found.length.attrs["units"] == "lambda_c"
+    assert found.stiffness.attrs["equation"] == "cra41"
+    assert found.status.attrs["flag_meanings"].split()[2] == "rebreak"
+    request = json.loads(found.attrs["request"])
+    assert request["parameters"]["poisson"] == {"value": 0.3}
+    assert request["outputs"] == ["length", "status"]
+    assert found.attrs["jax"] == jax.__version__
+    found.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
+    assert xr.load_dataset(tmp_path / "sweep.nc", engine="h5netcdf").identical(found)
+    assert set(LONG_NAMES) == set(PARAMETERS) == set(plot_sweep.LABELS)
+
+
+def test_bits_do_not_depend_on_chunks_order_or_company():
+    rng = np.random.default_rng(3)
+    h, q = rng.uniform(5, 60, 700), 10 ** rng.uniform(-4, 0, 700)
+    asked = ("length", "dlength_dstiffness", "status", "length_envelope", "nucleation_load")
+    whole = sp.sweep(height=h, stiffness=q, poisson=0.3, points=True, outputs=asked)
+    order = rng.permutation(700)
+    mixed = sp.sweep(height=h[order], stiffness=q[order], poisson=0.3, points=True, outputs=asked, chunk=97)
+    for name in asked:
+        np.testing.assert_array_equal(mixed[name], whole[name][order])
+    alone = sp.sweep(height=h[5], stiffness=q[5], poisson=0.3, outputs=asked)
+    assert all(float(alone[name]) == float(whole[name][5]) for name in asked)
+
+
+def test_every_output_can_be_chosen_and_every_set_names_outputs():
+    assert {output.group for output in table.OUTPUTS.values()} == set(table._GROUPS)
+    for members in table.SETS.values():
+        assert set(members) <= set(table.OUTPUTS)
+    everything = set(PARAMETERS)
+    assert "dlength_dprestress" in table.choose("gradients", everything)
+    assert "dlength_dprestress" not in table.choose("gradients", {"height", "stiffness", "poisson"})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"height": [25.0, 0.5]}, r"Slider.height = 0.5 at index 1: must exceed 1"),
+        ({"stiffness": [[0.1]]}, r"stiffness has shape \(1, 1\): must be a number or a one-dimensional array"),
+        ({"stiffness": []}, r"stiffness has shape \(0,\)"),
+        ({"prestress": 1.5}, "Interface.prestress = 1.5"),
+        ({"repin_delay": 0.5}, "repin_delay = 0.5: must be whole"),
+        ({"outputs": "lenght"}, "output 'lenght': must be one of length,"),
+        ({"outputs": ()}, "at least one output"),
+        ({"prestress": 0.1, "outputs": "length_eq25"}, "'length_eq25' takes no account of prestress"),
+        ({"outputs": "smooth_length"}, "needs width"),
+        ({"outputs": "dlength_dprestress"}, "needs prestress: give it, 0 for instance"),
+        ({"outputs": "exact_length", "right": "free", "sites": 100}, "'exact_length' is for a semi-infinite chain"),
+        ({"right": "free"}, "needs a number of sites"),
+        ({"points": True}, "points are given as arrays of one length, got no array"),
+        ({"points": True, "height": [10.0, 20.0], "stiffness": [0.1]}, "arrays of one length"),
+        ({"chunk": 0}, "chunk = 0"),
+        ({"share": (2, 2)}, r"share = \(2, 2\)"),
+        ({"share": (0, 2)}, "give it a store"),
+    ],
+)
+def test_refusals_come_before_any_work(given, message, monkeypatch):
+    monkeypatch.setattr("slippulse_jax.sweeps.run.evaluate", None)
+    with pytest.raises(ValueError, match=message):
+        sp.sweep(**{"height": 25.0, "stiffness": 0.03, "poisson": 0.3, **given})
+
+
+def test_request_of_a_hundred_million_points_is_small():
+    given = {
+        "height": np.linspace(10, 50, 1000),
+        "stiffness": np.geomspace(1e-3, 0.03, 1000),
+        "poisson": np.linspace(0.1, 0.45, 100),
+    }
+    request = make_request(given, points=False, outputs=("length",), right="semi-infinite", sites=None, max_contacts=100)
+    assert request.size == 10**8
+    columns = request.columns(98_765_432, 98_765_434)
+    assert columns["poisson"][0] == given["poisson"][32]
+    assert columns["stiffness"][1] == given["stiffness"][654]
+    assert columns["height"][0] == given["height"][987]
+    assert len(json.dumps(request.describe())) < 1000
+
+
+def test_pictures():
+    lines = sp.sweep(**AXES, outputs="length")
+    ax = Figure().subplots()
+    plot_sweep.draw(ax, lines)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "50"]
+    assert ax.get_xscale() == "log"
+    assert ax.get_ylabel() == "length of the first precursor ($\\lambda_c$)"
+    map_of = sp.sweep(height=np.linspace(10, 50, 9), stiffness=np.linspace(0.01, 0.05, 10), poisson=0.3, outputs="length")
+    ax = Figure().subplots()
+    plot_sweep.draw(ax, map_of)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (plot_sweep.LABELS["height"], plot_sweep.LABELS["stiffness"])
+    with pytest.raises(ValueError, match="one or two axes"):
+        plot_sweep.draw(ax, map_of.isel(height=0, stiffness=0))
+    assert map_of.length.sel(height=20).plot()

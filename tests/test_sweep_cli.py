@@ -1,0 +1,150 @@
+"""``slippulse sweep`` as a person or a script meets it."""
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import slippulse_jax as sp
+from slippulse_jax.cli import slippulse
+
+ROOT = Path(__file__).resolve().parent.parent
+GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
+SAME = {"height": np.linspace(10, 50, 5), "stiffness": np.geomspace(1e-3, 0.1, 3), "poisson": 0.3}
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(slippulse, ["sweep", *arguments])
+
+
+def test_csv_and_json_on_stdout():
+    exact = sp.sweep(**SAME)
+    done = invoke(*GRID)
+    assert (done.exit_code, done.stderr) == (0, "")
+    rows = list(csv.DictReader(io.StringIO(done.stdout)))
+    assert list(rows[0]) == ["height", "stiffness", "length", "status"]
+    np.testing.assert_array_equal([float(row["length"]) for row in rows], exact.length.values.ravel())
+    np.testing.assert_array_equal([float(row["stiffness"]) for row in rows[:3]], SAME["stiffness"])
+    content = json.loads(invoke(*GRID, "--json").stdout)
+    assert content["dims"] == ["height", "stiffness"]
+    assert content["data"]["length"] == exact.length.values.tolist()
+    assert content["units"]["length"] == "lambda_c"
+
+
+def test_a_front_that_never_stops_is_null_in_json():
+    done = invoke("--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--prestress", "0.1,0.54", "--json")
+    assert json.loads(done.stdout)["data"]["length"][1] is None
+    one = invoke("--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--outputs", "length")
+    assert one.stdout.split() == ["length", str(float(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3))))]
+
+
+def test_files(tmp_path):
+    done = invoke(*GRID, "--out", str(tmp_path / "sweep.nc"), "--figure", str(tmp_path / "sweep.svg"))
+    assert done.exit_code == 0
+    assert "15 points (height 5 × stiffness 3)" in done.stdout
+    xr.testing.assert_identical(xr.load_dataset(tmp_path / "sweep.nc", engine="h5netcdf"), sp.sweep(**SAME))
+    assert (tmp_path / "sweep.svg").read_bytes().startswith(b"<?xml")
+    assert invoke(*GRID, "--out", str(tmp_path / "sweep.csv")).exit_code == 0
+    assert len((tmp_path / "sweep.csv").read_text().splitlines()) == 16
+
+
+def test_share_is_incomplete_then_resumed(tmp_path):
+    store = str(tmp_path / "s")
+    done = invoke(*GRID, "--store", store, "--chunk", "4", "--share", "0/2")
+    assert done.exit_code == 4
+    assert "the same command with --resume goes on" in done.stderr
+    done = invoke(*GRID, "--store", store)
+    assert done.exit_code == 2
+    assert "a sweep was begun there" in done.stderr
+    done = invoke(*GRID, "--store", store, "--resume", "--json")
+    assert done.exit_code == 0
+    content = json.loads(done.stdout)
+    assert content["complete"] is True
+    assert "data" not in content, "a store may hold more than anyone wants to see"
+    exact = sp.sweep(**SAME).length
+    assert content["ranges"]["length"] == [float(exact.min()), float(exact.max()), 0]
+    xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact)
+
+
+def test_full_disk_is_incomplete(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    store = tmp_path / "s"
+    sp.sweep(**SAME, store=store, chunk=4, share=(0, 2))
+    monkeypatch.setattr(os, "fsync", full)
+    done = invoke(*GRID, "--store", str(store), "--resume")
+    assert done.exit_code == 4
+    assert "No space left on device; what was computed is kept in" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--height", "10:50", *GRID[2:]], "'10:50' is not a number, a list a,b,c or a range first:last:count[:log]"),
+        (["--height", "0:50:5:log", *GRID[2:]], "'0:50:5:log' is not"),
+        (["--height", "10:50:0", *GRID[2:]], "'10:50:0' is not"),
+        (["--height", "tall", *GRID[2:]], "'tall' is not"),
+        (["--height", "0.5", *GRID[2:]], "Slider.height = 0.5: must exceed 1"),
+        ([*GRID, "--outputs", "len"], "output 'len': must be one of length,"),
+        ([*GRID, "--resume"], "go with --store"),
+        ([*GRID, "--store", "s", "--share", "half"], "'half' is not index/number"),
+        ([*GRID, "--out", "sweep.xlsx"], "written as .csv or .nc"),
+        (["--height", "10", *GRID[4:]], "Missing option '--stiffness'"),
+    ],
+)
+def test_bad_usage(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = invoke(*arguments)
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert done.stdout == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_interrupt_leaves_a_store_to_resume(tmp_path):
+    """Ctrl-C: exit 130, a line on how to go on, and going on gives what an undisturbed run gives."""
+    store = tmp_path / "s"
+    arguments = [
+        "--height",
+        "10:50:60",
+        "--stiffness",
+        "1e-3:0.1:60:log",
+        "--poisson",
+        "0.3",
+        "--outputs",
+        "length",
+        "--chunk",
+        "4",
+    ]
+    with subprocess.Popen(
+        [sys.executable, "-m", "slippulse_jax.cli", "sweep", *arguments, "--store", str(store)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    ) as process:  # fmt: skip
+        while process.poll() is None and len(list((store / "chunks").glob("*.npz"))) < 5:
+            time.sleep(0.01)
+        for _ in range(20):  # as in test_cli: a library may swallow one
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=1)
+                break
+            except subprocess.TimeoutExpired:
+                continue
+        err = process.stderr.read()
+    assert process.returncode == 130
+    assert "the same command with --resume goes on" in err
+    assert "Traceback" not in err
+    assert sp.open_sweep(store).attrs["complete"] == 0
+    assert invoke(*arguments, "--store", str(store), "--resume").exit_code == 0
+    exact = sp.sweep(height=np.linspace(10, 50, 60), stiffness=np.geomspace(1e-3, 0.1, 60), poisson=0.3, outputs="length")
+    xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact.length)
