@@ -1,8 +1,10 @@
-"""Pictures of sweeps: a map over two axes, or a family of lines; drawn on an Axes that is given, with units."""
+"""Pictures of sweeps: a map over two axes, or a family of lines; each drawn on the Axes it is given, with units."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from slippulse_jax import style
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,16 +24,16 @@ LINES = 8
 """Most lines of a family; an axis with more values makes a map."""
 
 
-def draw(ax: "Axes", found: "xr.Dataset", name: str | None = None) -> None:
+def draw(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output: lines along one axis, one for each of at most 8 values of another, or a map over two.
 
     Parameters
     ----------
-    ax : matplotlib.axes.Axes
     found : xarray.Dataset
         Of `sweep`, with one or two axes left of more than one value; ``.sel`` the others first.
     name : str, optional
         Which output; the first by default.
+    ax : matplotlib.axes.Axes, optional
 
     Raises
     ------
@@ -42,6 +44,7 @@ def draw(ax: "Axes", found: "xr.Dataset", name: str | None = None) -> None:
     axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
     if not 1 <= len(axes) <= 2 or "point" in axes:
         raise ValueError(f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'})")
+    ax = style.axes(ax)
     if len(axes) == 1 or column.sizes[axes[0]] <= LINES:
         _lines(ax, column, axes[-1], axes[0] if len(axes) == 2 else None)
     else:
@@ -52,13 +55,14 @@ def draw(ax: "Axes", found: "xr.Dataset", name: str | None = None) -> None:
         if name in column.coords and not column[name].ndim
     ]
     ax.set_title(", ".join(fixed), fontsize="medium")
+    return ax
 
 
 def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -> None:
     import matplotlib as mpl
 
     members = [column] if family is None else [column.isel({family: i}) for i in range(column.sizes[family])]
-    colours = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(members)))
+    colours = mpl.colormaps["cividis"](np.linspace(0, 0.9, len(members)))
     for member, colour in zip(members, colours, strict=True):
         label = None if family is None else f"{float(member[family]):g}"
         ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)
@@ -72,7 +76,7 @@ def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> 
     x, y = column[horizontal].values, column[vertical].values
     shown = column.transpose(vertical, horizontal).values.astype(float)
     shown = np.ma.masked_invalid(shown)  # fronts that never stop, or were given up, stay blank
-    mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis", rasterized=True)
+    mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="cividis", rasterized=True)
     if shown.count() and np.ptp(shown) > 0 and column.dtype.kind == "f":
         lines = ax.contour(x, y, shown, colors="white", linewidths=0.7)
         ax.clabel(lines, fontsize="small")

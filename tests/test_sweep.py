@@ -156,14 +156,14 @@ def test_request_of_a_hundred_million_points_is_small():
 def test_pictures():
     lines = sp.sweep(**AXES, outputs="length")
     ax = Figure().subplots()
-    plot_sweep.draw(ax, lines)
+    assert plot_sweep.draw(lines, ax=ax) is ax
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "50"]
     assert ax.get_xscale() == "log"
     assert ax.get_ylabel() == "length of the first precursor ($\\lambda_c$)"
     map_of = sp.sweep(height=np.linspace(10, 50, 9), stiffness=np.linspace(0.01, 0.05, 10), poisson=0.3, outputs="length")
     ax = Figure().subplots()
-    plot_sweep.draw(ax, map_of)
+    plot_sweep.draw(map_of, ax=ax)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (plot_sweep.LABELS["height"], plot_sweep.LABELS["stiffness"])
     with pytest.raises(ValueError, match="one or two axes"):
-        plot_sweep.draw(ax, map_of.isel(height=0, stiffness=0))
+        plot_sweep.draw(map_of.isel(height=0, stiffness=0))
     assert map_of.length.sel(height=20).plot()

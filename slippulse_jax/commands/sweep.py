@@ -138,14 +138,16 @@ def _hand_over(found: "xr.Dataset", out: str | None, figure: Path | None, as_jso
     if figure is not None:
         from matplotlib.figure import Figure
 
+        from slippulse_jax import style
         from slippulse_jax.plot_sweep import draw
 
-        picture = Figure(figsize=(6.4, 4.4), layout="constrained")
-        try:
-            draw(picture.subplots(), found)
-        except ValueError as error:
-            refuse(error)
-        save_figure(picture, figure)
+        with style.use():
+            picture = Figure(figsize=(4.6, 3.2))
+            try:
+                draw(found, ax=picture.subplots())
+            except ValueError as error:
+                refuse(error)
+            save_figure(picture, figure)
     if as_json:
         print_json(export.as_json(found, values=store is None and out is None))
     elif store is None and out is None:
