@@ -122,7 +122,7 @@ def page() -> str:
     for label, (computed, tested) in index().items():
         equation = equations()[label]
         functions = ", ".join(f"`{x}`" for x in computed)
-        tests = ", ".join(f"`{x}`" for x in tested)
+        tests = "; ".join(x.replace(".py::test_", ": ").replace("test_", "", 1).replace("_", " ") for x in tested)
         rows.append(f"| {equation['number'] or '–'} | {label} | {equation['statement']} | {functions} | {tests} |")
     return "\n".join([HEADER, *rows, ""])
 

@@ -37,12 +37,14 @@ class Interface(eqx.Module):
         n, how many sites a broken contact stays detached for: contact i repins, at zero stretch, when contact i + n
         breaks. 0 is the paper's immediate repinning.
 
-    `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
-
     Raises
     ------
     ValueError
         If a value lies outside its domain, naming it.
+
+    Notes
+    -----
+    `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
     """
 
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi", "\\sigma_s", default=0.0, converter=_as_float)
@@ -92,6 +94,8 @@ class Profile(eqx.Module):
     repin_delay : int
         As for `Interface`.
 
+    Notes
+    -----
     The fast recursion takes a profile as it takes an `Interface`, for one slider. It follows the domino from the left edge:
     where a contact further on is overloaded before its neighbours, or one behind the front breaks again, the general
     cascade (`slippulse_jax.rupture` of a `slippulse_jax.chain` with the same profile) is the judge.

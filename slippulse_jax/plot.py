@@ -11,12 +11,13 @@ from slippulse_jax.lattice.cascade import Rupture
 from slippulse_jax.lattice.chain import Chain
 from slippulse_jax.lattice.equilibrium import Equilibrium
 from slippulse_jax.lattice.sensitivity import Sensitivity
-from slippulse_jax.style import DISTANCE, axes, colours
+from slippulse_jax.style import DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+@drawn
 def displacements(
     found: Equilibrium, *, before: Equilibrium | None = None, sites: int | None = None, ax: "Axes | None" = None
 ) -> "Axes":
@@ -41,6 +42,7 @@ def displacements(
     return ax
 
 
+@drawn
 def stress(
     found: Equilibrium,
     *,
@@ -63,6 +65,7 @@ def stress(
     return ax
 
 
+@drawn
 def front_stress(
     stress: np.ndarray, *, length: float | None = None, threshold: float = 1.0, ax: "Axes | None" = None
 ) -> "Axes":
@@ -79,6 +82,7 @@ def front_stress(
     return ax
 
 
+@drawn
 def space_time(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
     """Which contact broke when: every break of a rupture, coloured by the stress it gave up; time counts breaks.
 
@@ -95,6 +99,7 @@ def space_time(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
+@drawn
 def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
     """Which contacts hold the front: the change of its length per change of threshold and of prestress, contact by contact."""
     ax = axes(ax)

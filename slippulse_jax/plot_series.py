@@ -6,7 +6,7 @@ import numpy as np
 
 from slippulse_jax.lattice.catalogue import table
 from slippulse_jax.lattice.events import Catalogue, EventClass
-from slippulse_jax.style import DISTANCE, axes, colours
+from slippulse_jax.style import DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +20,7 @@ COLOURS = {
 """Of the class of an event: a name in `slippulse_jax.style.Colours`."""
 
 
+@drawn
 def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """Force on the left edge against the load: rising between events, dropping at each."""
     ax = axes(ax)
@@ -44,6 +45,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
+@drawn
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """Every recorded break, by site and load, in the colour of its event's class."""
     ax = axes(ax)

@@ -43,14 +43,22 @@ class Slider(eqx.Module):
     poisson : array_like
         ν, Poisson's ratio of the bulk; in (−1, 0.5].
 
-    The three broadcast against each other: a `Slider` of arrays is a batch of sliders, and a pytree, so that
-    ``jax.vmap`` and ``jax.grad`` work through it.
-
     Raises
     ------
     ValueError
         If a value lies outside its domain or is not finite, naming field, value and index; or if the shapes do not
         broadcast. Values traced by JAX cannot be looked at: there the lengths computed from them are NaN instead.
+
+    Notes
+    -----
+    The three broadcast against each other: a `Slider` of arrays is a batch of sliders, and a pytree, so that
+    ``jax.vmap`` and ``jax.grad`` work through it.
+
+    Examples
+    --------
+    >>> slider = Slider(height=25.0, stiffness=0.03, poisson=0.3)
+    >>> print(f"{float(slider.kappa_2):.4f} per λc")
+    0.0201 per λc
     """
 
     height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=_as_float)

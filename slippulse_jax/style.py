@@ -4,14 +4,17 @@ Drawing functions take ``ax=None``, begin with `axes`, and take their colours fr
 drawn on; so a picture suits the page it is put on, whoever made the Axes.
 """
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Draw = TypeVar("Draw", bound=Callable[..., Any])
 
 COLUMN, PAGE = 3.4, 7.0
 """Widths of a journal's column and page, in inches (86 and 178 mm)."""
@@ -102,6 +105,19 @@ def axes(ax: "Axes | None" = None) -> "Axes":
 
     with use():
         return plt.subplots()[1]
+
+
+def drawn(function: Draw) -> Draw:
+    """Let a drawing function that makes its own figure do all of it in the look."""
+
+    @functools.wraps(function)
+    def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
+        if ax is not None:
+            return function(*arguments, ax=ax, **options)
+        with use():
+            return function(*arguments, ax=axes(), **options)
+
+    return draw  # pyright: ignore[reportReturnType]
 
 
 def contrast(one: str, other: str) -> float:

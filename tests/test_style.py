@@ -77,3 +77,12 @@ def test_axes_are_made_where_none_are_given():
     assert ax.figure.get_figwidth() == style.COLUMN
     assert style.axes(ax) is ax
     plt.close(ax.figure)
+
+
+def test_a_figure_made_by_a_drawing_function_has_the_look_throughout():
+    from slippulse_jax import plot
+
+    ax = plot.front_stress(np.array([1.0, 1.1, 0.9]), length=1.5)
+    assert ax.get_legend().get_texts()[0].get_fontsize() == style.settings()["legend.fontsize"]
+    assert ax.get_legend().get_texts()[0].get_fontsize() != mpl.rcParams["font.size"]
+    plt.close(ax.figure)

@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
@@ -12,9 +13,16 @@ HERE = Path(__file__).resolve().parent
 def main() -> None:
     """Draw every picture again."""
     result = sp.fit(sp.read_measurements(HERE.parents[1] / "fit_examples/pmma_block/lengths.csv"))
+    save(result.plot(), "fit")
+    front = sp.first_precursor(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3))
+    save(sp.plot.front_stress(front.front_stress[:40], length=float(front.length)).figure, "tutorial")
+
+
+def save(figure: Any, name: str) -> None:
+    """Write one picture, whole."""
     content = io.BytesIO()
-    result.plot().savefig(content, format="png", dpi=110)
-    write_atomically(HERE / "fit.png", content.getvalue())
+    figure.savefig(content, format="png", dpi=110 if figure.get_figwidth() > 5 else 180)
+    write_atomically(HERE / f"{name}.png", content.getvalue())
 
 
 if __name__ == "__main__":

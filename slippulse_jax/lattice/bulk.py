@@ -42,6 +42,12 @@ def precursor_lengths(
     -------
     numpy.ndarray
         float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
+
+    Examples
+    --------
+    >>> precursor_lengths(Slider([[10.0], [25.0]], [0.01, 0.03], 0.3)).round(2)
+    array([[ 7.27,  9.72],
+           [21.64, 25.79]])
     """
     found = lengths(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
     if np.isnan(found).any():

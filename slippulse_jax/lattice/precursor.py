@@ -145,6 +145,12 @@ def precursor_length(
 
     In single precision the error stays below 0.01 λc up to H/λc = 1000 and reaches 3e-4 of the length at H/λc = 1e5:
     above 1000 a warning says so, once. Work under ``jax.enable_x64(True)`` there.
+
+    Examples
+    --------
+    >>> length = precursor_length(Slider(height=25.0, stiffness=0.03, poisson=0.3))
+    >>> print(f"{float(length):.3f} λc")
+    25.790 λc
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)

@@ -1,0 +1,102 @@
+"""The documentation names what there is, and what it shows can be run."""
+
+import doctest
+import importlib
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+import slippulse_jax as sp
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+
+
+def module_of(name):
+    return importlib.import_module(name)
+
+
+def modules():
+    return sorted(m.name for m in pkgutil.walk_packages(sp.__path__, "slippulse_jax."))
+
+
+def documented():
+    """Names that the reference pages document, and the modules they document whole."""
+    names, whole = set(), set()
+    for path in (DOCS / "reference").glob("*.md"):
+        for kind, name in re.findall(r"^\.\. auto(\w+):: (\S+)$", path.read_text(encoding="utf-8"), flags=re.M):
+            (whole if kind == "module" else names).add(name.removeprefix("slippulse_jax."))
+    return names, whole
+
+
+def test_every_public_name_is_in_the_reference():
+    names, whole = documented()
+    public = set(sp.__all__) - {"__version__"}
+    assert public - names - whole == set()
+    assert names <= public, "documented, but not public"
+
+
+def sections(doc):
+    """Sections of a numpydoc docstring, by title."""
+    parts = re.split(r"^(\w[\w ]*)\n-{3,}$\n?", doc, flags=re.M)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+@pytest.mark.parametrize("name", sorted(set(sp.__all__) - {"__version__", "plot", "plot_series", "style", "theory"}))
+def test_parameters_are_those_of_the_function(name):
+    """What a docstring lists under Parameters are arguments, all of them or none."""
+    thing = getattr(sp, name)
+    doc = inspect.cleandoc(thing.__doc__ or "")
+    assert doc, f"{name} has no docstring"
+    listed = sections(doc).get("Parameters")
+    if listed is None:
+        return
+    found = [x for line in re.findall(r"^(\S.*)$", listed, flags=re.M) for x in line.partition(" : ")[0].split(", ")]
+    arguments = [x.lstrip("*") for x in inspect.signature(thing).parameters]
+    found = [x.lstrip("*") for x in found]
+    assert set(found) <= set(arguments), f"{name}: {sorted(set(found) - set(arguments))} are not arguments"
+    assert set(arguments) <= set(found), f"{name}: {sorted(set(arguments) - set(found))} are not described"
+
+
+def test_examples_in_docstrings():
+    ran = 0
+    for name in modules():
+        if "__main__" not in name and ">>>" in Path(module_of(name).__file__).read_text(encoding="utf-8"):
+            found = doctest.testmod(module_of(name), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+            assert found.failed == 0, name
+            ran += found.attempted
+    assert ran >= 5
+
+
+PAGES = sorted(
+    p.relative_to(DOCS).as_posix()
+    for p in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"))
+    if "```python\n" in p.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_examples_of_a_page_run(page, tmp_path, monkeypatch):
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(tmp_path)
+    plt.switch_backend("Agg")
+    scope = {"__name__": "__main__"}
+    for block in re.findall(r"^```python\n(.*?)^```$", (DOCS / page).read_text(encoding="utf-8"), flags=re.M | re.S):
+        exec(compile(block, page, "exec"), scope)
+    plt.close("all")
+
+
+def test_links_between_pages_lead_somewhere():
+    """Every page of docs/ is reached from the front page, and every relative link exists."""
+    front = (DOCS / "index.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^([\w/]+)$", front, flags=re.M))
+    pages = {p.relative_to(DOCS).with_suffix("").as_posix() for p in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"))}
+    assert pages - listed == {"index"}
+    for page in pages:
+        for link in re.findall(r"\]\(([^)#]+)\)", (DOCS / f"{page}.md").read_text(encoding="utf-8")):
+            if not link.startswith("http"):
+                assert (DOCS / page).parent.joinpath(link).exists(), f"{page}: {link}"
