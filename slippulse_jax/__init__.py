@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.exact import exact_front as exact_front
     from slippulse_jax.lattice.exact import exact_front_stress as exact_front_stress
     from slippulse_jax.lattice.exact import exact_length as exact_length
+    from slippulse_jax.lattice.exact_lanes import ExactLengths as ExactLengths
+    from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
@@ -57,6 +59,7 @@ _HOME = {
     "Adiabatic": "lattice.events",
     "Ageing": "lattice.ageing",
     "CrackLike": "lattice.dynamics",
+    "ExactLengths": "lattice.exact_lanes",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
@@ -80,6 +83,7 @@ _HOME = {
     "exact_front": "lattice.exact",
     "exact_front_stress": "lattice.exact",
     "exact_length": "lattice.exact",
+    "exact_lengths": "lattice.exact_lanes",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
     "force_law": "lattice.distribution",

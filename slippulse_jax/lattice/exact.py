@@ -169,9 +169,14 @@ def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]
     return modes.upper @ mode, mode.sum(), held
 
 
-def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> Any:
+def check_interface(prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> None:
+    """Refuse concrete values outside their domain."""
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
     _require("threshold_slope", threshold_slope, lambda x: x > -1, "must exceed −1: relative rise of the threshold per contact")
+
+
+def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> Any:
+    check_interface(prestress, threshold_slope)
     plain = (_is_zero(prestress), _is_zero(threshold_slope))
     return _each(function, plain, *broadcast(slider, prestress, threshold_slope))
 

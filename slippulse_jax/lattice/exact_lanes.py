@@ -1,0 +1,167 @@
+"""Exact lengths by the million: NumPy in and out, double precision, with derivatives, every lane by itself."""
+
+import functools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+
+from slippulse_jax.lattice import lane_crossing, lane_series
+from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front, exact_length
+from slippulse_jax.lattice.lanes import length_rank
+from slippulse_jax.slider import Slider
+
+CHUNKS = (64,)
+"""Lanes a chunk may have: as many as leave the table in the second-level cache."""
+
+PARAMETERS = ("height", "stiffness", "poisson", "prestress", "threshold_slope")
+"""What the last axes of gradient and Hessian run over: H/λc, k/K, ν, φ, ε."""
+
+
+class ExactLengths(NamedTuple):
+    """Exact lengths of a batch, as NumPy arrays of its shape."""
+
+    length: Float[np.ndarray, "..."]  # ℓ*, in λc
+    status: Int[np.ndarray, "..."]  # `ExactStatus`
+    gradient: Float[np.ndarray, "... 5"] | None  # dℓ*/d`PARAMETERS`
+    hessian: Float[np.ndarray, "... 5 5"] | None
+
+
+def exact_lengths(
+    slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slope: AnyArrayLike = 0.0, derivatives: int = 0
+) -> ExactLengths:
+    """Lengths ℓ* of a batch of any size, in λc, and their derivatives.
+
+    The numbers of `exact_length` in double precision whatever the JAX flags, at a cost that does not grow with ℓ*. A lane's
+    result depends on that lane alone. Not traceable: inside ``jit`` use `exact_length`.
+
+    Parameters
+    ----------
+    slider : Slider
+        Fields of any shapes that broadcast.
+    prestress, threshold_slope : array_like
+        φ and ε, as for `exact_length`; they broadcast with `slider`.
+    derivatives : {0, 1, 2}
+        Highest order of derivatives, with respect to `PARAMETERS`.
+
+    Returns
+    -------
+    ExactLengths
+        Length, status, and (``None`` where not asked for) gradient of shape (..., 5) and Hessian of shape (..., 5, 5).
+        Where the length is not finite the derivatives are NaN, where nothing follows contact 0 they are 0, as the length is.
+
+    Raises
+    ------
+    ValueError
+        If `prestress` or `threshold_slope` lies outside its domain, or `derivatives` is none of 0, 1, 2.
+    TypeError
+        If a value is traced by JAX.
+    """
+    if derivatives not in (0, 1, 2):
+        raise ValueError(f"derivatives = {derivatives!r}: must be 0, 1 or 2, the highest order of derivatives wanted")
+    numbers = slider.height, slider.stiffness, slider.poisson, prestress, threshold_slope
+    if any(isinstance(x, Tracer) for x in numbers):
+        raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use exact_length there")
+    check_interface(prestress, threshold_slope)
+    shape = np.broadcast_shapes(*(np.shape(x) for x in numbers))
+    lanes = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
+    found = solve_lanes(lanes, derivatives)
+    return ExactLengths(*(None if x is None else x.reshape(*shape, *x.shape[1:]) for x in found))  # pyright: ignore
+
+
+def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactLengths:
+    """`exact_lengths` of lanes (`PARAMETERS` first, checked by the caller)."""
+    count = lanes.shape[1]
+    found = ExactLengths(
+        np.empty(count),
+        np.empty(count, np.int32),
+        np.empty((count, 5)) if derivatives else None,
+        np.empty((count, 5, 5)) if derivatives > 1 else None,
+    )
+    unsettled = np.arange(count)
+    if derivatives < 2:
+        order = np.argsort(length_rank(lanes[:3]), kind="stable")
+        prestressed, sloped = lanes[3, order] != 0, lanes[4, order] != 0
+        for kind in ((False, False), (False, True), (True, False), (True, True)):  # a lane's own values choose its program
+            chosen = order[(prestressed == kind[0]) & (sloped == kind[1])]
+            _in_chunks(lanes, chosen, CHUNKS, functools.partial(_compiled, derivatives, *kind), found)
+        unsettled = np.flatnonzero(found.status == lane_crossing.UNSETTLED)
+    _in_chunks(lanes, unsettled, CHUNKS[:1], functools.partial(_safeguarded, derivatives), found)
+    return found
+
+
+def _in_chunks(lanes: np.ndarray, order: np.ndarray, sizes: tuple[int, ...], function: Any, found: ExactLengths) -> None:
+    """Fill `found` at `order`, chunk by chunk, on every core."""
+    outputs = [x for x in found if x is not None]
+
+    def run(chosen: np.ndarray) -> None:
+        size = next(x for x in sizes if x >= len(chosen))
+        # settings of the thread; lanes are last in every array, so that missing axes are the leading ones
+        with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
+            values = function()(np.take(lanes, np.resize(chosen, size), axis=1))
+        for column, value in zip(outputs, values, strict=True):
+            column[chosen] = np.asarray(value)[: len(chosen)]
+
+    chunks = [order[start : start + sizes[-1]] for start in range(0, len(order), sizes[-1])]
+    if len(chunks) > 1:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(run, chunks))
+    else:
+        for chunk in chunks:
+            run(chunk)
+
+
+@functools.cache
+def _compiled(derivatives: int, prestressed: bool, sloped: bool) -> Callable[[np.ndarray], tuple[Array, ...]]:
+    def chunk(theta: Float[Array, "5 lanes"]) -> tuple[Array, ...]:
+        series = lane_series.solve(theta, prestressed)
+        length, status = lane_crossing.crossing(series, theta, sloped)
+        values = length, status
+        if derivatives:
+            values = *values, jnp.moveaxis(_gradient(theta, length), 0, -1)
+        return values
+
+    return jax.jit(chunk)
+
+
+def _gradient(theta: Float[Array, "5 lanes"], s: Array) -> Float[Array, "5 lanes"]:
+    """−(∂F/∂θ)/(∂F/∂s) of F = t(s) − 1 − εs at the crossing s; zero where nothing follows contact 0."""
+
+    def excess(four: Array) -> tuple[Array, Array]:
+        rise, rate = lane_series.rise(lane_series.solve(four, True), s)
+        return rise, rate - theta[4]
+
+    def along(direction: Array) -> tuple[Array, Array]:
+        _, change, rate = jax.jvp(excess, (theta[:4],), (jnp.broadcast_to(direction[:, None], theta[:4].shape),), has_aux=True)
+        return change, rate
+
+    change, rate = jax.vmap(along, out_axes=(0, None))(jnp.eye(4))
+    change = jnp.concatenate([change, -s[None]])
+    return jnp.where(s > 0, -change / rate, 0)
+
+
+@functools.cache
+def _safeguarded(derivatives: int) -> Callable[[np.ndarray], tuple[Array, ...]]:
+    """The lanes that the fast search leaves: near run-away, on falling thresholds, next to a resonance."""
+
+    def one(theta: Array) -> tuple[Array, ...]:
+        def length(x: Array) -> Array:
+            return exact_length(Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+        front = exact_front(Slider(theta[0], theta[1], theta[2]), prestress=theta[3], threshold_slope=theta[4])
+        values: tuple[Array, ...] = front.length, front.status
+        # forward mode, because one gradient is less code to compile than one Hessian
+        if derivatives:
+            values = *values, jax.jacfwd(length)(theta)
+        if derivatives > 1:
+            values = *values, jax.jacfwd(jax.jacfwd(length))(theta)
+        return values
+
+    return jax.jit(lambda lanes: lax.map(one, lanes.T))

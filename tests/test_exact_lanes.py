@@ -1,0 +1,63 @@
+"""Exact lengths in bulk against the exact solution one by one, and against the recursion."""
+
+import jax
+import numpy as np
+import pytest
+from lattice_mp import random_sliders
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.exact import ExactStatus, exact_length
+
+
+def random_lanes(count, seed):
+    """Sliders of the whole domain; a third under prestress, a third on rising thresholds, some beyond run-away."""
+    rng = np.random.default_rng(seed)
+    H, q, nu = random_sliders(count, seed).T
+    phi = rng.choice([0, 0, 1], count) * rng.uniform(-0.5, 0.7, count)
+    slope = rng.choice([0, 0, 1], count) * 10 ** rng.uniform(-6, -2, count)
+    return np.array([H, q, nu, phi, slope])
+
+
+def bulk(lanes, **options):
+    return sp.exact_lengths(sp.Slider(*lanes[:3]), prestress=lanes[3], threshold_slope=lanes[4], **options)
+
+
+@pytest.mark.slow  # by its compilation
+def test_against_the_solution_one_by_one():
+    lanes = random_lanes(150, 61)
+    found = bulk(lanes, derivatives=1)
+
+    def one(x):
+        return exact_length(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+    value, gradient = jax.jit(lambda x: jax.lax.map(lambda y: (one(y), jax.jacfwd(one)(y)), x))(lanes.T)
+    arrested = found.status == ExactStatus.ARRESTED
+    assert arrested.sum() > 100
+    np.testing.assert_allclose(found.length, value, rtol=1e-11)
+    scale = np.maximum(np.abs(lanes.T), 1e-2) / np.where(arrested, found.length, 1)[:, None]
+    np.testing.assert_allclose((found.gradient * scale)[arrested], (gradient * scale)[arrested], rtol=1e-8, atol=1e-9)
+    flat = found.status == ExactStatus.NO_DOMINO
+    assert np.all(found.gradient[flat] == 0)
+
+
+def test_a_lane_does_not_see_its_neighbours():
+    lanes = random_lanes(130, 62)
+    together = bulk(lanes)
+    order = np.random.default_rng(63).permutation(130)
+    shuffled = bulk(lanes[:, order])
+    np.testing.assert_array_equal(together.length[order], shuffled.length)
+    for part in (slice(0, 1), slice(7, 20)):
+        np.testing.assert_array_equal(bulk(lanes[:, part]).length, together.length[part])
+
+
+def test_shapes_and_refusals():
+    found = sp.exact_lengths(sp.Slider(np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03]), 0.3), derivatives=1)
+    assert found.length.shape == (2, 3)
+    assert found.gradient.shape == (2, 3, 5)
+    np.testing.assert_allclose(found.length[1, 2], 25.788815261, atol=5e-10)
+    with pytest.raises(ValueError, match="derivatives = 3"):
+        sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=3)
+    with pytest.raises(ValueError, match=r"prestress = 1\.5"):
+        sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), prestress=1.5)
+    with pytest.raises(TypeError, match="exact_length"):
+        jax.jit(lambda h: sp.exact_lengths(sp.Slider(h, 0.03, 0.3)).length)(25.0)
