@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
-    from slippulse_jax.inference.measurements import read_measurements as read_measurements
+    from slippulse_jax.inference.parameters import Parameter as Parameter
     from slippulse_jax.inference.result import FitResult as FitResult
+    from slippulse_jax.inference.table import read_measurements as read_measurements
     from slippulse_jax.interface import Interface as Interface
     from slippulse_jax.interface import Profile as Profile
     from slippulse_jax.lattice.ageing import Ageing as Ageing
@@ -68,6 +69,7 @@ _HOME = {
     "Interface": "interface",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
+    "Parameter": "inference.parameters",
     "Profile": "interface",
     "SelfHealing": "lattice.dynamics",
     "Slider": "slider",
@@ -93,7 +95,7 @@ _HOME = {
     "precursor_length": "lattice.precursor",
     "precursor_length_gradients": "lattice.bulk",
     "precursor_lengths": "lattice.bulk",
-    "read_measurements": "inference.measurements",
+    "read_measurements": "inference.table",
     "relaxed": "lattice.chain",
     "rupture": "lattice.cascade",
     "sensitivity": "lattice.sensitivity",

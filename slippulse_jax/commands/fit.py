@@ -1,15 +1,27 @@
 """``slippulse fit``."""
 
-from pathlib import Path
+from typing import Any
 
 import click
 
 from slippulse_jax.commands.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
 
 
+def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, list[float]]:
+    """``poisson=0.3,0.02`` as {"poisson": [0.3, 0.02]}."""
+    found = {}
+    for text in values:
+        name, _, numbers = text.partition("=")
+        try:
+            found[name.strip()] = [float(x) for x in numbers.split(",")]
+        except ValueError:
+            raise click.BadParameter(f"{text!r}: NAME=NUMBER or NAME=NUMBER,NUMBER", ctx, parameter) from None
+    return found
+
+
 @click.command()
 @click.argument("csv", metavar="LENGTHS.CSV")
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
+@click.option("--free", multiple=True, metavar="NAME", help="What to fit; repeat for several. Default: stiffness.")
 @click.option(
     "--bounds",
     type=float,
@@ -17,30 +29,83 @@ from slippulse_jax.commands.shared import NOT_CONVERGED, as_json, figure_path, p
     metavar="LOW HIGH",
     help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
 )
+@click.option("--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Independent knowledge.")
+@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range searched.")
+@click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option("--each-specimen", multiple=True, metavar="NAME", help="A value of its own for every specimen.")
+@click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="What a residual costs.")
+@click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Whether the size of σ is believed, or only ratios.")
+@click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
+@click.option("--seed", type=int, help="Of starts and bootstrap.")
+@click.option(
+    "--request", metavar="FILE", help="TOML file of parameters and settings, or the JSON of an earlier fit to repeat."
+)
+@click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
+@click.option("--case", is_flag=True, help="Bootstrap by drawing the measurements with replacement.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
+@click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
+@click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
 @as_json
 @click.pass_context
-def command(ctx: click.Context, csv: str, figure: Path | None, bounds: tuple[float, float] | None, as_json: bool) -> None:
-    """Fit the interface stiffness to measured first-precursor lengths.
+def command(ctx: click.Context, csv: str, **options: Any) -> None:
+    """Fit the interface to measured first precursors.
 
-    LENGTHS.CSV has one length a line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
-    length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional:
-    specimen, provenance.
+    LENGTHS.CSV has one precursor a line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
+    length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
+    among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), prestress, force and
+    displacement at nucleation, specimen, provenance.
 
-    Exit status: 0 also when the data cannot tell the stiffness, which is then said; 3 if the search did not converge.
+    A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
+    max_steps. Options are added to it.
+
+    Exit status: 0 also when the data cannot tell a parameter, which is then said; 3 if the search did not converge.
     """
+    from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
-    from slippulse_jax.inference.measurements import read_measurements
+    from slippulse_jax.inference.record import from_request, read_request
+    from slippulse_jax.inference.table import read_measurements
 
     try:
-        result = fit(read_measurements(csv), bounds=bounds)
+        request = read_request(options["request"]) if options["request"] else {}
+        result = fit(read_measurements(csv), bounds=options["bounds"] or None, **from_request(_asked(request, options)))
+        drawn = None
+        if options["bootstrap"]:
+            kind = "case" if options["case"] else "parametric"
+            drawn = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
     except ValueError as error:
         refuse(error)
-    if as_json:
-        print_json(result.to_dict())
+    if options["as_json"]:
+        print_json(result.to_dict() | ({"bootstrap": drawn.to_dict()} if drawn else {}))
     else:
-        click.echo(result.report())
-    if figure is not None:
-        save_figure(result.plot(), figure)
-        click.echo(f"figure written to {figure}", err=True)
+        click.echo(result.report() + (f"\n\n{drawn}" if drawn else ""))
+    pictures = {
+        "figure": result.plot,
+        "profiles": result.plot_profiles,
+        "corner": lambda: result.plot_corner(None if drawn is None else drawn.theta),
+    }
+    for name, draw in pictures.items():
+        if options[name] is not None:
+            save_figure(draw(), options[name])
+            click.echo(f"figure written to {options[name]}", err=True)
     if not result.converged:
         ctx.exit(NOT_CONVERGED)
+
+
+def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """The request with the options added."""
+    parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
+    for name in options["free"]:
+        parameters.setdefault(name, {})
+    if not parameters and not options["free"]:
+        parameters["stiffness"] = {}
+    for name, values in options["fix"].items():
+        if len(values) != 1:
+            raise ValueError(f"--fix {name}: one value is needed")
+        parameters.setdefault(name, {})["value"] = values[0]
+    for key, given in (("prior", options["prior"]), ("bounds", options["ranges"])):
+        for name, values in given.items():
+            parameters.setdefault(name, {})[key] = values
+    for name in options["each_specimen"]:
+        parameters.setdefault(name, {})["each"] = "specimen"
+    settings = {name: options[name] for name in ("loss", "sigma", "method", "seed") if options[name] is not None}
+    return {**request, **settings, "parameters": parameters}

@@ -1,48 +1,69 @@
-"""Interface stiffness from measured precursor lengths: every root, what the data allow, and what they cannot say."""
+"""The fit: every root, what the data allow of each parameter, and what they cannot say."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc
 
-from slippulse_jax.inference.identifiability import LEVELS, Identifiability, judge
+from slippulse_jax.inference.identifiability import LEVELS, Evidence, Identifiability, Verdict, attainable, judge
+from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.objective import Curve, Data, as_data, chi_squared, evaluate, near
-from slippulse_jax.inference.optimise import Local, Outcome, minimise
-from slippulse_jax.inference.parameters import Stiffness, stiffness_parameter
-from slippulse_jax.inference.result import FitResult, Root
-from slippulse_jax.inference.uncertainty import Interval, allowed, chi_squared_tail, local_minima, merge, peaks, scan, threshold
-from slippulse_jax.lattice.bulk import precursor_arrests
-from slippulse_jax.lattice.front import Arrest, FrontStatus
-from slippulse_jax.slider import Slider
+from slippulse_jax.inference.objective import Problem, make_problem
+from slippulse_jax.inference.optimise import METHODS, Outcome
+from slippulse_jax.inference.parameters import Parameter
+from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
+from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.search import Found, same, search
 
-FREE_PARAMETERS = ("stiffness",)
+SIGMAS = ("absolute", "relative")
+MOST_ROOTS = 4  # followed along a profile
+SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
 
 
 def fit(
     measurements: Measurements,
-    free: str | Sequence[str] = ("stiffness",),
+    free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
     *,
     bounds: tuple[float, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    loss: str = "normal",
+    sigma: str = "absolute",
+    method: str = "lm",
     max_steps: int = 60,
+    seed: int = 0,
 ) -> FitResult:
-    """Fit the interface stiffness to measured first-precursor lengths.
+    """Fit the interface to measured first precursors.
 
-    The model is the first precursor of a uniform, relaxed interface on a semi-infinite slider, and all measurements share one
-    stiffness: k/K where lengths are in λc, the areal stiffness k/λc² where they are in SI. χ² = Σ[(ℓ − measured)/σ]² is
-    scanned over the whole range of stiffness, each of its minima is refined by gradient descent (optax, all starts at
-    once), and the intervals are the sets of values that χ² allows, in as many pieces as there are.
+    The model is the exact length ℓ* of the first precursor on a semi-infinite slider. The deviance −2 ln(likelihood × prior),
+    which is χ² for plain lengths, is minimised from many starts at once; the intervals are the sets of values that it
+    allows when the other parameters are fitted anew at each, in as many pieces as there are.
 
     Parameters
     ----------
     measurements : Measurements
-        From `read_measurements`, or built from arrays. Their σ is taken as the true standard error, never rescaled.
-    free : sequence of str
-        What is fitted; ("stiffness",) in this version.
+        From `read_measurements`, or built from arrays.
+    free : sequence of str or Parameter
+        What is fitted; names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths are in λc,
+        the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, a value for each specimen. Inputs
+        that come with an error of their own are fitted beside them, with that error as prior.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
+    fixed : dict, optional
+        Values of parameters that are neither fitted nor stated with the measurements, as {"prestress": 0.1}.
+    loss : {"normal", "huber", "student"}
+        What a residual costs; the last two bear outliers.
+    sigma : {"absolute", "relative"}
+        The stated σ are standard errors; or only their ratios are believed, and their size taken from the scatter. Measurements
+        without σ are fitted as if "relative" with equal errors, and the report says so.
+    method : {"lm", "lbfgs", "adam"}
+        Levenberg and Marquardt's; or optax's L-BFGS or Adam.
     max_steps : int
-        Descent steps allowed each start.
+        Steps allowed each start.
+    seed : int
+        Of the starts where several parameters are fitted.
 
     Returns
     -------
@@ -52,120 +73,190 @@ def fit(
     Raises
     ------
     ValueError
-        If something else than the stiffness is asked for, or the bounds make no range.
+        If something is asked for that has no meaning for these measurements; the message names it.
     """
-    free = (free,) if isinstance(free, str) else tuple(free)
-    unknown = [name for name in free if name not in FREE_PARAMETERS]
-    if unknown or not free:
-        raise ValueError(f"free = {free!r}: this version fits {', '.join(FREE_PARAMETERS)}")
+    wanted = _wanted(free, bounds, fixed)
+    for name, value, known in (("method", method, METHODS), ("sigma", sigma, SIGMAS)):
+        if value not in known:
+            raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
-    parameter = stiffness_parameter(measurements, bounds)
-    data = as_data(measurements, parameter)
-    curve = scan(data, parameter.bounds)
-    roots, unconverged = _roots(curve, data, parameter, measurements, max_steps)
-    # the scan may lie lower than any interior minimum: at an end of the range, or on a broad top
-    curve = _with_valleys(curve, roots, data)
-    chi2 = chi_squared(curve, data)
-    best = int(np.argmin(chi2))
-    chi2_min = float(chi2[best])
-    intervals = {level: allowed(curve, data, chi2_min, level) for level in LEVELS}
-    at_best = roots[0] if roots and roots[0].chi2 <= _close_to(chi2_min) else None
-    theta = np.log(at_best.value) if at_best else float(curve.theta[best])
-    if at_best is None and unconverged:
-        identifiability, reason = Identifiability.NOT_CONVERGED, unconverged[0]
-    else:
-        identifiability, reason = judge(at_best, roots, intervals, curve, data, parameter.unit)
-    if identifiability is Identifiability.AT_MAXIMUM:
-        # around a maximum that the data lie far above, the rise of χ² measures the misfit and not the stiffness
-        intervals = {
-            level: pieces if chi_squared_tail(chi2_min, len(measurements)) >= 1 - level else []
-            for level, pieces in intervals.items()
-        }
-    elif identifiability is Identifiability.POOR_FIT:
-        intervals = dict.fromkeys(LEVELS, [])
-    attainable, where = _attainable(curve, data)
+    parameters = resolve(measurements, wanted)
+    scaled = sigma == "relative" or measurements.length_sigma is None
+    errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
+    problem = make_problem(measurements, parameters, Loss(loss), errors)
+    _check_scaled(problem, scaled)
+    request = {
+        "free": wanted,
+        "loss": loss,
+        "sigma": sigma,
+        "method": method,
+        "max_steps": max_steps,
+        "seed": seed,
+    }
+    roots, curves, best, deviance, unconverged = _explore(problem, method, max_steps, seed)
+    rise = _rise(problem, deviance, scaled)
+    near = [root for root in roots if root.deviance <= deviance + rise(LEVELS[-1])]
+    asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
+    limits = {level: deviance + rise(level) for level in LEVELS}
+    intervals = {j: allowed(problem, j, curves[j], limits) for j in asked}
+    dof = _testable(problem, scaled)
+    evidence = Evidence(problem, near, best, deviance, dof, rise)
+    lost = [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
+    verdicts = {j: _verdict(j, evidence, intervals[j], lost) for j in asked}
+    intervals = {j: _trusted(verdicts[j], intervals[j], deviance, dof) for j in asked}
+    longest, at = attainable(parameters, best)
+    names = parameters.names
     return FitResult(
         measurements=measurements,
-        parameter=parameter,
-        value=float(np.exp(theta)),
-        log_stderr=at_best.log_stderr if at_best and identifiability is Identifiability.IDENTIFIED else None,
-        identifiability=identifiability,
-        reason=reason,
-        level_intervals={level: [_exponential(i) for i in pieces] for level, pieces in intervals.items()},
-        roots=[root for root in roots if root.chi2 <= chi2_min + threshold(LEVELS[-1])],
-        chi2=chi2_min,
-        converged=not unconverged,
-        outcomes=unconverged,
-        fitted=_fitted(measurements, parameter.ratio(float(np.exp(theta)))),
-        attainable=attainable,
-        attainable_at=np.exp(where) * parameter.ratio_per_unit,
-        curve=curve,
+        problem=problem,
+        request=request,
+        theta=best,
+        deviance=deviance,
+        found=near,
+        curves={names[j]: curves[j] for j in asked},
+        theta_intervals={names[j]: intervals[j] for j in asked},
+        verdicts={names[j]: verdicts[j] for j in asked},
+        rise=rise,
+        testable_dof=dof,
+        outcomes=lost,
+        attainable=longest,
+        attainable_at=at,
     )
 
 
-def _roots(
-    curve: Curve, data: Data, parameter: Stiffness, measurements: Measurements, max_steps: int
-) -> tuple[list[Root], list[str]]:
-    """Every minimum of χ², best first, and the outcome of each start that ended otherwise."""
-    chi2 = chi_squared(curve, data)
-    nodes = local_minima(chi2)
-    if not len(nodes):
-        return [], []
-    box = curve.theta[nodes], curve.theta[nodes - 1], curve.theta[nodes + 1]
-    found = minimise(lambda theta: near(theta, data), *box, max_steps=max_steps)
-    roots, unconverged = [], []
-    for i, outcome in enumerate(found.outcome):
-        local = Local(*(x[i] for x in found.local))
-        if outcome in (Outcome.CONVERGED, Outcome.KINK):
-            value = float(np.exp(found.theta[i]))
-            ratio = parameter.ratio(value)
-            smooth = outcome == Outcome.CONVERGED
-            roots.append(
-                Root(
-                    value=value,
-                    chi2=float(2 * local.value),
-                    log_stderr=float(local.information) ** -0.5 if smooth else None,
-                    share_of_information=float(local.information / max(local.curvature, local.information)) if smooth else None,
-                    ratio=ratio,
-                    rebreaks=np.asarray(_fitted(measurements, ratio).status) == FrontStatus.REBREAK,
-                )
-            )
-        elif 2 * local.value <= _close_to(float(chi2.min())) + threshold(LEVELS[-1]):
-            unconverged.append(Outcome(int(outcome)).message)
-    return sorted(roots, key=lambda root: root.chi2), unconverged
+def _wanted(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
+    free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
+    if not free:
+        raise ValueError("free = (): nothing to fit")
+    wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
+    if bounds is not None:
+        if not any("stiffness" in one.name for one in wanted):
+            raise ValueError(f"bounds = {bounds}: they are of the stiffness, which is not fitted")
+        wanted = [
+            Parameter(one.name, bounds, one.prior, one.each, one.value) if "stiffness" in one.name else one for one in wanted
+        ]
+    return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
 
 
-def _close_to(chi2: float) -> float:
-    """A χ² that rounding cannot tell from this one."""
-    return chi2 * (1 + 1e-9) + 1e-6
+def _check_scaled(problem: Problem, scaled: bool) -> None:
+    if not scaled:
+        return
+    if problem.count <= problem.p:
+        raise ValueError(
+            f"{problem.count} data for {problem.p} fitted parameters: no size of errors can be taken from the scatter; give σ"
+        )
+    if problem.parameters.discrepancy is not None:
+        raise ValueError(
+            "parameter discrepancy: it and a scale of all errors say the same; give σ, and leave sigma = 'absolute'"
+        )
+    if any((block.data.kind != "length").any() for block in problem.blocks):
+        raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
 
 
-def _with_valleys(curve: Curve, roots: list[Root], data: Data) -> Curve:
-    """The curve with nodes in and around each root, so that a valley narrower than the node spacing is seen."""
-    theta = [
-        np.log(root.value) + steps * root.log_stderr
-        for root in roots
-        if root.log_stderr is not None
-        for steps in [np.linspace(-6, 6, 25)]
-    ] + [np.array([np.log(root.value)]) for root in roots]
-    if not theta:
-        return curve
-    extra = np.concatenate(theta)
-    extra = extra[(extra > curve.theta[0]) & (extra < curve.theta[-1])]
-    return merge(curve, evaluate(extra, data)) if len(extra) else curve
+def _rise(problem: Problem, deviance: float, scaled: bool) -> Rise:
+    dof = problem.count - problem.p
+    if scaled:
+        return Rise(problem.loss.rise * max(deviance, 1e-30) / dof, dof)
+    if problem.parameters.discrepancy is not None and dof >= 0:
+        return Rise(problem.loss.rise, dof + 1, problem.count)
+    return Rise(problem.loss.rise)
 
 
-def _attainable(curve: Curve, data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """Longest length each measurement could have at any stiffness, in λc, and the θ where; shapes (n,)."""
-    fine = merge(curve, evaluate(np.append(peaks(curve, data), curve.theta[-1]), data))
-    at = fine.length.argmax(axis=0)
-    return fine.length.max(axis=0), fine.theta[at]
+def _testable(problem: Problem, scaled: bool) -> int | None:
+    """Degrees of freedom where χ² can be judged by its distribution."""
+    dof = problem.count - problem.p
+    plain = all((block.data.kind == "length").all() for block in problem.blocks)
+    given = not scaled and problem.parameters.discrepancy is None and problem.loss.name == "normal"
+    return dof if dof > 0 and plain and given else None
 
 
-def _fitted(measurements: Measurements, ratio: np.ndarray) -> Arrest:
-    return precursor_arrests(Slider(measurements.height, ratio, measurements.poisson))
+def _explore(
+    problem: Problem, method: str, max_steps: int, seed: int
+) -> tuple[list[Found], dict[int, Curve], np.ndarray, float, list[tuple[float, str]]]:
+    """Roots, profiles of what was asked for, the point of least deviance, and the starts that came to nothing."""
+    roots, ends = search(problem, method=method, max_steps=max_steps, seed=seed)
+    asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
+    finite = np.isfinite(ends.value)
+    if not finite.any():
+        raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
+    seeds = ends.theta[np.argsort(ends.value, kind="stable")[:1]]
+    curves: dict[int, Curve] = {}
+    best, deviance = seeds[0], 2 * float(ends.value[finite].min())
+    for _ in range(SEARCH_ROUNDS):
+        followed = roots[:MOST_ROOTS]
+        places = np.array([root.theta for root in followed]).reshape(-1, problem.p)
+        covariances = [root.covariance for root in followed]
+        curves = {j: profile(problem, j, places, covariances, seeds) for j in asked}
+        best, deviance = _lowest(roots, curves, best, deviance)
+        missed = [
+            curve.theta[i]
+            for curve in curves.values()
+            for i in _valleys(curve.deviance, deviance + 10)
+            if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
+        ]
+        if not missed:
+            break
+        more, _ = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
+        before = len(roots)
+        roots = _merged(problem, roots, more)
+        if len(roots) == before:
+            break
+    named = [
+        (2 * float(v), Outcome(int(o)).message)
+        for v, o in zip(ends.value, ends.outcome, strict=True)
+        if o == Outcome.NOT_CONVERGED
+    ]
+    known = [root.deviance for root in roots]
+    lost = [(value, message) for value, message in named if not known or value < min(known) - 1e-6]
+    return roots, curves, best, deviance, lost
 
 
-def _exponential(interval: Interval) -> Interval:
-    return interval._replace(low=float(np.exp(interval.low)), high=float(np.exp(interval.high)))
+def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
+    """Inner nodes lower than both neighbours, and not hopeless."""
+    inner = (deviance[1:-1] < deviance[:-2]) & (deviance[1:-1] <= deviance[2:]) & (deviance[1:-1] < limit)
+    return 1 + np.nonzero(inner)[0]
+
+
+def _near(curve: Curve, i: int, root: Found) -> bool:
+    """Whether a root lies within the two cells around node i."""
+    j = int(np.argmin(np.abs(curve.theta[i] - curve.node[i])))
+    return bool(curve.node[i - 1] <= root.theta[j] <= curve.node[i + 1])
+
+
+def _lowest(roots: list[Found], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
+    """A root where one is lowest to rounding; a place on a profile, as the end of the range, otherwise."""
+    for curve in curves.values():
+        i = int(np.argmin(curve.deviance))
+        if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):
+            best, deviance = curve.theta[i], float(curve.deviance[i])
+    if roots and roots[0].deviance <= deviance + 1e-6 * max(1.0, abs(deviance)):
+        return roots[0].theta, roots[0].deviance
+    return best, deviance
+
+
+def _merged(problem: Problem, roots: list[Found], more: list[Found]) -> list[Found]:
+    kept = list(roots)
+    for one in more:
+        if not any(same(one.theta, one.deviance, other, problem) for other in kept):
+            kept.append(one)
+    return sorted(kept, key=lambda root: root.deviance)
+
+
+def _verdict(j: int, evidence: Evidence, intervals: dict[float, list[Interval]], lost: list[str]) -> Verdict:
+    if lost:
+        return Verdict(Identifiability.NOT_CONVERGED, lost[0])
+    return judge(j, evidence, intervals)
+
+
+def _trusted(
+    verdict: Verdict, intervals: dict[float, list[Interval]], deviance: float, dof: int | None
+) -> dict[float, list[Interval]]:
+    """The intervals, but for those that would measure a misfit and not the parameter."""
+    if verdict.identifiability is Identifiability.POOR_FIT:
+        return dict.fromkeys(intervals, [])
+    if verdict.identifiability is Identifiability.AT_MAXIMUM:
+        # around a maximum that the data lie far above, the rise measures the misfit
+        probability = float(chdtrc((dof or 0) + 1, deviance))
+        return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
+    return intervals

@@ -1,108 +1,278 @@
-"""Whether the data determine the stiffness, and if not, why not."""
+"""Whether the data determine each parameter, and if not, why not and what they do determine."""
 
+import dataclasses
 import enum
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
-from slippulse_jax.inference.objective import Curve, Data
-from slippulse_jax.inference.optimise import Outcome
-from slippulse_jax.inference.uncertainty import Interval, chi_squared_tail, threshold
-
-if TYPE_CHECKING:
-    from slippulse_jax.inference.result import Root
+from slippulse_jax.inference.forward import lengths
+from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.profile import Interval, Rise
+from slippulse_jax.inference.search import Found
 
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
 """Probability of χ² under which model and σ together are said not to describe the data."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
-
-Verdict = tuple["Identifiability", str]
+PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
 
 
 class Identifiability(enum.Enum):
-    """Whether the data determine the stiffness; the value is what the report says."""
+    """Whether the data determine a parameter; the value is what the report says."""
 
     IDENTIFIED = "identified"
-    SEVERAL_ROOTS = "not identifiable as one number: more than one stiffness fits"
+    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
     AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
     ONE_SIDED = "bounded on one side only"
     AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
     SKEWED = "identified, but not with a symmetric error"
-    UNINFORMATIVE = "not identifiable: no stiffness is preferred"
+    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
+    UNINFORMATIVE = "not identifiable: no value is preferred"
     POOR_FIT = "the model does not describe these data"
     NOT_CONVERGED = "the search did not converge"
 
 
-def judge(
-    best: "Root | None", roots: list["Root"], intervals: dict[float, list[Interval]], curve: Curve, data: Data, unit: str
-) -> Verdict:
-    """Whether there is a number to report with a standard error, and if not, why.
+GRAVITY = (
+    Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
+    Identifiability.AT_MAXIMUM, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED, Identifiability.EQUAL,
+    Identifiability.SKEWED, Identifiability.IDENTIFIED,
+)  # fmt: skip
+
+
+class Verdict(NamedTuple):
+    """On one parameter."""
+
+    identifiability: Identifiability
+    reason: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a verdict rests on."""
+
+    problem: Problem
+    roots: list[Found]  # not excluded at 95 %, best first
+    best: np.ndarray  # θ of least deviance, a root or not
+    deviance: float
+    dof: int | None  # where χ² can be judged
+    rise: Rise
+
+
+def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) -> Verdict:
+    """Whether there is a number for parameter j to report with a standard error, and if not, why.
 
     Parameters
     ----------
-    best : Root or None
-        The root with the least χ² of all, if a root has it.
-    roots : list of Root
-        All of them, best first.
+    j : int
+    evidence : Evidence
     intervals : dict
-        Allowed ranges of θ at `LEVELS`.
+        Allowed ranges of θ_j at `LEVELS`.
     """
-    verdict = _without_a_root(best, intervals, curve)
-    if verdict is None and best is not None:
-        verdict = _misfit(best, curve, data) or _not_alone(roots, intervals, unit) or _not_normal(best, intervals)
-    return verdict or (Identifiability.IDENTIFIED, "")
+    for test in (
+        _nothing_responds,
+        _everything_allowed,
+        _at_an_end,
+        _misfit,
+        _singular,
+        _beyond_maximum,
+        _not_alone,
+        _open,
+        _not_normal,
+    ):
+        verdict = test(j, evidence, intervals)
+        if verdict is not None:
+            return verdict
+    return Verdict(Identifiability.IDENTIFIED)
 
 
-def _without_a_root(best: "Root | None", intervals: dict[float, list[Interval]], curve: Curve) -> Verdict | None:
+def _nothing_responds(j: int, e: Evidence, _: dict) -> Verdict | None:
+    if not e.problem.predict(e.best).any():
+        return Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
+    return None
+
+
+def _everything_allowed(j: int, e: Evidence, intervals: dict) -> Verdict | None:
     pieces = intervals[LEVELS[-1]]
-    if not curve.length.any():
-        return Identifiability.UNINFORMATIVE, "no stiffness in the range searched starts a domino: every length is zero"
     if len(pieces) == 1 and pieces[0].open_low and pieces[0].open_high:
-        return Identifiability.UNINFORMATIVE, "the data allow every stiffness in the range searched"
-    if best is None:
-        end = "upper" if intervals[LEVELS[0]][-1].open_high else "lower"
-        return Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched"
+        told = undetermined(e.problem, e.best)
+        why = f"; {told}" if told else ""
+        return Verdict(Identifiability.UNINFORMATIVE, f"the data allow every value in the range searched{why}")
     return None
 
 
-def _misfit(best: "Root", curve: Curve, data: Data) -> Verdict | None:
-    if best.share_of_information is not None and best.share_of_information < 0.5:
-        longest = float(np.max(data.length / curve.length.max(axis=0)))
-        return Identifiability.AT_MAXIMUM, (
-            f"the measured length is {longest:.3g} times the longest that a stiffness in the range searched gives; {UNCHANGED}"
-        )
-    dof = len(data.length) - 1
-    if dof and chi_squared_tail(best.chi2, dof) < IMPROBABLE:
-        return Identifiability.POOR_FIT, (
-            f"chi-squared is {best.chi2:.3g} for {dof} degree{'s' * (dof > 1)} of freedom: with the stated σ no stiffness "
-            "gives these lengths, and errors that rest on σ would mean nothing"
+def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
+    if _above_maximum(e):
+        return None  # said more precisely by `_beyond_maximum`
+    if e.dof and chdtrc(e.dof, e.deviance) < IMPROBABLE:
+        return Verdict(
+            Identifiability.POOR_FIT,
+            f"chi-squared is {e.deviance:.3g} for {e.dof} degree{'s' * (e.dof > 1)} of freedom: with the stated σ nothing in "
+            "the range searched gives these lengths, and errors that rest on σ would mean nothing",
         )
     return None
 
 
-def _not_alone(roots: list["Root"], intervals: dict[float, list[Interval]], unit: str) -> Verdict | None:
-    pieces = intervals[LEVELS[-1]]
-    rivals = [root for root in roots if root.chi2 <= roots[0].chi2 + threshold(LEVELS[-1])]
-    if len(rivals) > 1:
-        values = " and ".join(f"{root.value:.4g}" for root in rivals)
+def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
+    if e.problem.p > 1 and e.roots and e.roots[0].singular[j]:
+        return Verdict(Identifiability.UNINFORMATIVE, undetermined(e.problem, e.best))
+    return None
+
+
+def _above_maximum(e: Evidence) -> bool:
+    return bool(e.roots) and e.roots[0].share < 0.5
+
+
+def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
+    if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
+        return None
+    block = e.problem.blocks[0]
+    longest = float(np.max(block.data.value[0] / attainable(e.problem.parameters, e.best)[0]))
+    return Verdict(
+        Identifiability.AT_MAXIMUM,
+        f"the measured length is {longest:.3g} times the longest that a stiffness in the range searched gives; {UNCHANGED}",
+    )
+
+
+def _at_an_end(j: int, e: Evidence, _: dict) -> Verdict | None:
+    q = e.problem.parameters
+    reach = 1e-6 * (q.high[j] - q.low[j])
+    for end, at in (("lower", q.low[j]), ("upper", q.high[j])):
+        if abs(e.best[j] - at) <= reach:
+            return Verdict(Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched")
+    return None
+
+
+def _open(j: int, e: Evidence, intervals: dict) -> Verdict | None:
+    if any(piece.open_low or piece.open_high for piece in intervals[LEVELS[-1]]):
+        return Verdict(Identifiability.ONE_SIDED, "the data bound it on one side only")
+    return None
+
+
+def _not_alone(j: int, e: Evidence, intervals: dict) -> Verdict | None:
+    q, pieces = e.problem.parameters, intervals[LEVELS[-1]]
+    one = q.free[j]
+    inner = [root for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
+    values = sorted({float(f"{one.value(root.theta[j]):.4g}"): None for root in inner})
+    apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > 1e-3]
+    if len(apart) > 1:
         joined = "; the interval joins them" if len(pieces) == 1 else ""
-        return Identifiability.SEVERAL_ROOTS, f"the lengths fit at {values} {unit}".rstrip() + joined
-    if any(piece.open_low or piece.open_high for piece in pieces):
-        return Identifiability.ONE_SIDED, "the data bound the stiffness on one side only"
+        named = " and ".join(f"{value:.4g}" for value in apart)
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named} {one.unit}".rstrip() + joined)
     return None
 
 
-def _not_normal(best: "Root", intervals: dict[float, list[Interval]]) -> Verdict | None:
-    if best.log_stderr is None:
-        return Identifiability.SKEWED, Outcome.KINK.message + "; use the intervals"
+def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:
+    if not e.roots or e.roots[0].singular[j]:
+        return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
+    covariance = e.roots[0].covariance
     pieces = intervals[LEVELS[0]]
-    widths = [abs(end - np.log(best.value)) / best.log_stderr for end in (pieces[0].low, pieces[-1].high)]
-    if max(widths) < 0.5:
-        return Identifiability.AT_MAXIMUM, f"the measured length is all but the longest that any stiffness gives; {UNCHANGED}"
+    if not pieces:
+        return Verdict(Identifiability.SKEWED, "the likelihood has no interval at 68 %")
+    one = np.sqrt(e.rise(LEVELS[0]) * covariance[j, j])
+    widths = [abs(end - e.best[j]) / one for end in (pieces[0].low, pieces[-1].high)]
+    if max(widths) < 0.5 and e.problem.parameters.free[j].name in STIFFNESSES:
+        longest = f"the measured length is all but the longest that any stiffness gives; {UNCHANGED}"
+        return Verdict(Identifiability.AT_MAXIMUM, longest)
     if len(pieces) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
-        return Identifiability.SKEWED, (
+        return Verdict(
+            Identifiability.SKEWED,
             "the likelihood is far from a normal curve (its 68 % interval reaches "
-            f"{widths[0]:.2g} and {widths[1]:.2g} curvature standard errors); use the intervals"
+            f"{widths[0]:.2g} and {widths[1]:.2g} curvature standard errors); use the intervals",
         )
     return None
+
+
+def gravest(verdicts: dict[str, Verdict]) -> str:
+    """Name of the parameter whose verdict a reader must hear first."""
+    return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
+
+
+class Direction(NamedTuple):
+    """A combination of parameters, and the standard error with which the data and priors give it."""
+
+    text: str  # as ``young / areal_stiffness^0.98``
+    coefficients: np.ndarray  # of the logarithms (of linear parameters: over their range), (p,), length 1
+    stderr: float  # inf where nothing determines it
+
+
+def directions(problem: Problem, theta: np.ndarray) -> list[Direction]:
+    """Combinations of the parameters by how well they are determined, best first: singular vectors of the scaled Jacobian.
+
+    Every positive parameter counts by its logarithm, every other over the range searched for it. Two parameters that only ever
+    act together have one direction with a finite error, and one without.
+    """
+    q = problem.parameters
+    unit = np.array([1.0 if one.log else one.high - one.low for one in q.free])
+    _, jacobian = problem.information(theta)
+    _, values, vectors = np.linalg.svd(jacobian * unit, full_matrices=False)
+    nothing = values <= 1e-7 * max(values.max(), 1e-300)
+    stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values))
+    return [Direction(_in_words(vector, q), vector, float(error)) for vector, error in zip(vectors, stderr, strict=True)]
+
+
+def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
+    lead = int(np.argmax(np.abs(vector) > 0.9 * np.abs(vector).max()))
+    scaled = vector / vector[lead]
+    parts = []
+    for weight, one in sorted(zip(scaled, q.free, strict=True), key=lambda pair: -round(abs(pair[0]), 2)):
+        if abs(weight) < 0.02:
+            continue
+        power = "" if abs(weight - 1) < 0.005 else f"^{weight:.2g}"
+        parts.append(f"{one.label}{power}" if one.log else f"exp({weight / (one.high - one.low):.3g} {one.label})")
+    return " · ".join(parts)
+
+
+def undetermined(problem: Problem, theta: np.ndarray) -> str:
+    """What several parameters together leave open, in words; empty where nothing."""
+    if problem.p == 1:
+        return ""
+    found = directions(problem, theta)
+    reach = max((one.high - one.low) if one.log else 1.0 for one in problem.parameters.free)
+    open_ones = [one for one in found if one.stderr > reach / 4]
+    if not open_ones:
+        return ""
+    known = [one.text for one in found if one.stderr <= reach / 4]
+    told = f"only {', '.join(known)} is determined" if known else "no combination is determined"
+    return f"{told}; the data do not tell {', '.join(one.text for one in open_ones)}"
+
+
+def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longest length each measurement could have at any stiffness searched, in λc, and the k/K where; shapes (n,).
+
+    The other parameters stay as in `theta`.
+    """
+    y = parameters.inputs(theta)
+    longest, where = attainable_of(parameters, theta, np.arange(len(y)), y)
+    scale = np.exp(parameters.scale_base["length"] + parameters.scale_slope["length"] @ theta)
+    return longest * scale + parameters.offset @ theta, where
+
+
+def attainable_of(parameters: ParameterSet, theta: np.ndarray, row: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same for inputs `y`, (k, 5), whose stiffness is that of the measurements `row`; in true λc, without offset."""
+    reach = np.repeat(y[:, 1:2], 2, axis=1)
+    for i, one in enumerate(parameters.free):
+        if one.name in STIFFNESSES:
+            on = parameters.slope[row, 1, i] != 0
+            reach[on] = y[on, 1:2] + np.array([parameters.low[i], parameters.high[i]]) - theta[i]
+    distinct, own = np.unique(np.column_stack([y, reach]), axis=0, return_inverse=True)
+    longest, where = _longest(distinct[:, :5], distinct[:, 5], distinct[:, 6])
+    return longest[own.ravel()], np.exp(where[own.ravel()])
+
+
+def _longest(y: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Maximum of ℓ over ln k/K between `low` and `high`: a scan, then closer scans around its top."""
+    best, where = np.empty(len(y)), np.empty(len(y))
+    for count in (129, 17, 17, 17, 17):
+        grid = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, count)
+        lanes = np.repeat(y[:, None, :], count, axis=1)
+        lanes[:, :, 1] = grid
+        length = lengths(lanes.reshape(-1, 5), 0).value.reshape(grid.shape)
+        top = length.argmax(axis=1)
+        rows = np.arange(len(y))
+        best, where = length[rows, top], grid[rows, top]
+        step = (high - low) / (count - 1)
+        low, high = np.maximum(where - step, low), np.minimum(where + step, high)
+    return best, where

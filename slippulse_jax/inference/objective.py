@@ -1,104 +1,206 @@
-"""How far a model with given stiffness is from the data: χ² and what it is made of, over a parameter θ = ln(stiffness)."""
+"""−ln(likelihood × prior) of measurements over the fitted θ, for any number of points at once, with its derivatives.
 
+Everything that follows (search, profiles, bootstrap, posterior, design) is made of this one function.
+"""
+
+import dataclasses
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from slippulse_jax.inference.forward import PREDICTED, Prediction
+from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.optimise import Local
-from slippulse_jax.inference.parameters import Stiffness
-from slippulse_jax.lattice.bulk import precursor_lengths
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
-from slippulse_jax.slider import Slider
+from slippulse_jax.inference.parameters import ParameterSet
 
-LANES = 32  # of a chunk in which derivatives are taken: a few starts times a few heights
+ELEMENTS = 2_000_000  # of the largest array held at once; more points than that are taken in turns
 
 
-class Data(NamedTuple):
-    """The columns of the measurements that enter χ², of shape (n,); lengths in λc."""
+class Evaluation(NamedTuple):
+    """At B points; the derivatives are None where they were not asked for."""
 
-    height: np.ndarray
-    poisson: np.ndarray
-    ratio_per_unit: np.ndarray
-    length: np.ndarray
-    sigma: np.ndarray
-
-
-class Curve(NamedTuple):
-    """The model along the parameter: nodes θ of shape (g,) and lengths of shape (g, n), in λc."""
-
-    theta: np.ndarray
-    length: np.ndarray
+    value: Float[np.ndarray, " B"]  # −ln(likelihood × prior); inf where the model has no finite length
+    gradient: Float[np.ndarray, "B p"] | None = None
+    metric: Float[np.ndarray, "B p p"] | None = None  # Gauss and Newton's part of the second derivative
+    curvature: Float[np.ndarray, "B p p"] | None = None  # the whole of it
 
 
-def as_data(measurements: Measurements, parameter: Stiffness) -> Data:
-    """What of the measurements enters χ²."""
-    m = measurements
-    return Data(m.height, m.poisson, parameter.ratio_per_unit, m.length, m.length_sigma)
+class _Block(NamedTuple):
+    """The data of one observable."""
+
+    observable: str
+    measurement: np.ndarray  # (n,), which measurement each datum belongs to
+    rows: np.ndarray  # (n,), which of the distinct model inputs each datum has
+    base: np.ndarray  # (m, 5), those inputs
+    slope: np.ndarray  # (m, 5, p)
+    scale_base: np.ndarray  # (n,)
+    scale_slope: np.ndarray  # (n, p)
+    offset: np.ndarray  # (n, p)
+    data: Data
 
 
-def distinct_curves(data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of measurements whose ℓ(θ) are all there are, and for each measurement which of them is its own."""
-    _, first, own = np.unique(
-        np.stack([data.height, data.poisson, data.ratio_per_unit]), axis=1, return_index=True, return_inverse=True
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """Measurements and parameters as one objective."""
+
+    parameters: ParameterSet
+    blocks: tuple[_Block, ...]
+    loss: Loss
+    prior_mean: np.ndarray  # (R, p), one for each replicate
+    prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
+
+    @property
+    def p(self) -> int:
+        """Number of fitted parameters."""
+        return len(self.prior_weight)
+
+    @property
+    def count(self) -> int:
+        """Number of data, priors of inputs with errors among them: they were measured too."""
+        return sum(block.data.value.shape[1] for block in self.blocks) + int((self.prior_weight > 0).sum())
+
+    def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
+        """Evaluate at every θ, against replicate `lane` (the measurements by default), with derivatives to `order`."""
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        lane = np.zeros(len(theta), dtype=int) if lane is None else lane
+        widest = max(len(block.rows) for block in self.blocks) * (self.p if order else 1)
+        at_once = max(1, ELEMENTS // widest)
+        parts = [
+            self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
+            for start in range(0, len(theta), at_once)
+        ]
+        joined = [None if column[0] is None else np.concatenate(column) for column in zip(*parts, strict=True)]
+        found = Evaluation(*joined)  # pyright: ignore[reportArgumentType] - the first is always there
+        return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
+
+    def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
+        """Central differences of the gradient, which is exact; steps of 10⁻⁴ standard errors, all in one evaluation."""
+        assert at.metric is not None
+        b, p = theta.shape
+        diagonal = np.einsum("bpp->bp", at.metric)
+        reach = self.parameters.high - self.parameters.low
+        step = np.clip(1e-4 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1e-7 * reach, 1e-3 * reach)
+        shifts = step[:, None, :] * np.eye(p)
+        around = np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1)
+        slope = self(around.reshape(-1, p), np.repeat(lane, 2 * p), 1).gradient
+        assert slope is not None
+        up, down = np.split(slope.reshape(b, 2 * p, p), 2, axis=1)
+        second = (up - down) / (2 * step[:, :, None])
+        return (second + np.swapaxes(second, 1, 2)) / 2
+
+    def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
+        off = theta - self.prior_mean[lane]
+        value = (self.prior_weight * off**2).sum(axis=1) / 2
+        gradient = self.prior_weight * off
+        metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
+        d = self.parameters.discrepancy
+        log_discrepancy = None if d is None else theta[:, d]
+        for block in self.blocks:
+            mu, first = predictions(block, theta, order)
+            cost = terms(mu, block.data, lane, self.loss, log_discrepancy)
+            value = value + cost.value.sum(axis=1)
+            if first is None:
+                continue
+            gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
+            metric = metric + np.matmul(np.swapaxes(first, 1, 2) * cost.curvature[:, None, :], first)
+            if d is not None and cost.log_discrepancy_slope is not None and cost.log_discrepancy_information is not None:
+                gradient[:, d] += cost.log_discrepancy_slope.sum(axis=1)
+                metric[:, d, d] += cost.log_discrepancy_information.sum(axis=1)
+        return Evaluation(value, gradient, metric) if order else Evaluation(value)
+
+    def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
+        """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
+        (block,) = (block for block in self.blocks if block.observable == observable)
+        return predictions(block, np.atleast_2d(theta), 0)[0]
+
+    def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
+        theta = np.atleast_2d(theta)
+        d = self.parameters.discrepancy
+        rows = []
+        for block in self.blocks:
+            mu, first = predictions(block, theta, 1)
+            cost = terms(mu, block.data, np.zeros(1, int), self.loss, None if d is None else theta[:, d])
+            assert first is not None
+            rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
+            if d is not None and cost.log_discrepancy_information is not None:
+                own = np.zeros((mu.shape[1], self.p))
+                own[:, d] = np.sqrt(cost.log_discrepancy_information[0])
+                rows.append(own)
+        rows.append(np.diag(np.sqrt(self.prior_weight)))
+        jacobian = np.concatenate(rows)
+        return jacobian.T @ jacobian, jacobian
+
+    def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
+        """The same problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
+        blocks = tuple(
+            block._replace(data=block.data._replace(value=values[block.observable], weight=weights[block.observable]))
+            for block in self.blocks
+        )
+        return dataclasses.replace(self, blocks=blocks, prior_mean=means)
+
+
+def predictions(block: _Block, theta: np.ndarray, order: int) -> Prediction:
+    """μ of every datum, (B, n), and its derivatives in θ, (B, n, p)."""
+    y = block.base + np.moveaxis(block.slope @ theta.T, -1, 0)
+    lanes, rows = y.shape[:2]
+    model = PREDICTED[block.observable](y.reshape(-1, y.shape[2]), min(order, 1))
+    own = block.rows
+    scale = np.exp(block.scale_base + theta @ block.scale_slope.T)
+    value = model.value.reshape(lanes, rows)[:, own] * scale
+    mu = value + theta @ block.offset.T
+    if model.first is None:
+        return Prediction(mu, None)
+    by_y = model.first.reshape(lanes, rows, 1, -1)
+    by_theta = np.matmul(by_y, block.slope)[:, own, 0] * scale[:, :, None]
+    size = np.where(np.isfinite(value), value, 0)[:, :, None]
+    return Prediction(mu, by_theta + size * block.scale_slope + block.offset)
+
+
+def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
+    """The objective of these measurements; `sigma` is the standard error of each length, in λc."""
+    blocks = [_block(m, parameters, "length", np.ones(len(m), bool), m.length, sigma, np.array(m.kind))]
+    for observable in ("displacement", "force"):
+        values = getattr(m, observable)
+        if values is None or not np.isfinite(values).any():
+            continue
+        there = np.isfinite(values)
+        error = getattr(m, f"{observable}_sigma")
+        blocks.append(_block(m, parameters, observable, there, values, error, np.full(len(m), "length")))
+    prior_sigma = np.array([one.prior_sigma for one in parameters.free])
+    return Problem(
+        parameters=parameters,
+        blocks=tuple(blocks),
+        loss=loss,
+        prior_mean=np.array([[one.prior_mean for one in parameters.free]]),
+        prior_weight=1 / prior_sigma**2,
     )
-    return first, own.ravel()
 
 
-def chi_squared(curve: Curve, data: Data) -> np.ndarray:
-    """χ² = Σ [(ℓ − measured)/σ]² at every node, shape (g,)."""
-    return (((curve.length - data.length) / data.sigma) ** 2).sum(axis=1)
-
-
-def evaluate(theta: np.ndarray, data: Data) -> Curve:
-    """Lengths at the nodes, each (node, distinct curve) a lane of `precursor_lengths`."""
-    theta = np.asarray(theta, dtype=np.float64)
-    first, own = distinct_curves(data)
-    stiffness = np.exp(theta)[:, None] * data.ratio_per_unit[first]
-    return Curve(theta, precursor_lengths(Slider(data.height[first], stiffness, data.poisson[first]))[:, own])
-
-
-def near(theta: np.ndarray, data: Data) -> Local:
-    """χ²/2, its derivatives and the Fisher information at each θ."""
-    first, own = distinct_curves(data)
-    shape = (len(theta), len(first))
-    lanes = (data.height[first], np.exp(theta)[:, None] * data.ratio_per_unit[first], data.poisson[first])
-    columns = np.stack([np.broadcast_to(lane, shape).ravel() for lane in lanes])
-    derived = np.empty((3, columns.shape[1]))
-    with jax.enable_x64(True):
-        for start in range(0, columns.shape[1], LANES):
-            chosen = columns[:, start : start + LANES]
-            count = chosen.shape[1]
-            padded = np.concatenate([chosen, np.repeat(chosen[:, -1:], LANES - count, axis=1)], axis=1)
-            derived[:, start : start + count] = np.asarray(_length_and_derivatives(padded))[:, :count]
-    length, slope, bend = (x.reshape(shape)[:, own] for x in derived)
-    residual, slope, bend = (length - data.length) / data.sigma, slope / data.sigma, bend / data.sigma
-    information = (slope**2).sum(axis=1)
-    return Local(
-        value=(residual**2).sum(axis=1) / 2,
-        gradient=(residual * slope).sum(axis=1),
-        curvature=information + (residual * bend).sum(axis=1),
-        information=information,
+def _block(
+    m: Measurements, q: ParameterSet, observable: str, there: np.ndarray, value: np.ndarray, sigma: np.ndarray, kind: np.ndarray
+) -> _Block:
+    """Data of one observable, each distinct input of the model once."""
+    n = int(there.sum())
+    key = np.concatenate([q.base, q.slope.reshape(len(m), -1)], axis=1)[there]
+    _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    of_length = observable == "length"
+    data = Data(
+        kind=kind[there],
+        value=value[there][None],
+        sigma=sigma[there],
+        weight=np.ones((1, n)),
+        has_discrepancy=np.full(n, of_length),
     )
-
-
-@jax.jit
-def _length_and_derivatives(columns: Float[Array, "3 lanes"]) -> Float[Array, "3 lanes"]:
-    """ℓ, dℓ/dθ and d²ℓ/dθ² with stiffness ∝ e^θ, by the recursion with two nested tangents."""
-
-    def one(height: Array, stiffness: Array, poisson: Array) -> tuple[Array, Array, Array]:
-        def length(theta: Array) -> Array:
-            slider = Slider(height, stiffness * jnp.exp(theta), poisson)
-            return jnp.asarray(arrest(slider, "semi-infinite", None, DEFAULT_MAX_CONTACTS).length)
-
-        def with_slope(theta: Array) -> tuple[Array, Array]:
-            return jax.jvp(length, (theta,), (jnp.ones_like(theta),))
-
-        zero = jnp.zeros_like(stiffness)
-        (value, slope), (_, bend) = jax.jvp(with_slope, (zero,), (jnp.ones_like(zero),))
-        return value, slope, bend
-
-    return jnp.stack(jax.vmap(one)(*columns))
+    return _Block(
+        observable=observable,
+        measurement=np.nonzero(there)[0],
+        rows=own.ravel(),
+        base=q.base[there][first],
+        slope=q.slope[there][first],
+        scale_base=q.scale_base[observable][there],
+        scale_slope=q.scale_slope[observable][there],
+        offset=q.offset[there] if of_length else np.zeros((n, len(q.free))),
+        data=data,
+    )

@@ -1,38 +1,54 @@
 """What a fit found: values, errors, intervals, roots, and whether the data can tell at all."""
 
 import dataclasses
-import hashlib
-import math
+import functools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import chdtrc
 
-from slippulse_jax.inference.identifiability import Identifiability
+from slippulse_jax.inference.identifiability import Identifiability, Verdict, directions, gravest
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.objective import Curve
-from slippulse_jax.inference.parameters import Stiffness
-from slippulse_jax.inference.uncertainty import Interval, chi_squared_tail
-from slippulse_jax.lattice.front import Arrest, FrontStatus
+from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.parameters import ParameterSet
+from slippulse_jax.inference.profile import Curve, Interval, Rise
+from slippulse_jax.inference.search import Found, describe
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.bulk import precursor_arrests
+from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.slider import Slider
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from slippulse_jax.inference.bootstrap import Bootstrap
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Root:
-    """One minimum of χ²."""
+    """One minimum of the deviance."""
 
-    value: float
+    value: float  # of the first parameter
+    values: dict[str, float]
     chi2: float
-    log_stderr: float | None  # standard error of ln(value) from the Fisher information; None at a corner of ℓ
-    share_of_information: float | None  # what the response of the length makes up of the curvature of χ²/2; 1 at a good root
+    log_stderr: float | None  # standard error of the first θ, which for a positive parameter is its logarithm
+    stderrs: dict[str, float | None]
     ratio: np.ndarray  # k/K of each measurement
     rebreaks: np.ndarray  # whether the edge contact would break again before the front stops
 
     @property
     def stderr(self) -> float | None:
-        """Standard error of the value, in its unit."""
-        return None if self.log_stderr is None else self.value * self.log_stderr
+        """Standard error of the first value, in its unit."""
+        return next(iter(self.stderrs.values()))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fitted:
+    """The model at the best fit, one entry a measurement."""
+
+    length: np.ndarray  # in λc
+    contacts_broken: np.ndarray
+    status: np.ndarray  # `FrontStatus`
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,74 +56,225 @@ class FitResult:
     """Outcome of `fit`. Start with `report()`, `identifiability` and `intervals`."""
 
     measurements: Measurements
-    parameter: Stiffness
-    value: float  # of highest likelihood, in parameter.unit
-    log_stderr: float | None  # of ln(value), where there is one
-    identifiability: Identifiability
-    reason: str  # why, where there is no plain standard error
-    level_intervals: dict[float, list[Interval]]
-    roots: list[Root]  # not excluded at 95 %, best first
-    chi2: float
-    converged: bool
+    problem: Problem
+    request: dict[str, Any]  # the arguments of `fit`
+    theta: np.ndarray  # of least deviance, (p,)
+    deviance: float
+    found: list[Found]  # roots not excluded at 95 %, best first
+    curves: dict[str, Curve]  # profile of each parameter asked for
+    theta_intervals: dict[str, dict[float, list[Interval]]]
+    verdicts: dict[str, Verdict]
+    rise: Rise
+    testable_dof: int | None
     outcomes: list[str]  # of the starts that did not converge
-    fitted: Arrest  # count, length in λc, status of each measurement at `value`
-    attainable: np.ndarray  # longest length of each measurement at any stiffness, in λc
+    attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
-    curve: Curve
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """What was fitted, and how it enters the model."""
+        return self.problem.parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Parameters asked for, by label; inputs fitted beside them because of their errors are in `inputs`."""
+        return list(self.verdicts)
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """The gravest verdict on any parameter asked for."""
+        return self.verdicts[gravest(self.verdicts)].identifiability
+
+    @property
+    def reason(self) -> str:
+        """Why there is no plain standard error; empty where there is one for every parameter."""
+        name = gravest(self.verdicts)
+        reason = self.verdicts[name].reason
+        return f"{name}: {reason}" if reason and len(self.verdicts) > 1 else reason
+
+    @property
+    def converged(self) -> bool:
+        """Whether every start that mattered ended at a minimum."""
+        return not self.outcomes
+
+    @property
+    def value(self) -> float:
+        """Of the first parameter, in its unit."""
+        return self.values[self.names[0]]
+
+    @property
+    def log_stderr(self) -> float | None:
+        """Standard error of the first θ, which for a positive parameter is its logarithm; None where `reason` says why."""
+        return self._theta_stderr(self.names[0])
 
     @property
     def values(self) -> dict[str, float]:
-        """Value of highest likelihood: by the name of the parameter, and k/K where it is one number for all measurements."""
-        return self._by_name(self.value)
+        """Values of highest likelihood; k/K too where it is one number for all measurements."""
+        return self._named(self.theta)
+
+    @property
+    def inputs(self) -> dict[str, float]:
+        """Fitted values of the inputs that came with errors of their own."""
+        return {one.label: float(one.value(t)) for one, t in zip(self.parameters.free, self.theta, strict=True) if one.nuisance}
+
+    @functools.cached_property
+    def covariance(self) -> np.ndarray | None:
+        """Of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
+        one = describe(self.problem, self.theta, self.deviance)
+        return None if one.singular.any() else one.covariance * self.variance_factor
+
+    @property
+    def variance_factor(self) -> float:
+        """What σ² is multiplied by: one, but where the size of the errors was taken from the scatter."""
+        return self.deviance / self.dof if self.scaled else 1.0
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the size of the errors was taken from the scatter."""
+        return self.rise.dof is not None and self.rise.fitted_variance is None
+
+    def _theta_stderr(self, name: str) -> float | None:
+        if self.verdicts[name].identifiability is not Identifiability.IDENTIFIED or self.covariance is None:
+            return None
+        j = self.parameters.index(name)
+        return float(np.sqrt(self.covariance[j, j]))
 
     @property
     def stderr(self) -> dict[str, float | None]:
-        """Standard error of each of `values`, from the Fisher information; None where `reason` says why."""
-        return {name: None if self.log_stderr is None else value * self.log_stderr for name, value in self.values.items()}
+        """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
+        found: dict[str, float | None] = {}
+        for name in self.names:
+            error = self._theta_stderr(name)
+            one = self.parameters.free[self.parameters.index(name)]
+            found[name] = None if error is None else error * (self.values[name] if one.log else 1.0)
+        if "stiffness" in self.values and "stiffness" not in found:
+            found["stiffness"] = self._ratio_stderr()
+        return found
+
+    def _ratio_stderr(self) -> float | None:
+        """Of k/K, where λc and E may have errors too."""
+        slope = self.parameters.slope[0, 1]
+        bad = any(
+            v.identifiability is not Identifiability.IDENTIFIED for n, v in self.verdicts.items() if slope[self._index(n)]
+        )
+        if bad or self.covariance is None:
+            return None
+        return self.values["stiffness"] * float(np.sqrt(slope @ self.covariance @ slope))
+
+    def _index(self, name: str) -> int:
+        return self.parameters.index(name)
 
     @property
     def intervals(self) -> dict[str, dict[float, list[Interval]]]:
         """Allowed values at each confidence level, in as many pieces as there are."""
-        scale = {name: value / self.value for name, value in self.values.items()}
-        return {
-            name: {
-                level: [piece._replace(low=piece.low * x, high=piece.high * x) for piece in pieces]
-                for level, pieces in self.level_intervals.items()
+        found = {}
+        for name, by_level in self.theta_intervals.items():
+            one = self.parameters.free[self._index(name)]
+            found[name] = {
+                level: [p._replace(low=float(one.value(p.low)), high=float(one.value(p.high))) for p in pieces]
+                for level, pieces in by_level.items()
             }
-            for name, x in scale.items()
-        }
+        first = self.names[0]
+        slope = self.parameters.slope[0, 1]
+        if (
+            "stiffness" in self.values
+            and "stiffness" not in found
+            and np.count_nonzero(slope) == 1
+            and slope[self._index(first)]
+        ):
+            scale = self.values["stiffness"] / self.values[first]
+            found["stiffness"] = {
+                level: [p._replace(low=p.low * scale, high=p.high * scale) for p in pieces]
+                for level, pieces in found[first].items()
+            }
+        return found
+
+    @property
+    def level_intervals(self) -> dict[float, list[Interval]]:
+        """Of the first parameter."""
+        return self.intervals[self.names[0]]
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
-        """Correlations between fitted parameters: none while one is fitted."""
-        return {}
+        """Correlations between fitted parameters (of their θ); empty where the information is singular."""
+        if self.covariance is None:
+            return {}
+        error = np.sqrt(np.diag(self.covariance))
+        names = self.parameters.names
+        return {
+            (names[i], names[j]): float(self.covariance[i, j] / (error[i] * error[j]))
+            for i in range(len(names))
+            for j in range(i + 1, len(names))
+        }
+
+    @functools.cached_property
+    def directions(self) -> list:
+        """Combinations of the parameters by how well they are determined."""
+        return directions(self.problem, self.theta)
+
+    @functools.cached_property
+    def roots(self) -> list[Root]:
+        """Minima not excluded at 95 %, best first."""
+        return [self._root(one) for one in self.found]
+
+    def _root(self, one: Found) -> Root:
+        free = [p for p in self.parameters.free if not p.nuisance]
+        values = {p.label: float(p.value(t)) for p, t in zip(self.parameters.free, one.theta, strict=True) if not p.nuisance}
+        errors: dict[str, float | None] = dict.fromkeys(values)
+        spread = np.where(one.singular, np.nan, np.sqrt(np.diag(one.covariance) * self.variance_factor))
+        told = {p.label: float(spread[self._index(p.label)]) for p in free if not one.singular[self._index(p.label)]}
+        errors = errors | {p.label: told[p.label] * (values[p.label] if p.log else 1.0) for p in free if p.label in told}
+        log_stderr = told.get(free[0].label)
+        y = self.parameters.inputs(one.theta)
+        rebreaks = _recursion_status(y) == FrontStatus.REBREAK
+        return Root(values[free[0].label], values, one.deviance, log_stderr, errors, np.exp(y[:, 1]), rebreaks)
+
+    @functools.cached_property
+    def fitted(self) -> Fitted:
+        """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
+        length = self.problem.predict(self.theta)[0]
+        counted = np.where(np.isfinite(length), np.maximum(np.ceil(np.where(np.isfinite(length), length, 0)), 1), -1)
+        return Fitted(length, counted.astype(int), _recursion_status(self.parameters.inputs(self.theta)))
+
+    @property
+    def chi2(self) -> float:
+        """Least deviance; χ² (with that of the priors) for plain lengths."""
+        return self.deviance
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom, measurements less fitted parameters."""
-        return len(self.measurements) - 1
+        """Degrees of freedom: data, with the priors among them, less fitted parameters."""
+        return self.problem.count - self.problem.p
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a χ² at least this large if model and σ are right; None without degrees of freedom."""
-        return chi_squared_tail(self.chi2, self.dof) if self.dof else None
+        """Probability of a χ² at least this large if model and σ are right; None where it cannot be had."""
+        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.deviance))
 
     @property
     def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ, shape (n,)."""
+        """(fitted − measured)/σ of the lengths, shape (n,); for counts and fronts without arrest what lies outside, else 0."""
         m = self.measurements
-        return (np.asarray(self.fitted.length) - m.length) / m.length_sigma
+        off = self.fitted.length - m.length
+        kind = np.array(m.kind)
+        off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
+        off = np.where(kind == "at_least", np.minimum(off, 0), off)
+        sigma = np.ones(len(m)) if m.length_sigma is None else np.where(m.length_sigma > 0, m.length_sigma, 1)
+        return off / (sigma * np.sqrt(self.variance_factor))
 
     @property
     def notes(self) -> list[str]:
         """What a careful reader should know before using the numbers."""
-        return list(_notes(self))
+        from slippulse_jax.inference.notes import notes
 
-    def _by_name(self, value: float) -> dict[str, float]:
-        ratio = self.parameter.ratio(value)
-        named = {self.parameter.name: value}
-        if np.ptp(ratio) <= 1e-12 * ratio[0]:
-            named["stiffness"] = float(ratio[0])
+        return list(notes(self))
+
+    def _named(self, theta: np.ndarray) -> dict[str, float]:
+        named = {one.label: float(one.value(t)) for one, t in zip(self.parameters.free, theta, strict=True) if not one.nuisance}
+        ratio = self.parameters.ratio(theta)
+        # k/K is shown where a stiffness is fitted, and one number
+        if np.ptp(ratio) <= 1e-12 * ratio[0] and any("stiffness" in name for name in named):
+            named.setdefault("stiffness", float(ratio[0]))
         return named
 
     def report(self) -> str:
@@ -125,51 +292,9 @@ class FitResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything of the result as plain Python values, ready for JSON; open ends and missing numbers are None."""
-        m, p = self.measurements, self.parameter
-        return {
-            "identifiability": self.identifiability.name.lower(),
-            "statement": self.identifiability.value,
-            "reason": self.reason or None,
-            "converged": self.converged,
-            "values": self.values,
-            "stderr": self.stderr,
-            "units": {name: p.unit if name == p.name else "" for name in self.values},
-            "intervals": {
-                name: {f"{level:g}": [_ends(piece) for piece in pieces] for level, pieces in by_level.items()}
-                for name, by_level in self.intervals.items()
-            },
-            "roots": [
-                {
-                    "values": self._by_name(root.value),
-                    "stderr": _by_ratio(self._by_name(root.value), root),
-                    "delta_chi2": _finite(root.chi2 - self.chi2),
-                    "rebreaks": bool(root.rebreaks.any()),
-                }
-                for root in self.roots
-            ],
-            "searched": dict(zip(("low", "high"), p.bounds, strict=True)),
-            "chi2": _finite(self.chi2),
-            "dof": self.dof,
-            "p_value": self.p_value,
-            "measurements": [
-                {
-                    "line": m.lines[i] if m.lines else None,
-                    "height": float(m.height[i]),
-                    "poisson": float(m.poisson[i]),
-                    "measured": float(m.length[i]),
-                    "sigma": float(m.length_sigma[i]),
-                    "fitted": _finite(float(self.fitted.length[i])),
-                    "contacts_broken": int(self.fitted.contacts_broken[i]),
-                    "front_status": FrontStatus(int(self.fitted.status[i])).name.lower(),
-                    "attainable": float(self.attainable[i]),
-                    "attainable_at_stiffness": float(self.attainable_at[i]),
-                }
-                for i in range(len(m))
-            ],
-            "notes": self.notes,
-            "source": m.source,
-            "data_sha256": data_hash(m),
-        }
+        from slippulse_jax.inference.record import to_dict
+
+        return to_dict(self)
 
     def plot(self) -> "Figure":
         """Figure of data, fitted curve with its band, attainable range, and length against stiffness."""
@@ -177,54 +302,29 @@ class FitResult:
 
         return draw_fit(self)
 
+    def plot_profiles(self) -> "Figure":
+        """Figure of the profile of every parameter, and the residuals."""
+        from slippulse_jax.inference.figure import draw_profiles
 
-def data_hash(measurements: Measurements) -> str:
-    """SHA-256 of the numbers that entered the fit, so that a result can be matched to its data."""
-    m = measurements
-    columns = [m.height, m.poisson, m.length, m.length_sigma, m.correlation_length, m.young]
-    digest = hashlib.sha256()
-    for column in columns:
-        digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
-    return digest.hexdigest()
+        return draw_profiles(self)
 
+    def plot_corner(self, samples: np.ndarray | None = None) -> "Figure":
+        """Figure of the allowed region of every pair of parameters, over `samples` of θ if given."""
+        from slippulse_jax.inference.figure import draw_corner
 
-def _notes(result: FitResult):
-    m = result.measurements
-    if m.other:
-        yield f"columns kept and not used: {', '.join(m.other)}"
-    kinds = sorted({text for text in m.provenance if text})
-    if kinds and kinds != ["measured"]:
-        yield f"provenance: {', '.join(kinds)}"
-    rows = set(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.length_sigma, strict=True))
-    if len(rows) < len(m):
-        yield f"{len(m) - len(rows)} measurement(s) repeat another one exactly: each counts as a measurement of its own"
-    if m.in_si and m.young is None:
-        yield "no young_GPa: the areal stiffness in Pa/m cannot be had, only its ratio to Young's modulus"
-    above = m.length - m.length_sigma > result.attainable
-    if above.any():
-        i = int(np.argmax(m.length / result.attainable))
-        where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
-        yield (
-            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
-            f"worst at {where}: "
-            f"{m.length[i]:.6g} λc, attainable {result.attainable[i]:.6g} λc"
-        )
-    if any(root.rebreaks.any() for root in result.roots[:1]):
-        yield (
-            "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
-            "is that of the first front alone"
-        )
-    for outcome in result.outcomes:
-        yield f"a start {outcome}"
+        return draw_corner(self, samples)
+
+    def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> "Bootstrap":
+        """Refits of simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
+        from slippulse_jax.inference.bootstrap import bootstrap
+
+        return bootstrap(self, count, kind=kind, seed=seed)
 
 
-def _by_ratio(values: dict[str, float], root: Root) -> dict[str, float | None]:
-    return {name: None if root.log_stderr is None else value * root.log_stderr for name, value in values.items()}
-
-
-def _finite(x: float) -> float | None:
-    return x if math.isfinite(x) else None
-
-
-def _ends(piece: Interval) -> list[float | None]:
-    return [None if piece.open_low else piece.low, None if piece.open_high else piece.high]
+def _recursion_status(y: np.ndarray) -> np.ndarray:
+    """What the recursion says of each front, with its contacts broken one by one."""
+    distinct, own = np.unique(y, axis=0, return_inverse=True)
+    slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
+    plain = not distinct[:, 3:].any() or (distinct[:, 3] < 0).any()
+    interface = None if plain else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
+    return np.asarray(precursor_arrests(slider, interface=interface).status)[own.ravel()]

@@ -1,0 +1,150 @@
+"""What a fit would have given on other days: refits of simulated or resampled measurements, all at once."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from slippulse_jax.inference.identifiability import LEVELS
+from slippulse_jax.inference.likelihood import STUDENT_DOF
+from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.optimise import Outcome, minimise
+from slippulse_jax.inference.result import FitResult
+
+KINDS = ("parametric", "case")
+MOST_STARTS = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Refits of `kind`; one row a replicate that converged."""
+
+    kind: str
+    seed: int
+    names: tuple[str, ...]  # of the columns
+    theta: np.ndarray  # (count, p)
+    values: np.ndarray  # (count, p), in the units of the parameters
+    deviance: np.ndarray  # (count,)
+    lost: int  # replicates whose refit did not converge
+    at_bound: dict[str, float]  # share of the refits that end at a limit of each parameter
+
+    def stderr(self, name: str) -> float:
+        """Standard deviation of a parameter over the refits."""
+        return float(self.values[:, self.names.index(name)].std(ddof=1))
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Percentile interval of a parameter."""
+        tail = (1 - level) / 2
+        low, high = np.quantile(self.values[:, self.names.index(name)], [tail, 1 - tail])
+        return float(low), float(high)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Summary as plain Python values."""
+        return {
+            "kind": self.kind,
+            "count": len(self.theta),
+            "seed": self.seed,
+            "lost": self.lost,
+            "stderr": {name: self.stderr(name) for name in self.names},
+            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+            "at_bound": self.at_bound,
+        }
+
+    def __str__(self) -> str:
+        rows = [f"{self.kind} bootstrap, {len(self.theta)} refits (seed {self.seed}; {self.lost} did not converge)"]
+        for name in self.names:
+            low, high = self.interval(name)
+            rows.append(
+                f"  {name}: mean {self.values[:, self.names.index(name)].mean():.5g}, standard deviation "
+                f"{self.stderr(name):.3g}, 95% {low:.5g} to {high:.5g}; {self.at_bound[name]:.1%} at a limit"
+            )
+        return "\n".join(rows)
+
+
+def bootstrap(result: FitResult, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
+    """Refit `count` times.
+
+    Parameters
+    ----------
+    result : FitResult
+    count : int
+    kind : {"parametric", "case"}
+        New measurements drawn from the fitted model with the stated errors (and new values of the inputs from their priors);
+        or the measurements themselves, drawn with replacement, which believes neither the model nor σ.
+    seed : int
+
+    Returns
+    -------
+    Bootstrap
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to resample.
+
+    Notes
+    -----
+    Every refit starts at each minimum of the fit that is not excluded (up to four) and keeps the best end, so that a second
+    root shows as a second heap. A front that ran past a length without arrest stays one in every replicate.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind = {kind!r}: one of {', '.join(KINDS)}")
+    if count < 2:
+        raise ValueError(f"count = {count}: at least 2 refits are needed")
+    if kind == "case" and len(result.measurements) < 2:
+        raise ValueError("one measurement cannot be resampled: use kind = 'parametric'")
+    rng = np.random.default_rng(seed)
+    problem = _simulated(result, count, rng) if kind == "parametric" else _resampled(result, count, rng)
+    starts = np.array([one.theta for one in result.found[:MOST_STARTS]] or [result.theta])
+    q, many = result.parameters, len(starts)
+    lane = np.repeat(np.arange(count), many)
+    ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)
+    value = np.where(ends.outcome == Outcome.NOT_CONVERGED, np.inf, ends.value).reshape(count, many)
+    chosen = value.argmin(axis=1)
+    theta = ends.theta.reshape(count, many, -1)[np.arange(count), chosen]
+    good = np.isfinite(value.min(axis=1))
+    theta = theta[good]
+    values = np.stack([one.value(column) for one, column in zip(q.free, theta.T, strict=True)], axis=1)
+    reach = 1e-6 * (q.high - q.low)
+    limits = ((theta <= q.low + reach) | (theta >= q.high - reach)).mean(axis=0)
+    return Bootstrap(
+        kind=kind,
+        seed=seed,
+        names=tuple(q.names),
+        theta=theta,
+        values=values,
+        deviance=2 * value.min(axis=1)[good],
+        lost=int((~good).sum()),
+        at_bound=dict(zip(q.names, limits.tolist(), strict=True)),
+    )
+
+
+def _simulated(result: FitResult, count: int, rng: np.random.Generator) -> Problem:
+    problem, q = result.problem, result.parameters
+    values, weights = {}, {}
+    for block in problem.blocks:
+        mu = problem.predict(result.theta, block.observable)[0]
+        sigma = block.data.sigma * np.sqrt(result.variance_factor)
+        if q.discrepancy is not None:
+            own = np.exp(result.theta[q.discrepancy]) * block.data.value[0]
+            sigma = np.where(block.data.has_discrepancy, np.hypot(sigma, own), sigma)
+        student = problem.loss.name == "student"
+        noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
+        drawn = mu + sigma * noise
+        whole, beyond = block.data.kind == "whole", block.data.kind == "at_least"
+        drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
+        values[block.observable] = np.where(beyond, block.data.value[0], drawn)
+        weights[block.observable] = np.ones((count, len(mu)))
+    spread = np.array([one.prior_sigma for one in q.free])
+    means = np.repeat(problem.prior_mean, count, axis=0)
+    known = np.isfinite(spread)
+    means[:, known] = result.theta[known] + spread[known] * rng.standard_normal((count, int(known.sum())))
+    return problem.with_replicates(values, weights, means)
+
+
+def _resampled(result: FitResult, count: int, rng: np.random.Generator) -> Problem:
+    problem, n = result.problem, len(result.measurements)
+    often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
+    values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}
+    weights = {block.observable: often[:, block.measurement] for block in problem.blocks}
+    return problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))

@@ -1,0 +1,206 @@
+"""Which values the data allow: the likelihood along one or two parameters, the best being made of the others at every point.
+
+The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
+side. A curvature at the best point knows nothing of that; the set of values whose deviance D = −2 ln(likelihood × prior) lies
+no more than a rise above its minimum does.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import fdtri, ndtri
+
+from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.optimise import minimise
+
+NODES = 61  # of a profile over its whole range, where other parameters must be fitted at each
+DENSE_SPACING, DENSE_NODES = 0.1, 200  # where none must: one parameter in its logarithm
+STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
+CROSSING_ROUNDS = 14
+
+
+class Interval(NamedTuple):
+    """One piece of the set of allowed values; an open side means the search range ended before the data did."""
+
+    low: float
+    high: float
+    open_low: bool
+    open_high: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Rise:
+    """By how much the deviance may rise, at a confidence level.
+
+    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the errors
+    is itself estimated from n data and p parameters it is larger, by the F distribution: exactly so for a straight-line model.
+    """
+
+    factor: float = 1.0  # of the loss; and the variance found, where σ is scaled
+    dof: float | None = None  # n − p, where the size of the errors is estimated
+    fitted_variance: int | None = None  # n, where it is a parameter of the likelihood
+
+    def __call__(self, level: float, parameters: int = 1) -> float:
+        """Rise of D for this level; 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ."""
+        if self.dof is None:
+            if parameters == 1:
+                return self.factor * float(ndtri((1 + level) / 2)) ** 2
+            return self.factor * -2 * float(np.log1p(-level)) if parameters == 2 else np.nan
+        f = parameters * float(fdtri(parameters, self.dof, level))
+        if self.fitted_variance is None:
+            return self.factor * f
+        return self.factor * self.fitted_variance * float(np.log1p(f / self.dof))
+
+
+class Curve(NamedTuple):
+    """A profile: nodes in increasing order, the deviance at each, and the best θ there."""
+
+    node: np.ndarray  # (g,), θ of the parameter followed
+    deviance: np.ndarray  # (g,)
+    theta: np.ndarray  # (g, p)
+
+
+def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray) -> Curve:
+    """Least deviance at every node with the `held` coordinates fixed there; the best of all starts.
+
+    Parameters
+    ----------
+    held : array of bool, shape (p,)
+    nodes : array, shape (g, number held)
+    starts : array, shape (s, p) or (g, s, p)
+        Values of the other coordinates to start from.
+    """
+    starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
+    starts[:, :, held] = nodes[:, None, :]
+    count, many, p = starts.shape
+    found = minimise(problem, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held)
+    value = found.value.reshape(count, many)
+    best = value.argmin(axis=1)
+    rows = np.arange(count)
+    return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
+
+
+def profile(problem: Problem, j: int, roots: np.ndarray, covariances: list[np.ndarray], seeds: np.ndarray) -> Curve:
+    """Profile of parameter j over its whole range, with nodes crowded around every root.
+
+    Parameters
+    ----------
+    roots : array, shape (r, p)
+        Minima of the deviance.
+    covariances : list of array
+        Of each root, from its information.
+    seeds : array, shape (s, p)
+        Other good points to start from.
+    """
+    low, high = problem.parameters.low[j], problem.parameters.high[j]
+    alone = problem.p == 1
+    count = max(DENSE_NODES, int((high - low) / DENSE_SPACING)) if alone else NODES
+    around = [np.linspace(low, high, count), roots[:, j]]
+    for root, covariance in zip(roots, covariances, strict=True):
+        step = min(np.sqrt(covariance[j, j]), (high - low) / 8)
+        around += [root[j] - STEPS_AROUND * step, root[j] + STEPS_AROUND * step]
+    node = np.unique(np.concatenate(around))
+    node = node[(node >= low) & (node <= high)]
+    held = np.arange(problem.p) == j
+    curve = constrained(problem, held, node[:, None], _predicted(node, j, roots, covariances, seeds, problem))
+    return curve if alone else _from_neighbours(problem, held, curve)
+
+
+def _predicted(
+    node: np.ndarray, j: int, roots: np.ndarray, covariances: list, seeds: np.ndarray, problem: Problem
+) -> np.ndarray:
+    """Starts at each node: every root, moved along its own ridge; and the other points; shape (g, s, p)."""
+    starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
+    for root, covariance in zip(roots, covariances, strict=True):
+        starts.append(root + (node - root[j])[:, None] * covariance[:, j] / covariance[j, j])
+    return np.clip(np.stack(starts, axis=1), problem.parameters.low, problem.parameters.high)
+
+
+def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
+    """Each node tried again from what its neighbours found, until that gains no more."""
+    for _ in range(3):
+        before, after = np.roll(curve.theta, 1, axis=0), np.roll(curve.theta, -1, axis=0)
+        again = constrained(problem, held, curve.theta[:, held], np.stack([before, after], axis=1))
+        better = again.deviance < curve.deviance - 1e-6
+        if not better.any():
+            break
+        theta = np.where(better[:, None], again.theta, curve.theta)
+        curve = Curve(curve.node, np.where(better, again.deviance, curve.deviance), theta)
+    return curve
+
+
+def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> dict[float, list[Interval]]:
+    """All θ_j with a deviance below each limit, as intervals in increasing order.
+
+    Parameters
+    ----------
+    limits : dict
+        Deviance allowed, by confidence level.
+    """
+    found = {}
+    brackets = []
+    for level, limit in limits.items():
+        inside = curve.deviance <= limit
+        changes = np.nonzero(inside[1:] != inside[:-1])[0]
+        found[level] = inside, len(changes)
+        brackets += [(i, limit) for i in changes]
+    ends = _crossings(problem, j, curve, brackets)
+    result, used = {}, 0
+    for level, (inside, count) in found.items():
+        own = list(ends[used : used + count])
+        used += count
+        open_low, open_high = bool(inside[0]), bool(inside[-1])
+        own = [float(curve.node[0])] * open_low + own + [float(curve.node[-1])] * open_high
+        pairs = list(zip(own[::2], own[1::2], strict=True))
+        result[level] = [
+            Interval(low, high, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (low, high) in enumerate(pairs)
+        ]
+    return result
+
+
+def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
+    """Where the profile passes each limit, between node i and the next; all at once, by false position (Illinois)."""
+    if not brackets:
+        return []
+    index = np.array([i for i, _ in brackets])
+    limit = np.array([x for _, x in brackets])
+    held = np.arange(problem.p) == j
+    left, right = curve.node[index], curve.node[index + 1]
+    f_left, f_right = (np.minimum(curve.deviance[index + k] - limit, 1e6) for k in (0, 1))
+    near = np.stack([curve.theta[index], curve.theta[index + 1]], axis=1)
+    w_left, w_right, last = f_left.copy(), f_right.copy(), np.zeros(len(index))
+    at = left
+    for round_ in range(CROSSING_ROUNDS):
+        share = np.clip(w_left / (w_left - w_right), 1e-3, 1 - 1e-3)
+        # a wall beside a floor (counts without blur) defeats false position: halve every third time
+        share = 0.5 if round_ % 3 == 2 else share
+        at = left + share * (right - left)
+        here = constrained(problem, held, at[:, None], near)
+        value = here.deviance - limit
+        on_left = np.sign(value) == np.sign(f_left)
+        left, right = np.where(on_left, at, left), np.where(on_left, right, at)
+        w_right = np.where(on_left & (last == 1), w_right / 2, np.where(on_left, w_right, value))
+        w_left = np.where(~on_left & (last == -1), w_left / 2, np.where(on_left, value, w_left))
+        last = np.where(on_left, 1, -1)
+        near = np.where(on_left[:, None, None], np.stack([here.theta, near[:, 1]], 1), np.stack([near[:, 0], here.theta], 1))
+        if (np.abs(value) < 1e-7).all():
+            break
+    return [float(x) for x in at]
+
+
+class Surface(NamedTuple):
+    """A profile in two parameters."""
+
+    first: np.ndarray  # (a,), θ
+    second: np.ndarray  # (b,)
+    deviance: np.ndarray  # (a, b)
+
+
+def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> Surface:
+    """Least deviance at every pair of values of parameters i and j; `starts` (s, p) are points to begin from."""
+    held = np.isin(np.arange(problem.p), (i, j))
+    a, b = np.meshgrid(first, second, indexing="ij")
+    nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
+    curve = constrained(problem, held, nodes, starts)
+    return Surface(first, second, curve.deviance.reshape(a.shape))

@@ -1,0 +1,176 @@
+"""A fit as plain Python values: for JSON, for the next program, and to run it again."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import platform
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slippulse_jax.inference.measurements import NUMERIC, Measurements
+from slippulse_jax.inference.parameters import Parameter
+from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.result import FitResult, Root
+from slippulse_jax.lattice.front import FrontStatus
+
+
+def to_dict(result: FitResult) -> dict[str, Any]:
+    """Everything of the result; open ends and missing numbers are None."""
+    q = result.parameters
+    units = {one.label: one.unit for one in q.free}
+    return {
+        "identifiability": result.identifiability.name.lower(),
+        "statement": result.identifiability.value,
+        "reason": result.reason or None,
+        "verdicts": {
+            name: {"identifiability": v.identifiability.name.lower(), "reason": v.reason or None}
+            for name, v in result.verdicts.items()
+        },
+        "converged": result.converged,
+        "values": result.values,
+        "stderr": result.stderr,
+        "units": {name: units.get(name, "") for name in result.values},
+        "intervals": {
+            name: {f"{level:g}": [_ends(piece) for piece in pieces] for level, pieces in by_level.items()}
+            for name, by_level in result.intervals.items()
+        },
+        "correlations": [[a, b, value] for (a, b), value in result.correlations.items()],
+        "inputs": result.inputs,
+        "directions": [
+            {"combination": one.text, "stderr": _finite(one.stderr), "coefficients": one.coefficients.tolist()}
+            for one in result.directions
+        ],
+        "roots": [_root(root, result) for root in result.roots],
+        "searched": {one.label: [float(one.value(one.low)), float(one.value(one.high))] for one in q.free},
+        "chi2": _finite(result.chi2),
+        "dof": result.dof,
+        "p_value": result.p_value,
+        "sigma_scaled_by": math.sqrt(result.variance_factor) if result.scaled else None,
+        "measurements": [_measurement(result, i) for i in range(len(result.measurements))],
+        "notes": result.notes,
+        "source": result.measurements.source,
+        "data_sha256": data_hash(result.measurements),
+        "request": as_request(result.request),
+        "versions": versions(),
+    }
+
+
+def _root(root: Root, result: FitResult) -> dict[str, Any]:
+    return {
+        "values": root.values,
+        "stderr": root.stderrs,
+        "stiffness": float(root.ratio[0]) if np.ptp(root.ratio) <= 1e-12 * root.ratio[0] else None,
+        "delta_chi2": _finite(root.chi2 - result.chi2),
+        "rebreaks": bool(root.rebreaks.any()),
+    }
+
+
+def _measurement(result: FitResult, i: int) -> dict[str, Any]:
+    m = result.measurements
+    return {
+        "line": m.lines[i] if m.lines else None,
+        "kind": m.kind[i],
+        "height": float(m.height[i]),
+        "poisson": float(m.poisson[i]),
+        "measured": float(m.length[i]),
+        "sigma": _finite(float(m.sigma[i])),
+        "fitted": _finite(float(result.fitted.length[i])),
+        "contacts_broken": int(result.fitted.contacts_broken[i]),
+        "front_status": FrontStatus(int(result.fitted.status[i])).name.lower(),
+        "attainable": float(result.attainable[i]),
+        "attainable_at_stiffness": float(result.attainable_at[i]),
+    }
+
+
+def as_request(request: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of a fit, in the form that a request file has."""
+    free = {
+        one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value is not None}
+        for one in request["free"]
+    }
+    return {"parameters": free, **{key: value for key, value in request.items() if key != "free"}}
+
+
+def from_request(request: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of `fit` from a request: a table of parameters, and the rest by their names.
+
+    Raises
+    ------
+    ValueError
+        Naming what is not understood.
+    """
+    request = dict(request)
+    parameters = request.pop("parameters", {"stiffness": {}})
+    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed"}
+    if unknown:
+        raise ValueError(f"request: {', '.join(sorted(unknown))} not understood")
+    free = []
+    for name, settings in parameters.items():
+        known = {field.name for field in dataclasses.fields(Parameter)} - {"name"}
+        strange = set(settings) - known
+        if strange:
+            raise ValueError(
+                f"request, parameter {name}: {', '.join(sorted(strange))} not understood; {', '.join(sorted(known))} are"
+            )
+        pairs: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()}
+        for key in ("bounds", "prior"):
+            if key in pairs and not (isinstance(pairs[key], tuple) and len(pairs[key]) == 2):
+                raise ValueError(f"request, parameter {name}: {key} = {pairs[key]!r}: two numbers are needed")
+        free.append(Parameter(name, **pairs))
+    return {"free": free, **request}
+
+
+def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """A request from a TOML file, or from the JSON that an earlier fit printed.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read or is neither.
+    """
+    name = os.fspath(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{name}: not UTF-8 text") from None
+    try:
+        content = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{name}: {error}") from None
+    content = content.get("request", content)
+    if not isinstance(content, dict) or not all(isinstance(x, dict) for x in content.get("parameters", {}).values()):
+        raise ValueError(f"{name}: [parameters.NAME] tables are expected, each with its settings")
+    return content
+
+
+def data_hash(measurements: Measurements) -> str:
+    """SHA-256 of the numbers that entered the fit, so that a result can be matched to its data."""
+    digest = hashlib.sha256()
+    for name in NUMERIC:
+        column = getattr(measurements, name)
+        digest.update(name.encode() + b"=")
+        digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
+    digest.update(",".join(measurements.kind).encode())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """What computed the result."""
+    packages = ("slippulse_jax", "jax", "numpy", "scipy", "optax")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _finite(x: float) -> float | None:
+    return x if math.isfinite(x) else None
+
+
+def _ends(piece: Interval) -> list[float | None]:
+    return [None if piece.open_low else piece.low, None if piece.open_high else piece.high]

@@ -1,0 +1,227 @@
+"""Measurements from a CSV file: its columns, and a refusal that names file, line and column of what is wrong.
+
+One first precursor a line, with the units in the column names, in one of two forms:
+
+SI-prefixed
+    ``height_mm``, ``correlation_length_um``, ``poisson``, ``length_mm``, ``length_sigma_mm``, and optionally ``young_GPa``
+dimensionless (lengths in λc)
+    ``height``, ``poisson``, ``length``, ``length_sigma``
+
+Without a column of σ the errors are taken as equal, and their size from the scatter. Further columns, all optional:
+
+``kind``
+    ``length`` (default), ``whole`` (a count of whole contacts: the length in λc lies within one below it), ``at_least``
+    (the front ran past this length without arrest); σ may be 0 or blank for the last two
+``height_sigma_mm`` or ``height_sigma``, ``correlation_length_sigma_um``, ``poisson_sigma``, ``young_sigma_GPa``
+    standard errors of the inputs; lines of one specimen with the same value and error share one true value
+``prestress``, ``threshold_slope``
+    known conditions: σ_0/σ_s, and the relative rise of the threshold per contact
+``displacement_um``, ``displacement_sigma_um``, ``force_N_per_mm``, ``force_sigma_N_per_mm``
+    edge displacement, and driving force over the width of the block, at nucleation; SI with ``young_GPa``, blank where not
+    measured
+``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
+
+Other columns are kept and named in the report, and have no effect. Lines that start with ``#`` are comments.
+"""
+
+import csv
+import io
+import os
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, MeasurementError, Measurements, check_domain
+
+
+class _Column(NamedTuple):
+    quantity: str
+    unit: float = 1.0  # in SI
+    over_correlation_length: bool = False
+    required: bool = False
+
+
+_BOTH = {
+    "poisson": _Column("poisson", required=True),
+    "poisson_sigma": _Column("poisson_sigma"),
+    "prestress": _Column("prestress"),
+    "threshold_slope": _Column("threshold_slope"),
+}
+_SI = {
+    "correlation_length_um": _Column("correlation_length", 1e-6, required=True),
+    "height_mm": _Column("height", 1e-3, True, required=True),
+    "length_mm": _Column("length", 1e-3, True, required=True),
+    "length_sigma_mm": _Column("length_sigma", 1e-3, True),
+    "young_GPa": _Column("young", 1e9),
+    "height_sigma_mm": _Column("height_sigma", 1e-3, True),
+    "correlation_length_sigma_um": _Column("correlation_length_sigma", 1e-6),
+    "young_sigma_GPa": _Column("young_sigma", 1e9),
+    "displacement_um": _Column("displacement", 1e-6),
+    "displacement_sigma_um": _Column("displacement_sigma", 1e-6),
+    "force_N_per_mm": _Column("force", 1e3),
+    "force_sigma_N_per_mm": _Column("force_sigma", 1e3),
+}
+_PLAIN = {
+    "height": _Column("height", required=True),
+    "length": _Column("length", required=True),
+    "length_sigma": _Column("length_sigma"),
+    "height_sigma": _Column("height_sigma"),
+}
+_TEXT = ("specimen", "provenance", "kind")
+_FORMS = (
+    "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
+    "(a table without σ is read too)"
+)
+
+
+def read_measurements(path: str | os.PathLike[str]) -> Measurements:
+    """Read a CSV file of measured first precursors (its columns are in the documentation of this module).
+
+    Parameters
+    ----------
+    path : path
+        UTF-8 text; comma, semicolon or tab between the columns, a point as decimal mark.
+
+    Returns
+    -------
+    Measurements
+
+    Raises
+    ------
+    MeasurementError
+        If the file cannot be read, a column is missing or there twice, or a value is missing, not a number, or outside its
+        domain: the message names file, line and column.
+    """
+    name = os.fspath(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise MeasurementError(f"{name}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise MeasurementError(f"{name}: not UTF-8 text (byte {error.start}); save it as CSV UTF-8") from None
+    if "\0" in text:
+        raise MeasurementError(f"{name}: holds NUL bytes: not a text file; save it as CSV UTF-8")
+    return _parse(text, name)
+
+
+def _parse(text: str, name: str) -> Measurements:
+    rows = _rows(text, name)
+    if not rows:
+        raise MeasurementError(f"{name}: empty: expected a header line with {_FORMS}")
+    header_line, header = rows[0]
+    header = [cell.strip() for cell in header]
+    columns = _known_columns(header, f"{name}, line {header_line}")
+    if len(rows) == 1:
+        raise MeasurementError(f"{name}: a header and no measurements")
+    table: dict[str, list[float]] = {column.quantity: [] for column in columns.values()}
+    texts: dict[str, list[str]] = {column: [] for column in header if column not in columns}
+    for line, cells in rows[1:]:
+        where = f"{name}, line {line}"
+        if len(cells) != len(header):
+            raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
+        row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+        for quantity, value in _quantities(row, columns, where).items():
+            table[quantity].append(value)
+        if row.get("provenance", "") not in ("", *PROVENANCES):
+            raise MeasurementError(f"{where}, column provenance: {row['provenance']!r}: one of {', '.join(PROVENANCES)}")
+        for column, cells_so_far in texts.items():
+            cells_so_far.append(row[column])
+    return Measurements(
+        **{quantity: np.array(values) for quantity, values in table.items()},
+        kind=tuple(text or "length" for text in texts.pop("kind", ())),
+        specimen=tuple(texts.pop("specimen", ())),
+        provenance=tuple(texts.pop("provenance", ())),
+        lines=tuple(line for line, _ in rows[1:]),
+        source=name,
+        other=texts,
+    )
+
+
+def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
+    """Line number and cells of every line that is neither blank nor a comment."""
+    # a quoted cell may run over several lines: comments are blanked, not removed, so that line numbers stay true
+    kept = "\n".join("" if line.lstrip().startswith("#") else line for line in text.splitlines())
+    first = next((line for line in kept.splitlines() if line.strip()), "")
+    delimiter = max(",;\t", key=first.count)
+    rows, line = [], 1
+    reader = csv.reader(io.StringIO(kept), delimiter=delimiter, strict=True)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((line, cells))
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
+    return rows
+
+
+def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
+    """The numeric columns of this table; refuses one that is in neither form, or in both."""
+    for column, count in Counter(header).items():
+        if count > 1:
+            raise MeasurementError(f"{where}, column {column or '(no name)'}: there {count} times")
+    folded = {known.casefold(): known for known in (*_SI, *_PLAIN, *_BOTH, *_TEXT)}
+    for column in header:
+        meant = folded.get(column.casefold(), column)
+        if meant != column and meant not in header:
+            raise MeasurementError(f"{where}, column {column}: did you mean {meant}? Upper and lower case count in units")
+    only_si = [column for column in _SI if column in header]
+    only_plain = [column for column in _PLAIN if column in header]
+    if only_si and only_plain:
+        raise MeasurementError(f"{where}: columns of both forms, {only_si[0]} and {only_plain[0]}: choose one")
+    known = {**_BOTH, **(_SI if only_si else _PLAIN)}
+    missing = [column for column, meaning in known.items() if meaning.required and column not in header]
+    if missing:
+        wanted = [column for column, meaning in known.items() if meaning.required]
+        expected = f"the columns {', '.join(wanted)}" if only_si or only_plain else _FORMS
+        raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
+    for column in header:
+        partner = _value_column(column)
+        if column in known and partner in known and partner not in header:
+            raise MeasurementError(f"{where}, column {column}: there is no column {partner} that it could be the error of")
+    return {column: meaning for column, meaning in known.items() if column in header}
+
+
+def _value_column(column: str) -> str:
+    """``young_GPa`` for ``young_sigma_GPa``."""
+    return column.replace("_sigma", "")
+
+
+def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) -> dict[str, float]:
+    """Values of one line as quantities in λc, m, Pa and N/m, checked."""
+    kind = row.get("kind", "") or "length"
+    raw: dict[str, float] = {}
+    for column, meaning in columns.items():
+        place = f"{where}, column {column}"
+        if not row[column] and meaning.quantity in MAY_BE_BLANK:
+            raw[column] = np.nan
+        elif not row[column] and meaning.quantity == "length_sigma" and kind != "length":
+            raw[column] = 0.0
+        else:
+            raw[column] = _number(row[column], place)
+    # a correlation length of 0 is refused for itself, not for the division by it
+    correlation_length = raw.get("correlation_length_um", 1.0) * 1e-6 or np.nan
+    quantities, shown = {}, {}
+    for column, meaning in columns.items():
+        scale = meaning.unit / correlation_length if meaning.over_correlation_length else meaning.unit
+        quantities[meaning.quantity] = raw[column] * scale
+        shown[meaning.quantity] = (column, row[column])
+    if np.isfinite(quantities["length"]) and kind == "whole":
+        # what was a whole number before it was divided by λc
+        near = round(quantities["length"])
+        quantities["length"] = float(near) if abs(quantities["length"] - near) < 1e-6 else quantities["length"]
+    # the correlation length comes first: it is what a wrong height or length may be due to
+    check_domain(dict(sorted(quantities.items(), key=lambda item: item[0] != "correlation_length")), kind, where, shown)
+    return quantities
+
+
+def _number(text: str, where: str) -> float:
+    if not text:
+        raise MeasurementError(f"{where}: missing value")
+    try:
+        return float(text)
+    except ValueError:
+        hint = "; write a decimal point" if text.count(",") == 1 and text.replace(",", "").isdigit() else ""
+        raise MeasurementError(f"{where}: {text!r} is not a number{hint}") from None

@@ -1,0 +1,254 @@
+"""Several parameters, priors, uncertain inputs, further observables, counts, censoring, losses: each against an independent answer."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import ndtr
+from scipy.stats import norm
+
+from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax.inference.bootstrap import bootstrap
+from slippulse_jax.inference.forward import displacements, forces, lengths
+from slippulse_jax.inference.likelihood import Data, Loss, terms
+from slippulse_jax.inference.objective import make_problem
+from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.result import Identifiability
+
+
+def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
+    columns = np.broadcast_arrays(np.log(height), np.log(stiffness), poisson, prestress, slope)
+    y = np.stack(columns, axis=-1)
+    return lengths(y.reshape(-1, 5), 0).value.reshape(y.shape[:-1])
+
+
+HEIGHTS = np.array([15.0, 20.0, 30.0, 45.0, 60.0])
+
+
+@pytest.mark.parametrize("loss", ["normal", "huber", "student"])
+def test_gradient_is_that_of_the_value(loss):
+    """Every parameter at once, against central differences of the value."""
+    m = Measurements(
+        height=[3000, 5000, 7000], poisson=0.3, length=[1500, 3000, 5000], length_sigma=[40, 50, 60], kind=["length", "whole", "at_least"],
+        correlation_length=1e-5, young=3e9, displacement=[4e-6, np.nan, 5e-6], displacement_sigma=1e-7, force=[np.nan, 40, 50],
+        force_sigma=5, specimen=("A", "B", "B"),
+    )  # fmt: skip
+    asked = [
+        Parameter("stiffness", each="specimen"), "poisson", "prestress", "threshold_slope", "strength", "offset", "discrepancy",
+        Parameter("correlation_length", prior=(1e-5, 1e-6)), Parameter("young", prior=(3e9, 1e8)), Parameter("model_factor", prior=(1, 0.1)),
+    ]  # fmt: skip
+    q = resolve(m, asked)
+    problem = make_problem(m, q, Loss(loss), m.sigma)
+    value = {"poisson": 0.31, "prestress": 0.05, "threshold_slope": 1e-6, "offset": 1e-4}
+    start = {
+        "areal_stiffness[A]": 2e10,
+        "areal_stiffness[B]": 2.3e10,
+        "strength": 1e5,
+        "discrepancy": 0.03,
+        "model_factor": 1.02,
+    }
+    size = {**value, **start, "correlation_length": 1.02e-5, "young": 2.95e9}
+    theta = np.array([one.theta(size[one.label]) for one in q.free])
+    step = np.array([1e-9 if one.name == "threshold_slope" else 1e-8 if one.name == "offset" else 1e-5 for one in q.free])
+    around = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
+    values = problem(around).value
+    numerical = (values[: len(step)] - values[len(step) :]) / (2 * step)
+    found = problem(theta, order=1).gradient[0]
+    rounding = 1e-15 * abs(values[0]) / step
+    assert (np.abs(found - numerical) <= 1e-4 * np.abs(numerical) + 10 * rounding).all()
+
+
+def test_likelihood_of_a_count_is_that_of_its_interval():
+    """P(n) = Φ((n − ℓ)/σ) − Φ((n − 1 − ℓ)/σ), also far out in both tails, and without blur the interval itself."""
+    data = Data(
+        np.array(["whole"] * 4),
+        np.array([[26.0, 26, 26, 26]]),
+        np.array([0.7, 0.01, 1e-6, 0.0]),
+        np.ones((1, 4)),
+        np.ones(4, bool),
+    )
+    for mu in (25.3, 25.99, 20.0, 40.0):
+        # by the tail that loses no digits
+        a, b = (25 - mu) / 0.7, (26 - mu) / 0.7
+        probability = ndtr(-a) - ndtr(-b) if a > 0 else ndtr(b) - ndtr(a)
+        found = terms(np.full((1, 4), mu), data, np.zeros(1, int), Loss(), None)
+        assert found.value[0, 0] == pytest.approx(-np.log(probability), rel=1e-9)
+        assert np.isfinite(found.value).all()
+        h = 1e-6
+        near = [terms(np.full((1, 4), mu + s), data, np.zeros(1, int), Loss(), None) for s in (h, -h)]
+        np.testing.assert_allclose(found.slope[0, :1], (near[0].value - near[1].value)[0, :1] / (2 * h), rtol=1e-6)
+        inside = 25 < mu <= 26
+        assert (found.value[0, 3] < 1e-6) == inside
+
+
+def test_huber_and_student_information():
+    """1/variance of the location estimate each loss makes, from integrals over its own errors."""
+
+    def density(r):
+        return norm.pdf(r)
+
+    psi = lambda r: Loss("huber")(np.array(r))[1]  # noqa: E731
+    mean_slope = quad(lambda r: density(r) * (abs(r) < 1.345), -10, 10, points=[-1.345, 1.345])[0]
+    mean_square = quad(lambda r: density(r) * psi(r) ** 2, -10, 10)[0]
+    assert Loss("huber").information == pytest.approx(mean_slope**2 / mean_square, rel=1e-6)
+    assert Loss("huber").rise == pytest.approx(mean_square / mean_slope, rel=1e-6)
+    assert Loss("student").information == pytest.approx(5 / 7)
+
+
+def test_whole_contacts_without_blur_allow_the_interval_of_stiffness():
+    """26 contacts at H/λc = 25, σ = 0: the values of k/K with 25 < ℓ ≤ 26, in two pieces, and no best one."""
+    result = fit(Measurements(height=[25.0], poisson=0.3, length=26, length_sigma=0.0, kind=["whole"]))
+    assert result.stderr["stiffness"] is None
+    grid = np.exp(np.linspace(np.log(0.01), np.log(0.3), 40_001))
+    inside = (model(25.0, grid) > 25) & (model(25.0, grid) <= 26)
+    ends = grid[np.nonzero(np.diff(inside.astype(int)))[0]]
+    pieces = result.intervals["stiffness"][0.95]
+    found = np.array([end for piece in pieces for end in (piece.low, piece.high)])
+    np.testing.assert_allclose(found, ends, rtol=2e-3)
+
+
+def test_all_censored_is_one_sided_and_never_a_number():
+    result = fit(Measurements(height=[20.0, 30.0], poisson=0.3, length=[8, 12], length_sigma=1.0, kind=["at_least"] * 2))
+    assert result.identifiability is not Identifiability.IDENTIFIED
+    assert result.stderr["stiffness"] is None
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.open_high
+    assert not piece.open_low
+
+
+def test_one_outlier():
+    """The robust losses stay near the truth where least squares does not."""
+    length = model(HEIGHTS, 0.004)
+    length[2] *= 1.5
+    m = Measurements(height=HEIGHTS, poisson=0.3, length=length, length_sigma=0.02 * model(HEIGHTS, 0.004))
+    off = {loss: abs(np.log(fit(m, loss=loss).value / 0.004)) for loss in ("normal", "huber", "student")}
+    assert off["student"] < off["huber"] < off["normal"]
+    assert off["student"] < 0.02
+
+
+def test_uncertain_inputs_widen_the_error_as_propagation_says():
+    """One λc and ν, each with its own error, shared by all lengths: var = var(ℓ) + Σ (∂ ln k/∂input)² var(input)."""
+    length = model(HEIGHTS * 100, 6e-5)
+    common = dict(
+        height=HEIGHTS * 100, poisson=0.3, length=length, length_sigma=0.01 * length, correlation_length=1e-5, young=3e9
+    )
+    plain = fit(Measurements(**common))
+    wide = fit(Measurements(**common, poisson_sigma=0.02, young_sigma=0.2e9))
+    assert set(wide.inputs) == {"poisson[0.3]", "young[3e+09]"}
+    shifted = fit(Measurements(**{**common, "poisson": 0.301}))
+    by_poisson = (np.log(shifted.value) - np.log(plain.value)) / 0.001
+    expected = np.sqrt(plain.log_stderr**2 + (by_poisson * 0.02) ** 2 + (0.2 / 3) ** 2)
+    assert wide.log_stderr == pytest.approx(expected, rel=0.05)
+    low, high = wide.theta_intervals["areal_stiffness"][0.6827][0][:2]
+    assert (high - low) / 2 == pytest.approx(expected, rel=0.05)
+
+
+def test_two_parameters_are_found_and_correlated():
+    """k/K and a common prestress from heights and known data: the truth back, and the profile against a grid."""
+    truth = 0.006, 0.2
+    length = model(HEIGHTS, truth[0], prestress=truth[1])
+    result = fit(
+        Measurements(height=HEIGHTS, poisson=0.3, length=length, length_sigma=0.005 * length),
+        ["stiffness", Parameter("prestress", bounds=(0.0, 0.45))],
+    )
+    assert result.values["stiffness"] == pytest.approx(truth[0], rel=1e-4)
+    assert result.values["prestress"] == pytest.approx(truth[1], abs=1e-4)
+    (value,) = result.correlations.values()
+    assert -1 < value < 0  # both lengthen the precursor
+    curve = result.curves["prestress"]
+    i = len(curve.node) // 3
+    k = np.exp(np.linspace(np.log(1e-4), np.log(0.03), 4001))
+    chi2 = (((model(HEIGHTS, k[:, None], prestress=curve.node[i]) - length) / (0.005 * length)) ** 2).sum(axis=1)
+    assert curve.deviance[i] == pytest.approx(chi2.min(), rel=1e-3)
+
+
+def test_areal_stiffness_and_young_together_are_refused_a_number():
+    """Only their ratio acts: said, with the ratio, and no standard error for either."""
+    length = model(HEIGHTS * 100, 6e-5)
+    m = Measurements(
+        height=HEIGHTS * 100, poisson=0.3, length=length, length_sigma=0.01 * length, correlation_length=1e-5, young=3e9
+    )
+    result = fit(m, ["stiffness", "young"])
+    assert result.identifiability is Identifiability.UNINFORMATIVE
+    assert result.stderr["areal_stiffness"] is None
+    assert result.stderr["young"] is None
+    assert "young^-1" in result.reason
+    first, second = result.directions
+    assert np.isfinite(first.stderr)
+    assert np.isinf(second.stderr)
+    np.testing.assert_allclose(np.abs(first.coefficients), np.sqrt(0.5), rtol=1e-6)
+
+
+def test_force_and_displacement_give_the_strength():
+    """σ_s is in the load at nucleation and not in the length."""
+    areal, young, lc, strength = 2e10, 3e9, 1e-5, 2e6
+    height = HEIGHTS * 100
+    y = np.stack([np.log(height), np.full(5, np.log(areal * lc / young)), np.full(5, 0.3), np.zeros(5), np.zeros(5)], axis=1)
+    length = lengths(y, 0).value
+    m = Measurements(
+        height=height, poisson=0.3, length=length, length_sigma=0.01 * length, correlation_length=lc, young=young,
+        displacement=displacements(y, 0).value * strength / areal, displacement_sigma=1e-6,
+        force=forces(y, 0).value * strength * lc, force_sigma=100.0,
+    )  # fmt: skip
+    result = fit(m, ["stiffness", "strength"])
+    assert result.values["strength"] == pytest.approx(strength, rel=1e-5)
+    assert result.values["areal_stiffness"] == pytest.approx(areal, rel=1e-5)
+    assert result.identifiability is Identifiability.IDENTIFIED
+
+
+def test_force_at_nucleation_is_what_the_contacts_carry():
+    """The sum over the lattice modes, against the stresses of the chain added up one by one."""
+    from slippulse_jax import Slider, exact_front_stress, first_precursor
+
+    front = first_precursor(Slider(10.0, 0.03, 0.3), recorded_sites=600)
+    y = np.array([[np.log(10.0), np.log(0.03), 0.3, 0.0, 0.0]])
+    assert forces(y, 0).value[0] == pytest.approx(float(front.nucleation.stress.sum()), rel=1e-4)
+    assert displacements(y, 0).value[0] == pytest.approx(float(front.load), rel=1e-6)
+    del exact_front_stress
+
+
+def test_scaled_errors():
+    """σ doubled, all of them: same value, same error when only their ratios are believed; half with σ given."""
+    rng = np.random.default_rng(3)
+    length = model(HEIGHTS, 0.004)
+    noisy = length * (1 + 0.02 * rng.standard_normal(5))
+    fits = [
+        fit(Measurements(height=HEIGHTS, poisson=0.3, length=noisy, length_sigma=c * length), sigma="relative")
+        for c in (0.01, 0.02)
+    ]
+    assert fits[0].log_stderr == pytest.approx(fits[1].log_stderr, rel=1e-6)
+    assert fits[0].value == pytest.approx(fits[1].value, rel=1e-6)
+    assert "scaled by" in fits[0].report()
+    none = fit(Measurements(height=HEIGHTS, poisson=0.3, length=noisy))
+    assert "no standard errors were given" in none.report()
+    low, high = none.theta_intervals["stiffness"][0.95][0][:2]
+    assert (high - low) / 2 == pytest.approx(2.776 * none.log_stderr, rel=0.1)  # Student's t with four degrees of freedom
+
+
+def test_bootstrap_spread_is_the_standard_error():
+    length = model(HEIGHTS, 0.004)
+    result = fit(Measurements(height=HEIGHTS, poisson=0.3, length=length, length_sigma=0.01 * length))
+    drawn = bootstrap(result, 400, seed=1)
+    assert drawn.lost == 0
+    assert drawn.theta.std() == pytest.approx(result.log_stderr, rel=0.15)
+    again = bootstrap(result, 400, seed=1)
+    np.testing.assert_array_equal(drawn.theta, again.theta)
+    case = bootstrap(result, 50, kind="case")
+    assert case.theta.std() < 1e-6  # exact data refit to the same value whichever are drawn
+
+
+def test_table_with_everything(tmp_path):
+    path = tmp_path / "all.csv"
+    path.write_text(
+        "specimen,height_mm,height_sigma_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm,kind,prestress,"
+        "displacement_um,displacement_sigma_um,force_N_per_mm,force_sigma_N_per_mm\n"
+        "A,50,0.1,10,0.3,3,20,0.5,length,0,,,40,2\nA,60,0.1,10,0.3,3,30,,at_least,0.1,3,0.1,,\n"
+    )
+    m = read_measurements(path)
+    assert m.kind == ("length", "at_least")
+    assert m.length_sigma[1] == 0
+    np.testing.assert_allclose(m.height_sigma, 10)
+    assert np.isnan(m.displacement[0])
+    assert m.displacement[1] == pytest.approx(3e-6)
+    assert m.force[0] == pytest.approx(4e4)
+    q = resolve(m, ["stiffness", "strength"])
+    assert q.names == ["areal_stiffness", "strength", "height[A, 0.05]", "height[A, 0.06]"]
