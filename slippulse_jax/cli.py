@@ -10,7 +10,7 @@ import sys
 
 import click
 
-from slippulse_jax.commands.shared import FAILURE, INTERRUPTED
+from slippulse_jax.commands.shared import FAILURE, INTERRUPTED, leave_when_interrupted
 
 COMMANDS = {
     "series": "A series of precursors, as a catalogue of events.",
@@ -59,6 +59,7 @@ def slippulse() -> None:
 
 def main() -> None:
     """Run the command line and exit with its status."""
+    leave_when_interrupted()
     try:
         slippulse.main(standalone_mode=False)
         sys.stdout.flush()
@@ -67,11 +68,9 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
+    except click.Abort:
         click.echo("interrupted", err=True)
-        # at once: unloading JAX under a compilation that was cut short can crash, and would hide the exit status
-        sys.stderr.flush()
-        os._exit(INTERRUPTED)
+        sys.exit(INTERRUPTED)
     except BrokenPipeError:
         # whoever read our output has closed it: not an error of ours, and nothing more can be written there
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

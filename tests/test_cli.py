@@ -145,14 +145,8 @@ def test_interrupted():
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         assert process.stdout.readline() == "ready\n"
-        time.sleep(2)  # jax is imported, and the fit goes on for some seconds
-        for _ in range(20):  # libraries may swallow one that falls into a callback of theirs: as a person would, press again
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout=0.5)
-                break
-            except subprocess.TimeoutExpired:
-                continue
+        time.sleep(0.7)  # jax is being imported, or compiles
+        process.send_signal(signal.SIGINT)
         err = process.stderr.read()
     assert process.returncode == 130
     assert err.strip().endswith("interrupted")

@@ -2,6 +2,8 @@
 
 import io
 import json
+import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +23,27 @@ class BadInput(click.ClickException):
     """Input that cannot be used; exit status 2."""
 
     exit_code = BAD_INPUT
+
+
+last_words: list[str] = []
+"""What an interrupted command has to say, beside that it was interrupted; a command adds its own."""
+
+
+def leave_when_interrupted() -> None:
+    """From now on Ctrl-C prints the last words and ends the program at once with status 130.
+
+    A KeyboardInterrupt will not do: one that falls into a callback that JAX makes while it compiles is swallowed there, and
+    unloading JAX under a compilation that was cut short can crash. Files are written whole or not at all, so nothing is lost.
+    """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a shell, where Ctrl-C is not for us
+        return
+
+    def leave(*_: Any) -> None:
+        message = "\n" * os.isatty(2) + "".join(line + "\n" for line in (*last_words, "interrupted"))
+        os.write(2, message.encode())  # below Python's buffers, in one of which we may be
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, leave)
 
 
 def print_json(content: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.commands.shared import BadInput, as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.commands.shared import BadInput, as_json, figure_path, last_words, print_json, refuse, save_figure
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,6 +109,8 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
     """Run it, and turn what can happen to it into messages and exit statuses."""
     from slippulse_jax.sweeps.run import sweep
 
+    if store is not None:
+        last_words.append(_kept(store))
     try:
         found = sweep(store=store, **request)
     except ValueError as error:
@@ -117,10 +119,6 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
         if store is None:
             raise
         raise Incomplete(f"{error}; {_kept(store)}") from None
-    except KeyboardInterrupt:
-        if store is not None:
-            click.echo(_kept(store), err=True)
-        raise
     if not found.attrs["complete"]:
         raise Incomplete(f"other shares of {store} are not there yet; {_kept(str(store))}")
     return found
