@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from slippulse_jax import plot as plot
     from slippulse_jax import style as style
     from slippulse_jax import theory as theory
+    from slippulse_jax.inference.fields import RecoveredProfile as RecoveredProfile
+    from slippulse_jax.inference.fields import recover_profile as recover_profile
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
@@ -71,6 +73,7 @@ _HOME = {
     "Measurements": "inference.measurements",
     "Parameter": "inference.parameters",
     "Profile": "interface",
+    "RecoveredProfile": "inference.fields",
     "SelfHealing": "lattice.dynamics",
     "Slider": "slider",
     "SmoothBreak": "rules",
@@ -96,6 +99,7 @@ _HOME = {
     "precursor_length_gradients": "lattice.bulk",
     "precursor_lengths": "lattice.bulk",
     "read_measurements": "inference.table",
+    "recover_profile": "inference.fields",
     "relaxed": "lattice.chain",
     "rupture": "lattice.cascade",
     "sensitivity": "lattice.sensitivity",
