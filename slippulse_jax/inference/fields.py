@@ -213,7 +213,7 @@ def recover_profile(
         settings=settings,
         weight=found.weight,
         readings=_readings(at_mean, measured, sigma) if kind == "threshold" else None,
-        determination=_judge(found, chi2, resolution, knots, determined, measured),
+        determination=_judge(found, chi2, knots, determined, measured),
         steps=found.steps,
         log_stiffness_shift=float(mean_u[k]),
     )
@@ -260,14 +260,13 @@ def _stderr(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(covariance), 0))
 
 
-def _judge(
-    found: Found, chi2: float, resolution: np.ndarray, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray
-) -> Determination:
+def _judge(found: Found, chi2: float, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray) -> Determination:
     from scipy.special import chdtrc
 
     if not found.converged:
         return Determination.NOT_CONVERGED
-    degrees = np.trace(resolution)
+    # not weighed by evidence: where no variation is seen that prefers a stiff prior, which needs no data
+    degrees = np.mean([np.trace(p.resolution[: len(knots), : len(knots)]) for p in found.posteriors])
     spare = max(len(measured) - degrees, 1.0)
     if not np.isfinite(chi2) or chdtrc(spare, chi2) < 1e-3:
         return Determination.NOT_EXPLAINED
