@@ -75,7 +75,7 @@ def test_a_length_reads_the_threshold_at_its_arrest():
 @pytest.mark.parametrize("kind", ["threshold", "prestress"])
 def test_derivatives_in_knots_and_stiffness(kind):
     rng = np.random.default_rng(3)
-    m = measured(np.full(len(HEIGHTS), 12.3), 0.1)
+    m = measured(np.full(len(HEIGHTS), 12.3), 0.1, prestress=0.05, threshold_slope=0.001)
     model = profile_model(m, kind, np.array(STIFFNESS), m.length, SITES, 9)
     assert len(model.knots) == 9
     u = np.append(0.02 * rng.normal(size=9) + (0.1 if kind == "prestress" else 0), 0.05)
@@ -283,3 +283,24 @@ def test_errors_name_the_argument(wrong, message):
     m = sp.Measurements(height=25, poisson=POISSON, length=26.0, length_sigma=0.3)
     with pytest.raises(ValueError, match=message):
         sp.recover_profile(m, **{"stiffness": STIFFNESS, **wrong})
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"kind": ("length", "at_least")}, "measurement 1: kind 'at_least'"),
+        ({"length_sigma": None}, "needs the standard errors"),
+        ({"correlation_length": [1e-6, 2e-6]}, "several correlation lengths"),
+    ],
+)
+def test_measurements_that_are_no_lengths_of_one_interface_are_refused(columns, message):
+    m = sp.Measurements(**{"height": [20, 25], "poisson": POISSON, "length": [20.0, 26.0], "length_sigma": 0.3, **columns})
+    with pytest.raises(sp.MeasurementError, match=message):
+        sp.recover_profile(m, stiffness=STIFFNESS)
+
+
+def test_a_count_stands_for_the_middle_of_its_contact():
+    count = sp.Measurements(height=[20, 25], poisson=POISSON, length=[22.0, 26.0], length_sigma=0.0, kind=("whole",) * 2)
+    plain = sp.Measurements(height=[20, 25], poisson=POISSON, length=[21.5, 25.5], length_sigma=12**-0.5)
+    counted, found = (sp.recover_profile(m, stiffness=STIFFNESS) for m in (count, plain))
+    np.testing.assert_allclose(counted.profile[:30], found.profile[:30], rtol=1e-12)

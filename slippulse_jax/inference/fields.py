@@ -239,13 +239,13 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     """Lengths and standard errors in λc."""
     if m.length_sigma is None or not np.isfinite(m.length_sigma).all():
         raise MeasurementError(f"{m.source}: a profile needs the standard errors of the lengths")
-    kinds = np.array(getattr(m, "kind", ()) or ("length",) * len(m))
+    kinds = np.array(m.kind)
     whole = kinds == "whole"
     for i in np.flatnonzero(~whole & (kinds != "length")):
-        raise MeasurementError(f"{m.source}, measurement {i}: {kinds[i]!r}: a profile takes lengths and whole-contact counts")
+        raise MeasurementError(f"{m.place(i)}: kind {m.kind[i]!r}: a profile takes lengths and whole-contact counts")
     sigma = np.sqrt(m.length_sigma**2 + whole / 12)
     if not (sigma > 0).all():
-        raise MeasurementError(f"{m.source}, measurement {int(np.argmin(sigma))}: a standard error must be positive")
+        raise MeasurementError(f"{m.place(int(np.argmin(sigma)))}: a standard error must be positive")
     return m.length - 0.5 * whole, sigma
 
 

@@ -95,8 +95,7 @@ def profile_model(
     """
     n = len(m)
     site = np.arange(sites)
-    known = {name: getattr(m, name, None) for name in ("prestress", "threshold_slope")}
-    phi, slope = (np.zeros((n, 1)) if x is None else x[:, None] for x in known.values())
+    phi, slope = (m.or_zero(name)[:, None] for name in ("prestress", "threshold_slope"))
     slider = Slider(m.height, stiffness, m.poisson)
     lanes = tuple(np.broadcast_to(np.asarray(x), (n,)) for x in (slider.height, slider.stiffness, slider.poisson))
     return ProfileModel(
