@@ -241,7 +241,7 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
         raise MeasurementError(f"{m.source}: a profile needs the standard errors of the lengths")
     kinds = np.array(m.kind)
     whole = kinds == "whole"
-    for i in np.flatnonzero(~whole & (kinds != "length")):
+    for i in np.flatnonzero(~whole & (kinds != "length")).tolist():
         raise MeasurementError(f"{m.place(i)}: kind {m.kind[i]!r}: a profile takes lengths and whole-contact counts")
     sigma = np.sqrt(m.length_sigma**2 + whole / 12)
     if not (sigma > 0).all():
