@@ -36,6 +36,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="What a residual costs.")
 @click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Whether the size of σ is believed, or only ratios.")
 @click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
+@click.option("--intervals", type=click.Choice(["profile", "calibrated"]), help="From chi-squared, or from simulations.")
 @click.option("--seed", type=int, help="Of starts and bootstrap.")
 @click.option(
     "--request", metavar="FILE", help="TOML file of parameters and settings, or the JSON of an earlier fit to repeat."
@@ -107,5 +108,5 @@ def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
             parameters.setdefault(name, {})[key] = values
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
-    settings = {name: options[name] for name in ("loss", "sigma", "method", "seed") if options[name] is not None}
+    settings = {name: options[name] for name in ("loss", "sigma", "method", "seed", "intervals") if options[name] is not None}
     return {**request, **settings, "parameters": parameters}

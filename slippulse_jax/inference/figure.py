@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 from scipy.special import ndtri
 
+from slippulse_jax.inference.attainable import attainable_of
 from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.identifiability import attainable_of
 from slippulse_jax.inference.parameters import Free
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.result import FitResult
@@ -146,7 +146,7 @@ def draw_information(result: FitResult, ax: Axes) -> None:
     ax.set_xlabel(LABELS[q.free[0].name])
     ax.set_ylabel(r"length over height $\ell/H$")
     ax.legend(frameon=False, fontsize="small", loc="upper left")
-    ax.set_title("What each length says of the stiffness (bands: measured ± σ)", loc="left", fontsize="medium")
+    ax.set_title("What each length says of the stiffness", loc="left", fontsize="medium")
 
 
 def _measured_share(result: FitResult, rows: np.ndarray) -> tuple[float, float]:

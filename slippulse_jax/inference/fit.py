@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.identifiability import LEVELS, Evidence, Identifiability, Verdict, attainable, judge
+from slippulse_jax.inference.attainable import attainable
+from slippulse_jax.inference.calibrate import calibrated
+from slippulse_jax.inference.identifiability import LEVELS, Evidence, Identifiability, Verdict, judge
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Problem, make_problem
@@ -18,6 +20,7 @@ from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.search import Found, same, search
 
 SIGMAS = ("absolute", "relative")
+INTERVALS = ("profile", "calibrated")
 MOST_ROOTS = 4  # followed along a profile
 SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
 
@@ -33,6 +36,7 @@ def fit(
     method: str = "lm",
     max_steps: int = 60,
     seed: int = 0,
+    intervals: str = "profile",
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
@@ -63,7 +67,10 @@ def fit(
     max_steps : int
         Steps allowed each start.
     seed : int
-        Of the starts where several parameters are fitted.
+        Of the starts where several parameters are fitted, and of simulations.
+    intervals : {"profile", "calibrated"}
+        Rises of the deviance from χ²; or from measurements simulated at every value, which cover as they say near the longest
+        attainable length too (`slippulse_jax.inference.calibrate`; one parameter, plain lengths).
 
     Returns
     -------
@@ -76,7 +83,8 @@ def fit(
         If something is asked for that has no meaning for these measurements; the message names it.
     """
     wanted = _wanted(free, bounds, fixed)
-    for name, value, known in (("method", method, METHODS), ("sigma", sigma, SIGMAS)):
+    settings = (("method", method, METHODS), ("sigma", sigma, SIGMAS), ("intervals", intervals, INTERVALS))
+    for name, value, known in settings:
         if value not in known:
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
     if max_steps < 1:
@@ -93,18 +101,23 @@ def fit(
         "method": method,
         "max_steps": max_steps,
         "seed": seed,
+        "intervals": intervals,
     }
     roots, curves, best, deviance, unconverged = _explore(problem, method, max_steps, seed)
     rise = _rise(problem, deviance, scaled)
     near = [root for root in roots if root.deviance <= deviance + rise(LEVELS[-1])]
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
     limits = {level: deviance + rise(level) for level in LEVELS}
-    intervals = {j: allowed(problem, j, curves[j], limits) for j in asked}
+    pieces = {j: allowed(problem, j, curves[j], limits) for j in asked}
     dof = _testable(problem, scaled)
     evidence = Evidence(problem, near, best, deviance, dof, rise)
     lost = [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
-    verdicts = {j: _verdict(j, evidence, intervals[j], lost) for j in asked}
-    intervals = {j: _trusted(verdicts[j], intervals[j], deviance, dof) for j in asked}
+    verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
+    if intervals == "calibrated":
+        if scaled:
+            raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
+        pieces = {0: calibrated(problem, LEVELS, seed=seed)}
+    pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
     longest, at = attainable(parameters, best)
     names = parameters.names
     return FitResult(
@@ -115,7 +128,7 @@ def fit(
         deviance=deviance,
         found=near,
         curves={names[j]: curves[j] for j in asked},
-        theta_intervals={names[j]: intervals[j] for j in asked},
+        theta_intervals={names[j]: pieces[j] for j in asked},
         verdicts={names[j]: verdicts[j] for j in asked},
         rise=rise,
         testable_dof=dof,

@@ -107,7 +107,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
     """
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
-    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed"}
+    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals"}
     if unknown:
         raise ValueError(f"request: {', '.join(sorted(unknown))} not understood")
     free = []

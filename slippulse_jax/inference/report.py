@@ -54,7 +54,8 @@ def _values(result: FitResult) -> list[str]:
             text = (
                 " or ".join(interval(piece, value, narrow) for piece in pieces) or "none: nothing gives these lengths within σ"
             )
-            rows.append(f"  {'':{width}s} {level:.0%} interval  {text}")
+            how = " (calibrated)" if result.request["intervals"] == "calibrated" else ""
+            rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text}")
         verdict = result.verdicts.get(name)
         if verdict is not None and len(result.verdicts) > 1 and verdict.identifiability is not Identifiability.IDENTIFIED:
             reason = f": {verdict.reason}" if verdict.reason else ""

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 from scipy.stats import qmc
 
-from slippulse_jax.inference.objective import Problem, predictions
+from slippulse_jax.inference.attainable import attainable_of
+from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.optimise import Minimum, Outcome, minimise
+from slippulse_jax.inference.parameters import STIFFNESSES
 from slippulse_jax.inference.profile import DENSE_NODES, DENSE_SPACING
 
 SAMPLES = 512  # points at which several parameters are looked at before the best of them are taken as starts
@@ -58,7 +60,7 @@ def _starts(problem: Problem, seed: int) -> np.ndarray:
 
 
 def _cells(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells of a scan into which D falls from both sides: where to start in each, and its ends; shapes (k, 1).
+    """Nodes of a scan that are lower than both neighbours: where to start in each, and those neighbours; shapes (k, 1).
 
     The scan is crowded around the peak of every length: two roots on its two sides may lie closer together than any fixed
     spacing, and a search that starts on one side must not leap to the other.
@@ -66,46 +68,30 @@ def _cells(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, max(DENSE_NODES, int((high - low) / DENSE_SPACING)))
     offsets = np.concatenate([[0.0], np.geomspace(1e-4, DENSE_SPACING, 16)])
-    near = [top + side * offsets for top in _tops(problem, node) for side in (-1, 1)]
+    near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
     node = np.unique(np.concatenate([node, *near]))
     node = node[(node >= low) & (node <= high)]
-    at = problem(node[:, None], order=1)
-    assert at.gradient is not None
-    slope = at.gradient[:, 0]
-    left = np.nonzero((slope[:-1] <= 0) & (slope[1:] >= 0) & ((slope[:-1] < 0) | (slope[1:] > 0)))[0]
-    # where the gradient is a straight line
-    share = slope[left] / (slope[left] - slope[left + 1])
-    start = node[left] + np.clip(share, 0.01, 0.99) * (node[left + 1] - node[left])
-    lowest = node[[int(np.argmin(at.value))]]
-    columns = [start, lowest], [node[left], [low]], [node[left + 1], [high]]
-    found = [np.concatenate(column)[:, None] for column in columns]
-    return found[0], found[1], found[2]
+    value = problem(node[:, None]).value
+    valley = 1 + np.nonzero((value[1:-1] < value[:-2]) & (value[1:-1] <= value[2:]))[0]
+    start = np.concatenate([node[valley], node[[int(np.argmin(value))]]])
+    left, right = np.concatenate([node[valley - 1], [low]]), np.concatenate([node[valley + 1], [high]])
+    return start[:, None], left[:, None], right[:, None]
 
 
-def _tops(problem: Problem, node: np.ndarray) -> np.ndarray:
-    """θ at which a length is longest, to a thousandth of the node spacing, of up to `CROWDED` different lengths.
+def _tops(problem: Problem) -> np.ndarray:
+    """θ of the stiffness at which a length is longest, of up to `CROWDED` different lengths.
 
     With more than that, each with a peak of its own, no one of them makes a pair of roots.
     """
-    block = problem.blocks[0]
+    q, block = problem.parameters, problem.blocks[0]
     _, first = np.unique(block.rows, return_index=True)
-    if len(first) > CROWDED:
+    if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
-    tops = []
-    for one in first:
-        low, high = node[0], node[-1]
-        grid = node
-        for _ in range(3):
-            slope = predictions(block, grid[:, None], 1).first
-            assert slope is not None
-            peak = np.nonzero((slope[:-1, one, 0] > 0) & (slope[1:, one, 0] <= 0))[0]
-            if not len(peak):
-                break
-            low, high = grid[peak[0]], grid[peak[0] + 1]
-            grid = np.linspace(low, high, 17)
-        else:
-            tops.append((low + high) / 2)
-    return np.array(tops)
+    rows = block.measurement[first]
+    theta = q.low
+    y = q.inputs(theta)[rows]
+    _, ratio = attainable_of(q, theta, rows, y)
+    return np.unique(np.log(ratio) - y[:, 1] + theta[0])
 
 
 def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Found]:

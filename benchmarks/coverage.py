@@ -1,0 +1,128 @@
+"""How often the intervals of a fit hold the truth, and how often degenerate studies are refused a number.
+
+Prints two tables. Run: python benchmarks/coverage.py [studies, 500 by default] [identifiable | near-plateau | degenerate]
+"""
+
+import sys
+import time
+
+import numpy as np
+
+from slippulse_jax import Measurements, Parameter, fit
+from slippulse_jax.inference.attainable import longest_over
+from slippulse_jax.inference.calibrate import calibrated
+from slippulse_jax.inference.forward import lengths
+from slippulse_jax.inference.identifiability import LEVELS, Identifiability
+from slippulse_jax.inference.profile import Interval
+
+SIGMA = 0.02  # of the length
+
+
+def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
+    """ℓ* in λc."""
+    ones = np.ones(len(height))
+    return lengths(np.stack([np.log(height), np.log(stiffness) * ones, poisson * ones, 0 * ones, 0 * ones], axis=1), 0).value
+
+
+def stiffness_at(height: float, share: float) -> float:
+    """k/K below the peak at which the length is this share of the longest."""
+    y = np.array([[np.log(height), 0, 0.3, 0, 0]])
+    longest, top = longest_over(y, np.array([np.log(1e-6)]), np.array([0.0]))
+    grid = np.linspace(np.log(1e-6), top[0], 4001)
+    rising = model(np.full(4001, height), 1.0) * 0
+    lanes = np.column_stack([np.full(4001, np.log(height)), grid, np.full(4001, 0.3), rising, rising])
+    return float(np.exp(np.interp(share * longest[0], lengths(lanes, 0).value, grid)))
+
+
+def study(rng: np.random.Generator, specimens: int, regime: str) -> tuple[Measurements, float]:
+    """Heights 15–60 λc, 2 % errors; stiffness where lengths respond, or where they are 90–99.5 % of the longest attainable."""
+    height = rng.uniform(15, 60, specimens)
+    share = rng.uniform(0.4, 0.8) if regime == "identifiable" else rng.uniform(0.9, 0.995)
+    truth = stiffness_at(float(np.median(height)), share)
+    length = model(height, truth)
+    sigma = SIGMA * length
+    return Measurements(
+        height=height, poisson=0.3, length=length + sigma * rng.standard_normal(specimens), length_sigma=sigma
+    ), truth
+
+
+def coverage(studies: int, specimens: int, regime: str, seed: int) -> dict[str, list[float]]:
+    """Share of studies whose intervals hold the truth: profile, calibrated, and from the covariance where one is reported."""
+    rng = np.random.default_rng(seed)
+    hits = {name: [0, 0] for name in ("profile", "calibrated", "covariance", "covariance, where a standard error is given")}
+    given = 0
+    for number in range(studies):
+        m, truth = study(rng, specimens, regime)
+        plain = fit(m)
+        careful = {level: _values(pieces) for level, pieces in calibrated(plain.problem, LEVELS, seed=number).items()}
+        error = plain.roots[0].log_stderr if plain.roots else None
+        told = plain.identifiability is Identifiability.IDENTIFIED
+        given += told
+        for i, (level, reach) in enumerate(zip(LEVELS, (1.0, 1.96), strict=True)):
+            for name, pieces in (("profile", plain.intervals["stiffness"][level]), ("calibrated", careful[level])):
+                hits[name][i] += any(p.low <= truth <= p.high for p in pieces)
+            inside = error is not None and abs(np.log(plain.value / truth)) <= reach * error
+            hits["covariance"][i] += inside
+            hits["covariance, where a standard error is given"][i] += inside and told
+    shares = {name: [hit / (max(given, 1) if "given" in name else studies) for hit in pair] for name, pair in hits.items()}
+    shares["standard error given"] = [given / studies]
+    return shares
+
+
+def _values(pieces: list[Interval]) -> list[Interval]:
+    return [piece._replace(low=np.exp(piece.low), high=np.exp(piece.high)) for piece in pieces]
+
+
+def degenerate(rng: np.random.Generator, kind: str) -> bool:
+    """Whether a study that cannot give a number is refused one."""
+    height = rng.uniform(15, 60, 3)
+    truth = np.exp(rng.uniform(*np.log([1e-3, 6e-3])))
+    if kind == "k and E both free":
+        length = model(100 * height, 1e-2 * truth)
+        m = Measurements(
+            height=100 * height, poisson=0.3, length=length * (1 + SIGMA * rng.standard_normal(3)), length_sigma=SIGMA * length,
+            correlation_length=1e-5, young=3e9,
+        )  # fmt: skip
+        free: list = ["stiffness", Parameter("young")]
+    elif kind == "one specimen, two roots":
+        length = model(height[:1], truth)
+        m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
+    elif kind == "length above the ceiling":
+        longest = longest_over(np.array([[np.log(height[0]), 0, 0.3, 0, 0]]), np.array([np.log(1e-6)]), np.array([0.0]))[0]
+        length = longest * rng.uniform(1.02, 1.5)
+        m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
+    else:
+        length = model(height, truth) * rng.uniform(0.3, 1)
+        m = Measurements(height=height, poisson=0.3, length=length, length_sigma=SIGMA * length, kind=["at_least"] * 3)
+        free = ["stiffness"]
+    result = fit(m, free)
+    return result.identifiability is not Identifiability.IDENTIFIED and all(
+        result.stderr[name] is None for name in result.names
+    )
+
+
+DEGENERATE = ("k and E both free", "one specimen, two roots", "length above the ceiling", "every front ran past")
+
+
+def main() -> None:
+    """Print both tables, or the part asked for."""
+    studies = int(sys.argv[1]) if len(sys.argv) > 1 else 500
+    parts = sys.argv[2:] or ["identifiable", "near-plateau", "degenerate"]
+    for regime in [part for part in parts if part != "degenerate"]:
+        print(f"| regime | specimens | interval | 68 % | 95 % |  ({studies} studies each)\n|---|---|---|---|---|")
+        for specimens in (1, 3, 8):
+            began = time.perf_counter()
+            found = coverage(studies, specimens, regime, seed=100 + specimens)
+            for name, shares in found.items():
+                print(f"| {regime} | {specimens} | {name} | " + " | ".join(f"{100 * x:.1f}" for x in shares) + " |", flush=True)
+            print(f"({time.perf_counter() - began:.0f} s)", file=sys.stderr)
+    if "degenerate" in parts:
+        print("\n| degenerate study | refused a number |\n|---|---|")
+        for number, kind in enumerate(DEGENERATE):
+            rng = np.random.default_rng(number)
+            refused = sum(degenerate(rng, kind) for _ in range(studies))
+            print(f"| {kind} | {refused} of {studies} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
