@@ -146,7 +146,8 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{name}: {error}") from None
     content = content.get("request", content)
-    if not isinstance(content, dict) or not all(isinstance(x, dict) for x in content.get("parameters", {}).values()):
+    parameters = content.get("parameters", {}) if isinstance(content, dict) else None
+    if not isinstance(parameters, dict) or not all(isinstance(x, dict) for x in parameters.values()):
         raise ValueError(f"{name}: [parameters.NAME] tables are expected, each with its settings")
     return content
 

@@ -1,0 +1,69 @@
+"""``slippulse fit``: options, request files, a run repeated from its own JSON, and refusals with exit status 2."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from slippulse_jax.commands.fit import command
+
+DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, [DATA, *arguments])
+
+
+def test_options_and_request_say_the_same(tmp_path):
+    """A TOML file, the options, and the JSON of the run itself give the same fit to the last bit."""
+    (tmp_path / "request.toml").write_text("[parameters.stiffness]\n[parameters.poisson]\nprior = [0.3, 0.02]\n")
+    by_file = run("--request", str(tmp_path / "request.toml"), "--json", "--bootstrap", "20")
+    assert by_file.exit_code == 0, by_file.output
+    first = json.loads(by_file.stdout)
+    by_options = json.loads(run("--free", "stiffness", "--free", "poisson", "--prior", "poisson=0.3,0.02", "--json").stdout)
+    assert first["values"] == by_options["values"]
+    assert set(first["bootstrap"]["stderr"]) == {"areal_stiffness", "poisson"}
+    assert {"slippulse_jax", "jax", "numpy"} <= set(first["versions"])
+    (tmp_path / "run.json").write_text(by_file.stdout)
+    again = json.loads(run("--request", str(tmp_path / "run.json"), "--json").stdout)
+    for key in ("values", "stderr", "intervals", "request", "data_sha256", "chi2"):
+        assert again[key] == first[key]
+
+
+def test_pictures(tmp_path):
+    names = {option: tmp_path / f"{option}.png" for option in ("figure", "profiles", "corner")}
+    done = run("--intervals", "calibrated", *[x for option, path in names.items() for x in (f"--{option}", str(path))])
+    assert done.exit_code == 0, done.output
+    assert "(calibrated)" in done.stdout
+    assert all(path.stat().st_size > 5000 for path in names.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--free", "k"], "parameter 'k': one of stiffness"),
+        (["--prior", "poisson=a"], "NAME=NUMBER"),
+        (["--prior", "poisson=0.3"], "prior = .*two numbers are needed"),
+        (["--fix", "prestress=0.1,0.2"], "--fix prestress: one value"),
+        (["--request", "none.toml"], "none.toml: No such file"),
+        (["--sigma", "relative", "--intervals", "calibrated"], "standard errors that are believed"),
+        (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),
+    ],
+)
+def test_refusals(arguments, message):
+    import re
+
+    done = run(*arguments)
+    assert done.exit_code == 2, done.output
+    assert re.search(message, done.output)
+
+
+def test_request_that_is_not_one(tmp_path):
+    for text, message in (("loss = ", "Invalid value"), ("lss = 'normal'", "lss not understood"), ("parameters = 3", "tables"),
+                          ("[parameters.stiffness]\nbound = [1, 2]", "bound not understood")):  # fmt: skip
+        path = tmp_path / "request.toml"
+        path.write_text(text)
+        done = run("--request", str(path))
+        assert done.exit_code == 2, text
+        assert message in done.output
