@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from slippulse_jax import plot as plot
     from slippulse_jax import style as style
     from slippulse_jax import theory as theory
+    from slippulse_jax.explorer import explore as explore
     from slippulse_jax.inference.fields import RecoveredProfile as RecoveredProfile
     from slippulse_jax.inference.fields import recover_profile as recover_profile
     from slippulse_jax.inference.fit import fit as fit
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.precursor import first_precursor as first_precursor
     from slippulse_jax.lattice.precursor import precursor_length as precursor_length
     from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
+    from slippulse_jax.movie import animate as animate
     from slippulse_jax.rules import HardBreak as HardBreak
     from slippulse_jax.rules import SmoothBreak as SmoothBreak
     from slippulse_jax.slider import Slider as Slider
@@ -82,6 +84,7 @@ _HOME = {
     "StoreError": "sweeps.store",
     "Steps": "lattice.events",
     "ThresholdDistribution": "lattice.distribution",
+    "animate": "movie",
     "chain": "lattice.chain",
     "equilibrium": "lattice.equilibrium",
     "exact_fields": "lattice.exact",
@@ -89,6 +92,7 @@ _HOME = {
     "exact_front_stress": "lattice.exact",
     "exact_length": "lattice.exact",
     "exact_lengths": "lattice.exact_lanes",
+    "explore": "explorer",
     "first_precursor": "lattice.precursor",
     "fit": "inference.fit",
     "force_law": "lattice.distribution",

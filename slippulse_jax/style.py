@@ -74,7 +74,7 @@ def settings(*, dark: bool = False) -> dict[str, Any]:
         "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8.5, "axes.titlelocation": "left",
         "xtick.labelsize": 7.5, "ytick.labelsize": 7.5, "legend.fontsize": 7.5, "legend.frameon": False,
         "mathtext.fontset": "dejavusans", "image.cmap": "cividis",
-        "figure.figsize": (COLUMN, 2.5), "figure.dpi": 150, "savefig.dpi": 300, "figure.constrained_layout.use": True,
+        "figure.figsize": (COLUMN, 2.5), "figure.dpi": 120, "savefig.dpi": 300, "figure.constrained_layout.use": True,
         "pdf.fonttype": 42, "svg.fonttype": "none", "animation.html": "jshtml",
     }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Promises of the project as a whole: layers, README, examples, what importing does."""
 
 import ast
+import os
 import re
 import runpy
 import subprocess
@@ -20,7 +21,7 @@ LAYERS = {
     "slider": 1, "rules": 1, "interface": 1,
     "lattice": 2, "theory": 2,
     "inference": 3, "sweeps": 3,
-    "plot": 4, "plot_series": 4, "plot_sweep": 4, "claims": 4, "figures": 4,
+    "plot": 4, "plot_series": 4, "movie": 4, "explorer": 4, "plot_sweep": 4, "claims": 4, "figures": 4,
     "commands": 5,
     "cli": 6,
 }  # fmt: skip
@@ -123,13 +124,28 @@ def test_there_are_examples():
 NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
 
 
+@pytest.fixture
+def shared_compilations(tmp_path_factory, monkeypatch):
+    """Notebooks run in processes of their own: what one has compiled, the others read, whichever worker runs them."""
+    folder = tmp_path_factory.getbasetemp().parent / "notebook-compilations"
+    for name, value in (
+        ("JAX_COMPILATION_CACHE_DIR", str(folder)),
+        ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2"),
+        ("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1"),
+    ):
+        monkeypatch.setenv(name, os.environ.get(name, value))
+
+
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
+@pytest.mark.usefixtures("shared_compilations")
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_notebook_runs_and_is_committed_with_its_output(name):
     path = ROOT / "notebooks" / name
     notebook = nbformat.read(path, as_version=4)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(cell.execution_count for cell in code), "commit notebooks executed"
+    assert not any(output.get("name") == "stderr" for cell in code for output in cell.outputs), "commit them without warnings"
+    assert any("image/png" in output.get("data", {}) for cell in code for output in cell.outputs), "commit them with pictures"
     assert path.stat().st_size < 300_000
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}).execute()
 
