@@ -56,8 +56,7 @@ def main() -> None:
         return sp.chain(sp.Slider(height, 0.03, 0.3), sites=given.sites)
 
     def prepare(one):
-        found = response(one)
-        green = np.asarray(dense(found[0] if isinstance(found, tuple) and not hasattr(found, "near") else found))
+        green = np.asarray(dense(response(one)))
         per_load = np.asarray(sp.equilibrium(one, sp.State(np.zeros(given.sites), np.asarray(1.0))).stress)
         return np.ascontiguousarray(green[: given.sites, : given.sites]), per_load
 

@@ -14,10 +14,11 @@ from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.ageing import Ageing
 from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.lattice.cascade import nucleate, rupture
+from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import chain, relaxed
 from slippulse_jax.lattice.distribution import ThresholdDistribution, smooth_width, stability
 from slippulse_jax.lattice.dynamics import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
-from slippulse_jax.lattice.events import EventClass, SeriesStatus, Steps, series
+from slippulse_jax.lattice.events import Steps, series
 from slippulse_jax.lattice.interface_front import runaway_prestress
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length

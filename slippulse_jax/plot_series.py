@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.lattice.catalogue import table
-from slippulse_jax.lattice.events import Catalogue, EventClass
+from slippulse_jax.lattice.catalogue import Catalogue, EventClass, table
 from slippulse_jax.style import DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.ageing import next_crossing
-from slippulse_jax.lattice.events import SeriesStatus
+from slippulse_jax.lattice.catalogue import SeriesStatus
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 

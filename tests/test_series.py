@@ -6,7 +6,7 @@ import plain_series
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.events import EventClass, SeriesStatus
+from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
 
 FIG2 = (25.0, 0.03, 0.3)
 

@@ -33,9 +33,9 @@ def command(
     import jax
 
     from slippulse_jax.lattice.ageing import Ageing
-    from slippulse_jax.lattice.catalogue import table, to_csv, write_series
+    from slippulse_jax.lattice.catalogue import SeriesStatus, table, to_csv, write_series
     from slippulse_jax.lattice.chain import chain
-    from slippulse_jax.lattice.events import Adiabatic, SeriesStatus, Spring, Steps, series
+    from slippulse_jax.lattice.events import Adiabatic, Spring, Steps, series
     from slippulse_jax.slider import Slider
 
     with jax.enable_x64(True):

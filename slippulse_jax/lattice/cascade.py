@@ -1,9 +1,7 @@
 """One rupture of any interface: the most overloaded contact breaks and repins, again and again, until none is overloaded.
 
-Every break raises the stress everywhere else, by a known amount (`slippulse_jax.lattice.response`). The loop keeps, for each
-block of about √N contacts, a bound on its largest overload and what has arrived at its edges since it was last looked at. It
-opens the block with the largest bound, reads off the stresses there, and breaks a contact only when no other block can hold
-a more overloaded one. So the order of breaks is exactly that of looking at all contacts after every break, at O(√N) a break.
+Every break raises the stress everywhere else, by a known amount (`slippulse_jax.lattice.response`); which contact is the most
+overloaded is found without looking at all of them (`slippulse_jax.lattice.blocks`).
 
 Accuracy. A break multiplies and adds positive numbers, so it can only pass on the relative error of the stresses and add
 its own: with ε the relative error of the response (a few units u in the last place per site over the decay length) and
@@ -11,19 +9,21 @@ positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact.
 what is seen is far less; the final fields are solved afresh, and `Rupture.drift` is the difference found.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.lattice.blocks import Stresses, all_opened, bounds, burst, closed, most, opened
 from slippulse_jax.lattice.chain import Chain, State
+from slippulse_jax.lattice.contacts import at, check_delay, contacts_of, given_up, largest, moved
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
-from slippulse_jax.lattice.response import Response, arriving, into_blocks, response
+from slippulse_jax.lattice.one_by_one import lane_by_lane
+from slippulse_jax.lattice.response import Response, carried, into_blocks, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.status import Status
 
@@ -70,156 +70,160 @@ class Rupture(NamedTuple):
 class Progress(NamedTuple):
     """A rupture under way; B blocks of M sites, room for L breaks."""
 
-    stress: Float[Array, "B M"]  # as of when the block was last opened
-    inbox: Float[Array, "B 4"]  # arrived at the block's edges since
-    worst: Float[Array, " B"]  # largest overload of the block when it was last opened
-    bound: Float[Array, " B"]  # no contact of the block can be more overloaded than this
+    stresses: Stresses
     slip: Float[Array, "B M"]  # stress given up so far, in σ_s
+    record: "Record"
+
+
+class Record(NamedTuple):
+    """What is kept of every break."""
+
     order: Int[Array, " L"]  # sites in order of breaking, −1 where none
     released: Float[Array, " L"]  # stress each break gave up
-    energy: Float[Array, ""]  # released, in K u_s²
     breaks: Int[Array, ""]
+    energy: Float[Array, ""]  # released, in K u_s²
     furthest: Int[Array, ""]  # rightmost site broken so far
     overload: Float[Array, ""]  # its overload when it first broke
 
 
-def advance(resp: Response, threshold: Array, contact: Array, now: Progress, trigger: Array) -> Progress:
-    """Open the block with the largest bound; break its most overloaded contact if none elsewhere can be more so."""
-    size = now.stress.shape[1]
-    slack = 1 + 64 * jnp.finfo(now.stress.dtype).eps  # room for rounding in the bound
-    start = (now.breaks == 0) & (trigger >= 0)
-    block = jnp.where(start, trigger // size, jnp.argmax(now.bound))
-    stress = now.stress[block] + (now.inbox[block][:, None] * resp.read[block]).sum(0)
-    over = stress - threshold[block]
-    site = jnp.where(start, trigger % size, jnp.argmax(over))
-    bound = now.bound.at[block].set(over[site])
-    fires = start | ((jnp.argmax(bound) == block) & (over[site] >= 0))
-
-    t = jnp.where(fires, stress[site], 0)
-    here = (jnp.arange(size) == site) & fires
-    after = jnp.where(here, 0, stress) + resp.near[block, site] * t
-    inbox = now.inbox.at[block].set(0) + arriving(resp, block, site) * t
-    worst = now.worst.at[block].set((after - threshold[block]).max())
-    index = block * size + site
-    drop = jnp.where(fires, now.breaks, now.order.shape[0])  # beyond the end: dropped
-    further = fires & (index > now.furthest)
-    k = contact[block, site]
-    return Progress(
-        stress=now.stress.at[block].set(after),
-        inbox=inbox,
-        worst=worst,
-        bound=worst + (inbox * resp.reach).sum(-1) * slack,
-        slip=now.slip.at[block, site].add(t),
-        order=now.order.at[drop].set(index.astype(jnp.int32), mode="drop"),
-        released=now.released.at[drop].set(t, mode="drop"),
-        energy=now.energy + t * (t + after[site]) / jnp.where(k > 0, 2 * k, jnp.inf),
-        breaks=now.breaks + fires,
-        furthest=jnp.where(further, index, now.furthest).astype(jnp.int32),
-        overload=jnp.where(further, over[site], now.overload),
-    )
-
-
 def run(max_breaks: int, resp: Response, stress: Array, threshold: Array, contact: Array, trigger: Array) -> Progress:
     """Break contacts until none is over threshold, or `max_breaks` have broken; `trigger` first unless negative."""
-    worst = (stress - threshold).max(-1)
+    size = stress.shape[1]
+    soft = 1 / jnp.where(contact > 0, 2 * contact, jnp.inf)
     none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
-    start = Progress(
-        stress=stress,
-        inbox=jnp.zeros_like(resp.reach),
-        worst=worst,
-        bound=worst,
-        slip=jnp.zeros_like(stress),
-        order=jnp.full(max_breaks, -1, jnp.int32),
-        released=jnp.zeros(max_breaks, stress.dtype),
-        energy=none,
-        breaks=zero,
-        furthest=zero - 1,
-        overload=none,
-    )
+    record = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+    start = Progress(Stresses(stress, jnp.zeros_like(resp.reach), (stress - threshold).max(-1)), jnp.zeros_like(stress), record)
+
+    def triggered(now: Progress) -> Array:
+        return (now.record.breaks == 0) & (trigger >= 0)
 
     def going(now: Progress) -> Array:
-        overloaded = (now.bound.max() >= 0) | ((now.breaks == 0) & (trigger >= 0))
-        return overloaded & (now.breaks < max_breaks)
+        return ((bounds(resp, now.stresses).max() >= 0) | triggered(now)) & (now.record.breaks < max_breaks)
 
-    end = lax.while_loop(going, lambda now: advance(resp, threshold, contact, now, trigger), start)
-    return end._replace(stress=end.stress + (end.inbox[:, :, None] * resp.read).sum(1))
+    def turn(now: Progress) -> Progress:
+        bound = bounds(resp, now.stresses)
+        first = triggered(now)
+        block = jnp.where(first, trigger // size, most(bound)[0])
+        others = jnp.where(jnp.arange(bound.shape[0]) == block, -jnp.inf, bound).max()
+        limit = threshold[block]
 
+        def note(book: tuple, site: Array, t: Array, after: Array) -> tuple[tuple, Array]:
+            slip, record = book
+            index = (block * size + site).astype(jnp.int32)
+            further = index > record.furthest
+            record = Record(
+                order=record.order.at[record.breaks].set(index),
+                released=record.released.at[record.breaks].set(t),
+                breaks=record.breaks + 1,
+                energy=record.energy + t * (t + after) * soft[block, site],
+                furthest=jnp.maximum(index, record.furthest),
+                overload=jnp.where(further, t - limit[site], record.overload),
+            )
+            return (slip.at[site].add(t), record), limit[site]
 
-def _lane_by_lane(f: Callable, *given: Any) -> Any:
-    """f(*given), under ``jax.vmap`` for each lane in turn, as if alone: so the bits cannot depend on the batch.
+        forced = jnp.where(first, trigger % size, -1)
+        room = max_breaks - now.record.breaks
+        book = (now.slip[block], now.record)
+        end = burst(resp, block, opened(resp, now.stresses, block), limit, others, forced, room, book, note)
+        arrivals = carried(resp, block, end.left)
+        return Progress(
+            stresses=closed(now.stresses, block, end.stress, end.overload, arrivals),
+            slip=now.slip.at[block].set(end.book[0]),
+            record=end.book[1],
+        )
 
-    On a CPU, where a lane that is done costs nothing this way, and lanes in step cost more. An accelerator runs them in step.
-    """
-    return lax.platform_dependent(*given, cpu=_one_by_one(f), default=f)
-
-
-def _one_by_one(f: Callable) -> Callable:
-    one = custom_vmap(f)
-
-    @one.def_vmap
-    def _rule(axis_size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
-        leaves, tree = jax.tree.flatten(args)
-        batched = jax.tree.leaves(in_batched)
-        # a loop over one lane would be compiled as no loop, and might round otherwise: never fewer than two
-        twice = [jnp.concatenate([x, x]) if b and axis_size == 1 else x for x, b in zip(leaves, batched, strict=True)]
-
-        def lane(mapped: list) -> Any:
-            mapped = list(mapped)
-            return one(*jax.tree.unflatten(tree, [mapped.pop(0) if b else x for x, b in zip(twice, batched, strict=True)]))
-
-        out = lax.map(lane, [x for x, b in zip(twice, batched, strict=True) if b])
-        return jax.tree.map(lambda x: x[:axis_size], out), jax.tree.map(lambda _: True, out)
-
-    return one
-
-
-def _hard_rupture(max_breaks: int, chain: Chain, state: State, trigger: Array) -> Rupture:
-    # where all lanes share one chain its response is worked out once
-    resp = _lane_by_lane(response, chain)
-    return _lane_by_lane(partial(_one_rupture, max_breaks), resp, chain, state, trigger)
+    return lax.while_loop(going, turn, start)
 
 
-def _one_rupture(max_breaks: int, resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+def run_delayed(delay: int, max_breaks: int, chain: Chain, resp: Response, stress: Array, trigger: Array) -> Progress:
+    """As `run`, with broken contacts that repin `delay` breaks later. All stresses are brought up to date at every break."""
+    tables, size = contacts_of(chain, resp), stress.shape[1]
+    none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
+    record = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+
+    def next_break(stress: Array) -> tuple[Array, Array]:
+        return largest(stress - tables.threshold)
+
+    def going(carry: tuple) -> Array:
+        *_, record, overload = carry
+        return ((overload >= 0) | ((record.breaks == 0) & (trigger >= 0))) & (record.breaks < max_breaks)
+
+    def turn(carry: tuple) -> tuple:
+        stress, slip, detached, site, record, _ = carry
+        t = at(stress, site)
+        moves = given_up(tables, stress, detached, site, t)
+        after, slip, _ = moved(tables, stress, slip, moves)
+        followed = moves[-1][2] - t  # by what its site moved, as a stress
+        record = Record(
+            order=record.order.at[record.breaks].set(site),
+            released=record.released.at[record.breaks].set(t),
+            breaks=record.breaks + 1,
+            energy=record.energy + t * (t + followed) * tables.energy[site // size, site % size] / chain.stiffness**2,
+            furthest=jnp.maximum(site, record.furthest),
+            overload=jnp.where(site > record.furthest, t - at(tables.threshold, site), record.overload),
+        )
+        following, overload = next_break(after)
+        return after, slip, jnp.append(detached, site)[1:], following, record, overload
+
+    site, overload = next_break(stress.T)
+    site = jnp.where(trigger >= 0, trigger, site).astype(jnp.int32)
+    detached = jnp.full(delay, -1, jnp.int32)
+    start = (stress.T, jnp.zeros_like(stress.T), detached, site, record, overload)
+    end, slip, _, _, record, _ = lax.while_loop(going, turn, start)
+    soft = tables.gains[:, :, 1]
+    given = jnp.where(soft > 0, slip.T / jnp.where(soft > 0, soft, 1), 0)
+    return Progress(Stresses(end.T, jnp.zeros_like(resp.reach), jnp.zeros_like(resp.reach[:, 0])), given, record)
+
+
+def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
+    resp = shared_response(chain)
+    return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
+
+
+def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+    max_breaks, delay = limits
     before = equilibrium(chain, state)
     good = before.status == EquilibriumStatus.SOLVED
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
     size, n = resp.near.shape[1], chain.sites
     threshold = jnp.where(safe.contact > 0, safe.threshold, jnp.inf)  # a detached contact has nothing to break
-    done = run(
-        max_breaks,
-        resp,
-        into_blocks(jnp.where(good, before.stress, 0), size),
-        into_blocks(jnp.where(good, threshold, jnp.inf), size, jnp.inf),
-        into_blocks(safe.contact, size),
-        jnp.where(good, trigger, -1),
-    )
-    stress = done.stress.reshape(-1)[:n]
+    stress = into_blocks(jnp.where(good, before.stress, 0), size)
+    threshold = jnp.where(good, threshold, jnp.inf)
+    trigger = jnp.where(good, trigger, -1)
+    if delay:
+        limited = eqx.tree_at(lambda c: c.threshold, safe, threshold)
+        done = run_delayed(delay, max_breaks, limited, resp, stress, trigger)
+    else:
+        contact = into_blocks(safe.contact, size)
+        done = run(max_breaks, resp, stress, into_blocks(threshold, size, jnp.inf), contact, trigger)
+    record = done.record
+    stress = all_opened(resp, done.stresses).reshape(-1)[:n]
     slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
     after = equilibrium(safe, after_state)
-    ahead = jnp.minimum(done.furthest + 1, n - 1)
+    ahead = jnp.minimum(record.furthest + 1, n - 1)
     short_by = stress[ahead] - safe.threshold[ahead]
     endings = {
         RuptureStatus.INVALID: before.status == EquilibriumStatus.INVALID,
         RuptureStatus.SINGULAR: ~good,
-        RuptureStatus.NOTHING_BROKE: done.breaks == 0,
-        RuptureStatus.LIMIT: done.bound.max() >= 0,
-        RuptureStatus.RAN_THROUGH: done.furthest == n - 1,
+        RuptureStatus.NOTHING_BROKE: record.breaks == 0,
+        RuptureStatus.LIMIT: (stress >= threshold).any(),
+        RuptureStatus.RAN_THROUGH: record.furthest == n - 1,
     }
     status = jnp.select(list(endings.values()), list(endings), RuptureStatus.ARRESTED).astype(jnp.int32)
-    length = done.furthest + done.overload / (done.overload - jnp.minimum(short_by, 0))
+    length = record.furthest + record.overload / (record.overload - jnp.minimum(short_by, 0))
     return Rupture(
         state=after_state,
         before=before,
         after=after,
-        order=done.order,
-        released=done.released,
-        breaks=done.breaks,
-        broken=jnp.zeros_like(slip).at[done.order].add(done.order >= 0, mode="drop"),
+        order=record.order,
+        released=record.released,
+        breaks=record.breaks,
+        broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
         slip=slip,
         stress_drop=before.stress - after.stress,
-        energy=done.energy * safe.stiffness**2,
-        extent=done.furthest + 1,
+        energy=record.energy * safe.stiffness**2,
+        extent=record.furthest + 1,
         length=length_or_reason(status, length),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
@@ -230,7 +234,7 @@ _undifferentiated = jax.custom_jvp(jax.jit(_hard_rupture, static_argnums=0), non
 
 
 @_undifferentiated.defjvp
-def _refuse(max_breaks, primals, tangents):
+def _refuse(limits, primals, tangents):
     raise TypeError(
         "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
         "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
@@ -245,6 +249,7 @@ def rupture(
     rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
     trigger: int | Int[Array, ""] = -1,
     max_breaks: int | None = None,
+    repin_delay: int = 0,
 ) -> Rupture:
     """One rupture at a fixed load.
 
@@ -262,6 +267,10 @@ def rupture(
         Site that breaks first, even if rounding leaves it a digit below its threshold (see `nucleate`); −1 for none.
     max_breaks : int, optional
         Breaks after which the rupture is given up, and room for their record; 20 N by default.
+    repin_delay : int
+        n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
+        or when the rupture ends. For a front that breaks one contact after another, the delay in sites of `Interface`; with
+        it a break costs O(N).
 
     Returns
     -------
@@ -283,12 +292,15 @@ def rupture(
     """
     check_rule(rule)
     _check(chain, state)
+    check_delay(repin_delay)
     if not isinstance(rule, HardBreak):
+        if repin_delay:
+            raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
         from slippulse_jax.lattice.surrogate import smooth_rupture
 
         return smooth_rupture(chain, state, rule, trigger)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
-    return _undifferentiated(max_breaks, chain, state, jnp.asarray(trigger, jnp.int32))
+    return _undifferentiated((max_breaks, repin_delay), chain, state, jnp.asarray(trigger, jnp.int32))
 
 
 def length_or_reason(status: Array, length: Array) -> Array:

@@ -1,14 +1,65 @@
-"""A catalogue of events as a table with units: CSV and NetCDF."""
+"""What is known of a series: the events as a record, and as a table with units in CSV and NetCDF."""
 
 import csv
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.lattice.events import Catalogue, EventClass, SeriesStatus
+from slippulse_jax.lattice.chain import State
+from slippulse_jax.status import Status
+
+
+class SeriesStatus(Status):
+    """How a series ended."""
+
+    DONE = 0, "done: as many events as were asked for"
+    SPANNED = 1, "ended by an event that broke the last contact of the chain"
+    NOTHING_LEFT = 2, "ended early: no load brings a further contact to its threshold"
+    LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks of one event"
+    INVALID = 4, "no such chain: a part is held by nothing, or a value is outside its domain"
+
+
+class EventClass(Status):
+    """What kind of event it was; the first that fits."""
+
+    SPANNING = 0, "broke the last contact of the chain"
+    EDGE = 1, "nucleated at the left edge"
+    CREEP = 2, "nucleated at a stress peak, on the contact just ahead of where an earlier event had stopped"
+    INTERIOR = 3, "nucleated anywhere else"
+
+
+class Catalogue(NamedTuple):
+    """Events of a series in order; displacements in u_s, stresses in σ_s, forces in K u_s, energies in K u_s².
+
+    Rows beyond `number` are empty: kind −1, numbers NaN or 0.
+    """
+
+    load: Float[Array, " E"]  # U (of the driver, with a spring)
+    force_before: Float[Array, " E"]  # on the left edge, as the event starts
+    force_after: Float[Array, " E"]
+    site: Int[Array, " E"]  # that broke first
+    leftmost: Int[Array, " E"]
+    extent: Int[Array, " E"]  # sites from the left edge to the rightmost broken one, which is among them
+    breaks: Int[Array, " E"]
+    slip: Float[Array, " E"]  # sum over contacts of how far pinning points moved
+    stress_drop: Float[Array, " E"]  # sum over contacts of stress before − after
+    work: Float[Array, " E"]  # of the drive since the event before
+    stored: Float[Array, " E"]  # potential energy after the event: all work so far less broken and relaxed
+    broken: Float[Array, " E"]  # energy of the stretch of the contacts that broke
+    relaxed: Float[Array, " E"]  # energy given up as the chain relaxed after the breaks
+    kind: Int[Array, " E"]  # an EventClass
+    number: Int[Array, ""]  # of events
+    break_site: Int[Array, " L"]  # every break in order, as far as `recorded_breaks` goes; −1 beyond
+    break_event: Int[Array, " L"]
+    state: State  # at the end
+    drift: Float[Array, ""]  # largest error of a stress accumulated over all breaks, in σ_s
+    energy_drift: Float[Array, ""]  # `stored` at the end against the springs of the chain, solved afresh
+    status: Int[Array, ""]  # a SeriesStatus
+
 
 COLUMNS = {
     "load": ("u_s", "displacement of the left edge, or of the driver, at the event"),

@@ -157,6 +157,16 @@ def relaxed(chain: Chain, load: AnyArrayLike = 0.0) -> State:
     return State(jnp.zeros_like(chain.contact), jnp.asarray(load, dtype=chain.contact.dtype))
 
 
+def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Float[Array, ""]:
+    """Elastic energy of a chain with linear contacts, and that of the tractions that balance the prestress, in K u_s²."""
+    upper, layer = x
+    bonds = (chain.upper * jnp.diff(upper) ** 2).sum() + (chain.layer * jnp.diff(layer) ** 2).sum()
+    sites = (chain.across * (upper - layer) ** 2).sum() + (chain.contact * (layer - pinning) ** 2).sum()
+    end = chain.end.upper * upper[-1] ** 2 + chain.end.layer * layer[-1] ** 2
+    end = end + chain.end.across * (upper[-1] - layer[-1]) ** 2
+    return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning * (chain.contact > 0)).sum()
+
+
 def endless(bonds: Springs, contact: Array) -> Springs:
     """The three springs that an endless uniform half-line of bonds and contacts amounts to, seen through its first bond.
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.cascade import nucleate
-from slippulse_jax.lattice.chain import Chain, State, relaxed
+from slippulse_jax.lattice.chain import Chain, State, potential_energy, relaxed
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
 from slippulse_jax.status import Status
 
@@ -175,16 +175,6 @@ def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array
     return on_upper, on_layer - chain.contact * (layer - pinning)
 
 
-def _potential(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Array:
-    """Elastic energy, and that of the tractions that balance the prestress (see `slippulse_jax.lattice.events`)."""
-    upper, layer = x
-    bonds = (chain.upper * jnp.diff(upper) ** 2).sum() + (chain.layer * jnp.diff(layer) ** 2).sum()
-    sites = (chain.across * (upper - layer) ** 2).sum() + (chain.contact * (layer - pinning) ** 2).sum()
-    end = chain.end.upper * upper[-1] ** 2 + chain.end.layer * layer[-1] ** 2
-    end = end + chain.end.across * (upper[-1] - layer[-1]) ** 2
-    return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning * (chain.contact > 0)).sum()
-
-
 @eqx.filter_jit
 def _simulate(
     safety: float,
@@ -270,7 +260,7 @@ def _simulate(
             those = jnp.where(jnp.asarray(rule.break_time) > 0, most, over >= 0)
         now = break_those(now, those)
         work, broken, damped, rubbed = now.books
-        energy = kinetic(now.v) + _potential(chain, now.x, now.pinning)
+        energy = kinetic(now.v) + potential_energy(chain, now.x, now.pinning)
         return now._replace(worst=jnp.maximum(now.worst, jnp.abs(energy - initial - work + broken + damped + rubbed)))
 
     def going(now: _Now) -> Array:
@@ -281,7 +271,7 @@ def _simulate(
 
     zero = jnp.zeros_like(dt)
     x = (start.upper, start.layer)
-    initial = _potential(chain, x, state.pinning)
+    initial = potential_energy(chain, x, state.pinning)
     v = (jnp.zeros_like(start.upper).at[0].set(velocity), jnp.zeros_like(start.layer))
     now = _Now(
         x=x,
@@ -316,7 +306,7 @@ def _simulate(
         time=now.n * dt,
         step=dt,
         kinetic=moving,
-        potential=_potential(chain, now.x, now.pinning),
+        potential=potential_energy(chain, now.x, now.pinning),
         work=work,
         broken=broken,
         damped=damped,

@@ -14,12 +14,14 @@ So a break costs O(√N), or O(N) where every stress is wanted, without ever sol
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from slippulse_jax.lattice.chain import Chain, Springs
 from slippulse_jax.lattice.elimination import Pair, beside, eliminate, solve_pair, through
+from slippulse_jax.lattice.one_by_one import lane_by_lane
 
 
 class Response(NamedTuple):
@@ -30,6 +32,10 @@ class Response(NamedTuple):
     leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress given up at j
     pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: the edge values, per edge value of the neighbour
     reach: Float[Array, "B 4"]  # largest of `read` in each block
+    spill: Float[Array, "B 4"]  # the most any contact of another block receives, per unit of what leaves this one
+    at_load: Float[Array, "B 4"]  # what a block receives per load: k⁻¹ (u_t, u) at its left edge, nothing at its right edge
+    edge_stiffness: Float[Array, ""]  # force on the left edge per load, in K
+    floating: Bool[Array, ""]  # whether a part of the chain is held by nothing
 
 
 class Propagators(NamedTuple):
@@ -38,12 +44,15 @@ class Propagators(NamedTuple):
     right: Array  # P_i: from site i to i + 1; zero for the last
     left: Array  # Q_i: from site i to i − 1; zero for the first
     source: Array  # displacements at site i per force on its interfacial layer
+    follow: Array  # u[0] per u_t[0], shape ()
+    edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
+    floating: Array  # whether a part of the chain is held by nothing
 
 
 def block_size(sites: int) -> int:
-    """Power of two near √N, at least 8."""
+    """Power of two between √N and 2√N, at least 8: work inside a block is cheaper than work on all blocks."""
     size = 8
-    while 2 * size * size <= sites:
+    while size * size < sites:
         size *= 2
     return size
 
@@ -84,7 +93,17 @@ def propagators(chain: Chain) -> Propagators:
     stiff = site.layer[0] + site.across[0]
     at_edge = jnp.zeros(2, P.dtype).at[1].set(1 / jnp.where(stiff > 0, stiff, jnp.inf))
     zero = jnp.zeros((1, 2, 2), P.dtype)
-    return Propagators(jnp.concatenate([P, zero]), jnp.concatenate([zero, Q.at[0].set(held)]), source.at[0].set(at_edge))
+    follow = site.across[0] * at_edge[1]
+    # u_t[0] − u[0] per load, from positive terms
+    apart = (chain.contact[0] + right.beyond.layer[0]) * at_edge[1]
+    return Propagators(
+        right=jnp.concatenate([P, zero]),
+        left=jnp.concatenate([zero, Q.at[0].set(held)]),
+        source=source.at[0].set(at_edge),
+        follow=follow,
+        edge_stiffness=right.beyond.upper[0] + site.across[0] * apart,
+        floating=right.floating,
+    )
 
 
 def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
@@ -95,78 +114,83 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
 
 
 def response(chain: Chain) -> Response:
-    """The response of a chain with linear contacts."""
+    """The response of a chain with linear contacts; thresholds and prestress do not enter."""
     links = propagators(chain)
     size = block_size(chain.sites)
-    P, Q, v = (into_blocks(x, size) for x in links)
+    P, Q, v = (into_blocks(x, size) for x in links[:3])
     q = into_blocks(chain.contact, size)
-    toward_right = _one_way(P, v)
-    # the same, seen in a mirror
-    mirrored = _one_way(Q[::-1, ::-1], v[::-1, ::-1])
-    near, read, leave, pass_on = toward_right
-    near_left, read_left, leave_left, pass_on_left = (
-        mirrored[0][::-1, ::-1, ::-1],
-        mirrored[1][::-1, :, ::-1],
-        mirrored[2][::-1, ::-1],
-        mirrored[3][::-1, ::-1],
-    )
-    read = jnp.concatenate([read, read_left], 1) * q[:, None, :]
-    both = near + jnp.where(jnp.eye(size, dtype=bool)[None], 0, near_left)
+    blocks = q.shape[0]
+    # what goes to the left is what goes to the right, seen in a mirror
+    both = _one_way(jnp.concatenate([P, Q[::-1, ::-1]]), jnp.concatenate([v, v[::-1, ::-1]]))
+    near, read, leave, across = (x[:blocks] for x in both)
+    near_left, read_left, leave_left, across_left = (x[blocks:][::-1] for x in both)
+    near = near + jnp.where(jnp.eye(size, dtype=bool)[None], 0, near_left[:, ::-1, ::-1])
+    read = jnp.concatenate([read, read_left[:, :, ::-1]], 1) * q[:, None, :]
+    pass_on = jnp.concatenate([_between_blocks(across), _between_blocks(across_left[::-1])[::-1, ::-1]], 2)
+    reach = read.max(-1)
+
+    def load_step(here: Array, across_b: Array) -> tuple[Array, Array]:
+        return (across_b * here[None]).sum(-1), here
+
+    start = jnp.stack([jnp.ones_like(links.follow), links.follow]) / chain.stiffness
+    _, at_load = lax.scan(load_step, start, across)
+    felt = pass_on * reach[None, :, :, None]
     return Response(
-        near=both * q[:, None, :],
+        near=near * q[:, None, :],
         read=read,
-        leave=jnp.concatenate([leave, leave_left], -1),
-        pass_on=jnp.concatenate([pass_on, pass_on_left], 2),
-        reach=read.max(-1),
+        leave=jnp.concatenate([leave, leave_left[:, ::-1]], -1),
+        pass_on=pass_on,
+        reach=reach,
+        spill=jnp.concatenate([felt[:, :, :2].sum(2), felt[:, :, 2:].sum(2)], -1).max(1),
+        at_load=jnp.concatenate([at_load, jnp.zeros_like(at_load)], -1),
+        edge_stiffness=links.edge_stiffness,
+        floating=links.floating,
     )
+
+
+def shared_response(chain: Chain) -> Response:
+    """`response`, each lane of ``jax.vmap`` by itself; worked out once where lanes differ in thresholds or prestress only."""
+    none = jnp.ones(chain.sites, chain.contact.dtype)
+    springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
+    return lane_by_lane(response, springs)
+
+
+def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
+    """Matrix product with y = 2, written out: it must not depend on how a batched dot is scheduled."""
+    return a[..., :, :1] * b[..., :1, :] + a[..., :, 1:] * b[..., 1:, :]
 
 
 def _one_way(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"]) -> tuple[Array, Array, Array, Array]:
-    """`near`, `read`, `leave`, `pass_on` for what lies to the right of a source."""
-    blocks, size = P.shape[:2]
-    one = jnp.broadcast_to(jnp.eye(2, dtype=P.dtype), (blocks, 2, 2))
-    by_site = jnp.moveaxis(P, 1, 0)
+    """`near`, `read` and `leave` for what lies to the right of a source, and the propagator across each block.
 
-    def mul(a: Array, b: Array) -> Array:
-        # written out: a product of 2×2 matrices must not depend on how a batched dot is scheduled
-        return (a[..., :, None, :] * jnp.swapaxes(b, -1, -2)[..., None, :, :]).sum(-1)
+    Pieces of a block are joined two by two, from single sites to the whole: what crosses the joint is a product.
+    """
+    near, across = v[:, :, None, 1:], P
+    read = jnp.broadcast_to(jnp.array([[0.0], [1.0]], P.dtype), (*P.shape[:2], 2, 1))
+    leave = _mul(P, v[..., None])[:, :, None, :, 0]
+    while near.shape[1] > 1:
+        (near_a, near_b), (read_a, read_b), (leave_a, leave_b), (across_a, across_b) = (
+            (x[:, 0::2], x[:, 1::2]) for x in (near, read, leave, across)
+        )
+        joint = _mul(leave_a, read_b)
+        near = jnp.concatenate([jnp.concatenate([near_a, joint], -1), jnp.concatenate([jnp.zeros_like(joint), near_b], -1)], -2)
+        read = jnp.concatenate([read_a, _mul(jnp.swapaxes(across_a, -1, -2), read_b)], -1)
+        leave = jnp.concatenate([_mul(leave_a, jnp.swapaxes(across_b, -1, -2)), leave_b], -2)
+        across = _mul(across_b, across_a)
+    return near[:, 0], read[:, 0], leave[:, 0], across[:, 0]
 
-    def read_step(so_far: Array, P_i: Array) -> tuple[Array, Array]:
-        return mul(P_i, so_far), so_far[:, 1]
 
-    across, read = lax.scan(read_step, one, by_site)
+def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
+    """Edge values of every block per edge value of the block after the source's; axes: from, to."""
+    blocks = across.shape[0]
 
-    def leave_step(so_far: Array, here: tuple) -> tuple[Array, Array]:
-        P_i, v_i = here
-        so_far = mul(so_far, P_i)
-        return so_far, (so_far * v_i[:, None, :]).sum(-1)
-
-    _, leave = lax.scan(leave_step, one, (by_site, jnp.moveaxis(v, 1, 0)), reverse=True)
-
-    def near_step(so_far: Array, here: tuple) -> tuple[Array, Array]:
-        P_i, v_i, i = here
-        so_far = jnp.where((jnp.arange(size) == i)[None, :, None], v_i[:, None, :], so_far)
-        return (P_i[:, None] * so_far[:, :, None, :]).sum(-1), so_far[..., 1]
-
-    sites = jnp.arange(size)
-    start = jnp.zeros((blocks, size, 2), P.dtype)
-    _, near = lax.scan(near_step, start, (by_site, jnp.moveaxis(v, 1, 0), sites))
-
-    def pass_step(so_far: Array, here: tuple) -> tuple[Array, Array]:
+    def step(so_far: Array, here: tuple) -> tuple[Array, Array]:
         across_b, b = here
-        after = mul(jnp.broadcast_to(across_b, so_far.shape), so_far)
         neighbour = (jnp.arange(blocks) == b)[:, None, None]
-        return jnp.where(neighbour, jnp.eye(2, dtype=P.dtype)[None], after), so_far
+        return jnp.where(neighbour, jnp.eye(2, dtype=across.dtype)[None], _mul(across_b[None], so_far)), so_far
 
-    nothing = jnp.zeros((blocks, 2, 2), P.dtype)
-    _, pass_on = lax.scan(pass_step, nothing, (across, jnp.arange(blocks)))
-    # axes: near (i, b, j) → (b, j, i); read (i, b, 2) → (b, 2, i); leave (j, b, 2) → (b, j, 2); pass_on (to, from) → (from, to)
-    return (
-        jnp.transpose(near, (1, 2, 0)),
-        jnp.transpose(read, (1, 2, 0)),
-        jnp.moveaxis(leave, 0, 1),
-        jnp.swapaxes(pass_on, 0, 1),
-    )
+    _, reached = lax.scan(step, jnp.zeros_like(across), (across, jnp.arange(blocks)))
+    return jnp.swapaxes(reached, 0, 1)
 
 
 def dense(resp: Response) -> Float[Array, "S S"]:
@@ -186,4 +210,9 @@ def _sent(leave: Float[Array, "... 4"]) -> Float[Array, "... 4 2"]:
 
 def arriving(resp: Response, block: Array, site: Array) -> Float[Array, "B 4"]:
     """What every block receives per stress given up at one site: (u_t, u) at its left edge, and at its right edge."""
-    return (resp.pass_on[block] * _sent(resp.leave[block, site])[None]).sum(-1)
+    return carried(resp, block, resp.leave[block, site])
+
+
+def carried(resp: Response, block: Array, left: Float[Array, "4"]) -> Float[Array, "B 4"]:
+    """What every block receives of what left one of them, to the right (first two) and to the left (last two)."""
+    return (resp.pass_on[block] * _sent(left)[None]).sum(-1)

@@ -1,0 +1,77 @@
+"""Delayed repinning in ruptures and series: against a program that takes detached contacts out of the matrix, and the recursion."""
+
+import numpy as np
+import plain_delay
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.lattice.cascade import RuptureStatus
+from slippulse_jax.lattice.catalogue import SeriesStatus
+
+FIG2 = sp.Slider(25.0, 0.03, 0.3)
+
+
+def rough(delay):
+    rng = np.random.default_rng(delay)
+    slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
+    theta, phi = rng.uniform(0.9, 1.1, 30), rng.uniform(0, 0.2, 30)
+    chain = sp.chain(sp.Slider(*slider), sites=30, right="free", threshold=theta, prestress=phi)
+    return plain_delay.PlainDelay(slider, theta, phi, delay), chain
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_series_against_dense_program(delay):
+    plain, chain = rough(delay)
+    got = sp.series(chain, events=20, repin_delay=delay, recorded_breaks=4000, stop_when_spanning=False)
+    assert int(got.status) == SeriesStatus.DONE
+    start = plain.energy()
+    for e in range(20):
+        order = plain.event()
+        assert list(got.break_site[got.break_event == e]) == order, e
+        assert abs(got.load[e] - plain.load) < 1e-9
+        assert abs(got.force_after[e] - plain.force()) < 1e-9
+        assert abs(got.stored[e] - (plain.energy() - start)) < 1e-9
+    assert (np.asarray(got.breaks) > delay + 1).any(), "an event in which contacts repin while it goes on"
+    assert abs(got.state.pinning - plain.pinned).max() < 1e-9
+    assert got.drift < 1e-12
+    assert got.energy_drift < 1e-12
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_rupture_against_dense_program(delay):
+    plain, chain = rough(delay)
+    load = 5.0
+    got = sp.rupture(chain, sp.relaxed(chain, load), repin_delay=delay)
+    start = plain.energy
+    plain.load = load
+    before = start()
+    order = plain.event(load)
+    assert list(got.order[: len(order)]) == order
+    assert int(got.breaks) == len(order) > delay + 1
+    assert abs(got.state.pinning - plain.pinned).max() < 1e-10
+    assert abs(got.energy - (before - plain.energy())) < 1e-10
+    assert got.drift < 1e-12
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_first_precursor_is_that_of_the_recursion(delay):
+    expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
+    chain = sp.chain(FIG2, sites=150)
+    state, site = sp.nucleate(chain, sp.relaxed(chain))
+    got = sp.rupture(chain, state, trigger=site, repin_delay=delay)
+    assert int(got.status) == RuptureStatus.ARRESTED
+    assert int(got.breaks) == int(expected.contacts_broken) > 26
+    assert abs(got.length - expected.length) < 1e-9
+    first = sp.series(chain, events=1, repin_delay=delay)
+    assert int(first.breaks[0]) == int(expected.contacts_broken)
+    assert abs(first.load[0] - expected.load) < 1e-12
+
+
+def test_refusals():
+    chain = sp.chain(FIG2, sites=10)
+    with pytest.raises(ValueError, match="repin_delay = -1"):
+        sp.series(chain, events=1, repin_delay=-1)
+    with pytest.raises(ValueError, match="repin_delay = 1.5"):
+        sp.rupture(chain, sp.relaxed(chain), repin_delay=1.5)  # pyright: ignore
+    with pytest.raises(ValueError, match="smooth rule"):
+        sp.rupture(chain, sp.relaxed(chain), repin_delay=1, rule=sp.SmoothBreak(0.01))
