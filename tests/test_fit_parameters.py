@@ -1,5 +1,7 @@
 """Several parameters, priors, uncertain inputs, further observables, counts, censoring, losses: each against an independent answer."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -33,12 +35,12 @@ def test_gradient_is_that_of_the_value(loss):
         force_sigma=5, specimen=("A", "B", "B"),
     )  # fmt: skip
     asked = [
-        Parameter("stiffness", each="specimen"), "poisson", "prestress", "threshold_slope", "strength", "offset", "discrepancy",
+        Parameter("stiffness", each="specimen"), "poisson", "prestress", "strength", "offset", "discrepancy",
         Parameter("correlation_length", prior=(1e-5, 1e-6)), Parameter("young", prior=(3e9, 1e8)), Parameter("model_factor", prior=(1, 0.1)),
     ]  # fmt: skip
     q = resolve(m, asked)
     problem = make_problem(m, q, Loss(loss), m.sigma)
-    value = {"poisson": 0.31, "prestress": 0.05, "threshold_slope": 1e-6, "offset": 1e-4}
+    value = {"poisson": 0.31, "prestress": 0.05, "offset": 1e-4}
     start = {
         "areal_stiffness[A]": 2e10,
         "areal_stiffness[B]": 2.3e10,
@@ -48,13 +50,48 @@ def test_gradient_is_that_of_the_value(loss):
     }
     size = {**value, **start, "correlation_length": 1.02e-5, "young": 2.95e9}
     theta = np.array([one.theta(size[one.label]) for one in q.free])
-    step = np.array([1e-9 if one.name == "threshold_slope" else 1e-8 if one.name == "offset" else 1e-5 for one in q.free])
+    step = np.array([1e-8 if one.name == "offset" else 1e-5 for one in q.free])
     around = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
     values = problem(around).value
     numerical = (values[: len(step)] - values[len(step) :]) / (2 * step)
     found = problem(theta, order=1).gradient[0]
     rounding = 1e-15 * abs(values[0]) / step
     assert (np.abs(found - numerical) <= 1e-4 * np.abs(numerical) + 10 * rounding).all()
+
+
+def slopes_case():
+    rng = np.random.default_rng(2)
+    y = np.stack([rng.uniform(1.5, 9, 24), rng.uniform(-8, -2.5, 24), rng.uniform(0, 0.45, 24), *np.zeros((2, 24))], axis=1)
+    y[-4:, 2] = 0.5
+    return y
+
+
+def test_slopes_do_not_depend_on_the_step():
+    """Against differences of fourth order and a hundred times the step, where rounding is a hundredth."""
+    y = slopes_case()[:-4]
+    found = lengths(y, 1, (0, 1, 2)).first
+
+    def shifted(column, by):
+        return lengths(y + by * np.eye(5)[column], 0).value
+
+    for column in range(3):
+        h = 5e-3
+        near, far = shifted(column, h) - shifted(column, -h), shifted(column, 2 * h) - shifted(column, -2 * h)
+        np.testing.assert_allclose(found[:, column], (8 * near - far) / (12 * h), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.slow  # compiling the exact derivative takes half a minute
+def test_slopes_are_those_of_the_exact_length():
+    from slippulse_jax import Slider, exact_length
+
+    def total(x):
+        return exact_length(Slider(jnp.exp(x[:, 0]), jnp.exp(x[:, 1]), x[:, 2])).sum()
+
+    y = slopes_case()
+    exact = jax.grad(total)(jnp.asarray(y[:, :3]))
+    found = lengths(y, 1, (0, 1, 2)).first[:, :3]
+    np.testing.assert_allclose(found[:-4], exact[:-4], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(found[-4:], exact[-4:], rtol=1e-4, atol=1e-5)  # one-sided at ν = 1/2
 
 
 def test_likelihood_of_a_count_is_that_of_its_interval():

@@ -50,6 +50,7 @@ def draw_lengths(result: FitResult, ax: Axes) -> None:
     m = result.measurements
     scale, unit = _display_unit(result)
     groups = _groups(result)
+    top = 0.0
     for number, rows in enumerate(groups):
         color, first = FAMILY[number % len(FAMILY)] if len(groups) > 1 else BLUE, number == 0
         one = rows[0]
@@ -58,17 +59,19 @@ def draw_lengths(result: FitResult, ax: Axes) -> None:
         label = _group_name(result, one) if len(groups) > 1 else "best fit"
         ax.plot(x, _lengths_at(result, result.theta, one, height) * y, color=color, label=label)
         for i, (low, high) in enumerate(_bands(result, one, height)):
-            label = f"{BAND_LEVEL:.0%} band" if first and i == 0 else None
+            thin = " (thinner than the line)" if np.max(high - low) * y < 0.012 * float(m.length.max() * y) else ""
+            label = f"{BAND_LEVEL:.0%} band{thin}" if first and i == 0 else None
             ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0, label=label)
         longest = _longest(result, height, one) * y
         ax.plot(x, longest, color=GREY, ls="--", lw=1)
         beyond = "beyond any stiffness" if first else None
-        ax.fill_between(x, longest, longest.max() * 1.12, color=GREY, alpha=0.15, lw=0, label=beyond)
+        ax.fill_between(x, longest, 10 * longest.max(), color=GREY, alpha=0.15, lw=0, label=beyond)
+        top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
     _draw_data(result, ax, scale)
     ax.set_xlabel(f"height $H$ ({unit})" if m.in_si else r"height $H/\lambda_c$")
     ax.set_ylabel(f"precursor length ({unit})" if m.in_si else r"precursor length $\ell/\lambda_c$")
-    ax.set_ylim(bottom=0)
     ax.margins(x=0, y=0)
+    ax.set_ylim(0, top)
     ax.legend(frameon=False, loc="upper left" if len(set(m.height)) > 1 else "lower right")
     ax.set_title("Lengths and fit", loc="left", fontsize="medium")
 

@@ -145,7 +145,8 @@ def predictions(block: _Block, theta: np.ndarray, order: int) -> Prediction:
     """μ of every datum, (B, n), and its derivatives in θ, (B, n, p)."""
     y = block.base + np.moveaxis(block.slope @ theta.T, -1, 0)
     lanes, rows = y.shape[:2]
-    model = PREDICTED[block.observable](y.reshape(-1, y.shape[2]), min(order, 1))
+    columns = np.nonzero(block.slope.any(axis=(0, 2)))[0].tolist()
+    model = PREDICTED[block.observable](y.reshape(-1, y.shape[2]), min(order, 1), columns)
     own = block.rows
     scale = np.exp(block.scale_base + theta @ block.scale_slope.T)
     value = model.value.reshape(lanes, rows)[:, own] * scale
