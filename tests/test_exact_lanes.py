@@ -40,6 +40,26 @@ def test_against_the_solution_one_by_one():
     assert np.all(found.gradient[flat] == 0)
 
 
+def test_gradient_against_differences():
+    lanes = random_lanes(24, 64)
+    lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], 0
+    # differences want digits: not the softest of them, nor those next to run-away
+    lanes = lanes[:, (lanes[0] * lanes[1] > 1e-2) & (lanes[3] < 0.4)]
+    found = bulk(lanes, derivatives=1)
+    np.testing.assert_allclose(found.length, bulk(lanes).length, rtol=1e-12)
+    step = 1e-4 * np.maximum(np.abs(lanes), [[0], [0], [0], [1e-2], [1e-2]])
+    moved = [lanes + k * step[i] * np.eye(5)[i][:, None] for i in range(5) for k in (-2, -1, 1, 2)]
+    # all in the one program of prestressed lanes, thresholds level or rising
+    length = bulk(np.concatenate(moved, axis=1)).length.reshape(5, 4, -1)
+    expected = (length[:, 0] - 8 * length[:, 1] + 8 * length[:, 2] - length[:, 3]) / (12 * step)
+    arrested = found.status == ExactStatus.ARRESTED
+    assert arrested.sum() > 10
+    scale = step / np.where(arrested, found.length, 1)
+    size = np.abs(expected * scale).max(0)
+    error = np.abs(found.gradient.T - expected) * scale / size
+    assert np.max(error[:4, arrested]) < 1e-7
+
+
 def test_a_lane_does_not_see_its_neighbours():
     lanes = random_lanes(130, 62)
     together = bulk(lanes)

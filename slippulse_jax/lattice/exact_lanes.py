@@ -9,17 +9,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice import lane_crossing, lane_series
+from slippulse_jax.lattice import lane_crossing, lane_gradient, lane_series
 from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front, exact_length
-from slippulse_jax.lattice.lanes import length_rank
 from slippulse_jax.slider import Slider
 
-CHUNKS = (64,)
-"""Lanes a chunk may have: as many as leave the table in the second-level cache."""
+CHUNK = 128
+"""Lanes of a chunk: as many as leave its table in the second-level cache."""
+
+SAFEGUARDED_CHUNK = 16
+"""Lanes of a chunk that goes through the safeguarded search of `exact_length`."""
 
 PARAMETERS = ("height", "stiffness", "poisson", "prestress", "threshold_slope")
 """What the last axes of gradient and Hessian run over: H/λc, k/K, ν, φ, ε."""
@@ -30,8 +31,8 @@ class ExactLengths(NamedTuple):
 
     length: Float[np.ndarray, "..."]  # ℓ*, in λc
     status: Int[np.ndarray, "..."]  # `ExactStatus`
-    gradient: Float[np.ndarray, "... 5"] | None  # dℓ*/d`PARAMETERS`
-    hessian: Float[np.ndarray, "... 5 5"] | None
+    gradient: Any  # array of shape (..., 5), dℓ*/d`PARAMETERS`; None unless asked for
+    hessian: Any  # array of shape (..., 5, 5); None unless asked for
 
 
 def exact_lengths(
@@ -73,7 +74,7 @@ def exact_lengths(
     shape = np.broadcast_shapes(*(np.shape(x) for x in numbers))
     lanes = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
     found = solve_lanes(lanes, derivatives)
-    return ExactLengths(*(None if x is None else x.reshape(*shape, *x.shape[1:]) for x in found))  # pyright: ignore
+    return ExactLengths(*(None if x is None else x.reshape(*shape, *x.shape[1:]) for x in found))  # pyright: ignore[reportArgumentType]
 
 
 def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactLengths:
@@ -87,29 +88,38 @@ def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactL
     )
     unsettled = np.arange(count)
     if derivatives < 2:
-        order = np.argsort(length_rank(lanes[:3]), kind="stable")
-        prestressed, sloped = lanes[3, order] != 0, lanes[4, order] != 0
-        for kind in ((False, False), (False, True), (True, False), (True, True)):  # a lane's own values choose its program
-            chosen = order[(prestressed == kind[0]) & (sloped == kind[1])]
-            _in_chunks(lanes, chosen, CHUNKS, functools.partial(_compiled, derivatives, *kind), found)
+        order = np.argsort(_effort(lanes), kind="stable")
+        # one family of terms less where there is no prestress to differentiate by: a lane's own value chooses its program
+        prestressed = (lanes[3, order] != 0) | (derivatives > 0)
+        for kind in (False, True):
+            _in_chunks(lanes, order[prestressed == kind], CHUNK, functools.partial(_compiled, derivatives, kind), found)
         unsettled = np.flatnonzero(found.status == lane_crossing.UNSETTLED)
-    _in_chunks(lanes, unsettled, CHUNKS[:1], functools.partial(_safeguarded, derivatives), found)
+    _in_chunks(lanes, unsettled, SAFEGUARDED_CHUNK, functools.partial(_safeguarded, derivatives), found)
     return found
 
 
-def _in_chunks(lanes: np.ndarray, order: np.ndarray, sizes: tuple[int, ...], function: Any, found: ExactLengths) -> None:
+def _effort(lanes: np.ndarray) -> np.ndarray:
+    """Rank by the work to expect: soft lanes by b, which sets the Newton steps, stiff ones by κ, which sets the rows."""
+    height, stiffness, poisson = lanes[:3].astype(np.float32)
+    transverse = 1 / (2 * (1 + poisson) * height)
+    with np.errstate(all="ignore"):
+        b = stiffness / transverse
+        rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 512 + 32768
+    return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
+
+
+def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, found: ExactLengths) -> None:
     """Fill `found` at `order`, chunk by chunk, on every core."""
     outputs = [x for x in found if x is not None]
 
     def run(chosen: np.ndarray) -> None:
-        size = next(x for x in sizes if x >= len(chosen))
         # settings of the thread; lanes are last in every array, so that missing axes are the leading ones
         with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
             values = function()(np.take(lanes, np.resize(chosen, size), axis=1))
         for column, value in zip(outputs, values, strict=True):
             column[chosen] = np.asarray(value)[: len(chosen)]
 
-    chunks = [order[start : start + sizes[-1]] for start in range(0, len(order), sizes[-1])]
+    chunks = [order[start : start + size] for start in range(0, len(order), size)]
     if len(chunks) > 1:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(run, chunks))
@@ -119,32 +129,17 @@ def _in_chunks(lanes: np.ndarray, order: np.ndarray, sizes: tuple[int, ...], fun
 
 
 @functools.cache
-def _compiled(derivatives: int, prestressed: bool, sloped: bool) -> Callable[[np.ndarray], tuple[Array, ...]]:
+def _compiled(derivatives: int, prestressed: bool) -> Callable[[np.ndarray], tuple[Array, ...]]:
     def chunk(theta: Float[Array, "5 lanes"]) -> tuple[Array, ...]:
-        series = lane_series.solve(theta, prestressed)
-        length, status = lane_crossing.crossing(series, theta, sloped)
-        values = length, status
-        if derivatives:
-            values = *values, jnp.moveaxis(_gradient(theta, length), 0, -1)
-        return values
+        wanted = derivatives > 0
+        series = lane_series.solve(lane_series.inputs_of(theta, prestressed), store_all=wanted)
+        length, status = lane_crossing.crossing(series, theta)
+        if not wanted:
+            return length, status
+        moved = jnp.where(length > 0, length, 1)
+        return length, status, jnp.where(length > 0, lane_gradient.gradient(series, theta, moved), 0).T
 
     return jax.jit(chunk)
-
-
-def _gradient(theta: Float[Array, "5 lanes"], s: Array) -> Float[Array, "5 lanes"]:
-    """−(∂F/∂θ)/(∂F/∂s) of F = t(s) − 1 − εs at the crossing s; zero where nothing follows contact 0."""
-
-    def excess(four: Array) -> tuple[Array, Array]:
-        rise, rate = lane_series.rise(lane_series.solve(four, True), s)
-        return rise, rate - theta[4]
-
-    def along(direction: Array) -> tuple[Array, Array]:
-        _, change, rate = jax.jvp(excess, (theta[:4],), (jnp.broadcast_to(direction[:, None], theta[:4].shape),), has_aux=True)
-        return change, rate
-
-    change, rate = jax.vmap(along, out_axes=(0, None))(jnp.eye(4))
-    change = jnp.concatenate([change, -s[None]])
-    return jnp.where(s > 0, -change / rate, 0)
 
 
 @functools.cache
@@ -164,4 +159,4 @@ def _safeguarded(derivatives: int) -> Callable[[np.ndarray], tuple[Array, ...]]:
             values = *values, jax.jacfwd(jax.jacfwd(length))(theta)
         return values
 
-    return jax.jit(lambda lanes: lax.map(one, lanes.T))
+    return jax.jit(jax.vmap(one, in_axes=1))

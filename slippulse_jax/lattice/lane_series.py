@@ -13,13 +13,13 @@ to less than `ROW_TOLERANCE` of the first row's: rows shrink by a third at least
 what is left out is below half of that. A lane that has ended gets rows of zeros, so that it never depends on its neighbours.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
@@ -28,55 +28,58 @@ ROW_TOLERANCE = 5e-13
 """Moduli of a lane's last row beside those of its first."""
 
 BLOCKS = ((1, 5), (6, 11), (12, 17))
-"""First and last row k of each block of one width 2·last + 1: compiled once each, few zeros."""
+"""First and last row k of each block of one width: compiled once each, with few zeros."""
+
+STORED = 11
+"""Rows that are looked at again at the crossing: above them nothing but row sums is left there (checked lane by lane)."""
 
 ROWS = BLOCKS[-1][1]
 
 Lanes = Float[Array, " lanes"]
+Table = Float[Array, "F a lanes"]
 
 
-class Series(NamedTuple):
-    """Table and amplitudes of a chunk of lanes; F families."""
+class Inputs(NamedTuple):
+    """What the table and its amplitudes are made of; F families."""
 
-    blocks: tuple[Float[Array, "rows F a lanes"], ...]  # τ
-    rows: Float[Array, "k F lanes"]  # Σ_a τ
-    slopes: Float[Array, "k F lanes"]  # Σ_a a τ
-    last: Array  # the last row any lane has
-    amplitude: Float[Array, "F lanes"]  # c_j
+    reflected: Float[Array, "2 2 lanes"]  # r_m R_mn
+    start_gap: Float[Array, "F lanes"]  # 1 − start_j
+    to_roots: Float[Array, "2 F lanes"]  # start_j − ρ_i
+    to_modes: Float[Array, "2 F lanes"]  # start_j − r_m
     rate: Float[Array, "F lanes"]  # −ln start_j
     level_rate: Lanes  # −2 ln r_2
     column_rate: Lanes  # −ln(r_1/r_2)
+    first_step: Lanes  # t(1) − t(0)
     plateau: Lanes  # stress far from the edge where nothing stops the front
-    sound: Array  # whether every digit is there
+
+
+class Series(NamedTuple):
+    """Table and amplitudes of a chunk of lanes."""
+
+    inputs: Inputs
+    blocks: tuple[Float[Array, "rows F a lanes"], ...]  # τ; of blocks that were stored
+    rows: Float[Array, "k F lanes"]  # Σ_a τ up to the last row stored
+    beyond: Float[Array, "F lanes"]  # Σ_ka τ of later rows
+    totals: Float[Array, "3 F lanes"]  # Σ τ, Σ τ (1 − μ), −Σ τ ln μ
+    amplitude: Float[Array, "F lanes"]  # c_j
+    last: Array  # the last row any lane has
+    own_last: Lanes  # the last row of the lane
+    sound: Bool[Array, " lanes"]  # whether every digit is there
 
     def at_edge(self) -> Lanes:
         """t'(0)."""
-        k = np.arange(ROWS + 1)[:, None, None]
-        bend = (self.level_rate * k * self.rows + self.column_rate * self.slopes).sum(0)
-        return -(self.amplitude * (self.rate * self.rows.sum(0) + bend)).sum(0)
+        return -over_families(self.amplitude * self.totals[2])
 
 
-class Constants(NamedTuple):
-    """What the table is made of."""
-
-    reflected: Float[Array, "2 2 lanes"]  # r_m R_mn
-    rho: Float[Array, "F lanes"]  # start_j
-    to_roots: Float[Array, "2 F lanes"]  # start_j − ρ_i
-    to_modes: Float[Array, "2 F lanes"]  # start_j − r_m
-    level_gap: Lanes  # 1 − r_2²
-    column_gap: Lanes  # 1 − r_1/r_2
-
-
-def solve(theta: Float[Array, "n lanes"], prestressed: bool) -> Series:
-    """Series of lanes (H/λc, k/K, ν, φ, …); φ is not looked at unless `prestressed`."""
+def inputs_of(theta: Float[Array, "n lanes"], prestressed: bool) -> Inputs:
+    """`Inputs` of lanes (H/λc, k/K, ν, φ, …); φ is not looked at unless `prestressed`."""
     modes = jax.vmap(lambda h, q, n: lattice_modes(Slider(h, q, n)), in_axes=0, out_axes=-1)(*theta[:3])
-    phi = theta[3] if prestressed else None
     r, w, gap = modes.ratio, modes.weight, modes.gap
     coupling, reflected = r * w, r[:, None] * modes.reflection
     diagonal = gap - coupling
     difference = diagonal[0] - diagonal[1]
     split = jnp.sqrt(difference**2 + 4 * coupling[0] * coupling[1])
-    larger = (jnp.abs(difference) + split) / 2
+    larger = (jnp.where(difference < 0, -difference, difference) + split) / 2
     smaller = coupling[0] * coupling[1] / larger
     up, down = jnp.where(difference < 0, smaller, larger), jnp.where(difference < 0, larger, smaller)
     runaway = (1 + w[0] + w[1]) / 2
@@ -85,109 +88,132 @@ def solve(theta: Float[Array, "n lanes"], prestressed: bool) -> Series:
     apart = gap[0] - gap[1]
     zero = jnp.zeros_like(split)
     # ρ_j − r_m as products of positive numbers, from (r_1 − ρ_1)(r_1 − ρ_2) = −w_1 r_1 (r_1 − r_2) and the like at r_2
-    to_mode_1 = [coupling[0] * apart / (up + coupling[0]), up + coupling[0]]
-    to_mode_2 = [-coupling[1] * apart / (down + coupling[1]), down + coupling[1]]
-    to_root_1, to_root_2, start_gap = [zero, split], [-split, zero], [gap_1, gap_2]
-    if prestressed:
-        to_mode_1, to_mode_2 = [*to_mode_1, gap[0]], [*to_mode_2, gap[1]]
-        to_root_1, to_root_2 = [*to_root_1, gap_1], [*to_root_2, gap_2]
-        start_gap = [*start_gap, zero]
-    start_gap = jnp.stack(start_gap)
-    constants = Constants(
-        reflected=reflected,
-        rho=1 - start_gap,
-        to_roots=jnp.stack([jnp.stack(to_root_1), jnp.stack(to_root_2)]),
-        to_modes=jnp.stack([jnp.stack(to_mode_1), jnp.stack(to_mode_2)]),
-        level_gap=gap[1] * (1 + r[1]),
-        column_gap=apart / r[1],
-    )
-    table = _table(constants)
-    # c_j from t(0) = 1 and from the first step t(1) − t(0), both of which the front's recursion knows
-    step = coupling.sum(0) + reflected.sum((0, 1))
-    pushed = (gap * modes.drive).sum(0)
-    known_0, known_1 = jnp.ones_like(zero), step - pushed
-    A, B = table.rows.sum(0), -(start_gap * table.rows.sum(0) + (1 - start_gap) * table.gaps)
-    plateau = zero
-    if phi is not None:
-        plateau = phi / runaway
-        known_0, known_1 = known_0 - plateau * A[2], step - (1 - phi) * pushed - plateau * B[2]
-    determinant = A[0] * B[1] - A[1] * B[0]
-    amplitude = [(known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant]
-    amplitude = jnp.stack([*amplitude, plateau] if prestressed else amplitude)
+    to_mode_1 = [coupling[0] * apart / (up + coupling[0]), up + coupling[0], gap[0]]
+    to_mode_2 = [-coupling[1] * apart / (down + coupling[1]), down + coupling[1], gap[1]]
+    to_root_1, to_root_2, start_gap = [zero, split, gap_1], [-split, zero, gap_2], [gap_1, gap_2, zero]
+    rate, families = [-jnp.log1p(-gap_1), -jnp.log1p(-gap_2), zero], 3 if prestressed else 2
+    stacked = [jnp.stack(x[:families]) for x in (start_gap, to_root_1, to_root_2, to_mode_1, to_mode_2, rate)]
+    held = 1 - theta[3] if prestressed else 1
     mode_rate = -jnp.log1p(-gap)
-    rate = -jnp.log1p(-jnp.stack([gap_1, gap_2]))
-    sound = table.ended & (jnp.abs(amplitude[0]) < 1e3) & (jnp.abs(amplitude[1]) < 1e3)
-    return Series(
-        blocks=table.blocks,
-        rows=table.rows,
-        slopes=table.slopes,
-        last=table.last,
-        amplitude=amplitude,
-        rate=jnp.concatenate([rate, zero[None]]) if prestressed else rate,
+    return Inputs(
+        reflected=reflected,
+        start_gap=stacked[0],
+        to_roots=jnp.stack(stacked[1:3]),
+        to_modes=jnp.stack(stacked[3:5]),
+        rate=stacked[5],
         level_rate=2 * mode_rate[1],
         column_rate=mode_rate[0] - mode_rate[1],
-        plateau=plateau,
-        sound=sound,
+        # (1 − φ) C is carried on, and contact 0 adds its stress, 1
+        first_step=coupling.sum(0) + reflected.sum((0, 1)) - held * (gap * modes.drive).sum(0),
+        plateau=theta[3] / runaway if prestressed else zero,
     )
 
 
-class _Table(NamedTuple):
-    blocks: tuple[Array, ...]
-    rows: Array
-    slopes: Array
-    gaps: Array  # Σ_ka τ (1 − r_2^{2k} (r_1/r_2)^a)
-    last: Array
-    ended: Array
+def solve(inputs: Inputs, store_all: bool = False) -> Series:
+    """Table, and amplitudes from t(0) = 1 and from t(1) − t(0); later rows than `STORED` are kept with `store_all`."""
+    table = _table(inputs, store_all)
+    (A, gaps, _), plateau = table.totals, inputs.plateau
+    B, known_0, known_1 = -gaps, jnp.ones_like(plateau), inputs.first_step
+    prestressed = A.shape[0] > 2
+    if prestressed:
+        known_0, known_1 = known_0 - plateau * A[2], known_1 - plateau * B[2]
+    determinant = A[0] * B[1] - A[1] * B[0]
+    c1, c2 = (known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant
+    sound = table.sound & (jnp.abs(c1) < 1e3) & (jnp.abs(c2) < 1e3)
+    return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]), sound=sound)
 
 
-def _table(constants: Constants) -> _Table:
-    """Rows until every lane has ended, or `ROWS`."""
-    families, lanes = constants.rho.shape
-    column_gap = _power_gaps(constants.column_gap, 2 * ROWS + 1)
-    level_gap = _power_gaps(constants.level_gap, ROWS + 1)
-    rho, (to_1, to_2), (from_1, from_2) = (x[..., None, :] for x in (constants.rho, constants.to_roots, constants.to_modes))
-    (R11, R12), (R21, R22) = constants.reflected
-    zeros = jnp.zeros((ROWS + 1, families, lanes))
-    rows = zeros.at[0].set(1)
-    slopes, gaps = zeros, zeros[0]
-    above = jnp.zeros((families, 2 * ROWS + 3, lanes)).at[:, 2].set(1)
-    running, first = jnp.ones(lanes, bool), jnp.ones(lanes)
-    k, blocks = jnp.asarray(1, jnp.int32), []
+def _table(inputs: Inputs, store_all: bool) -> Series:
+    """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
+    families, lanes = inputs.rate.shape
+    zeros, one = jnp.zeros((families, lanes)), jnp.ones((families, lanes))
+    rows = jnp.zeros(((ROWS if store_all else STORED) + 1, families, lanes)).at[0].set(1)
+    totals = jnp.stack([one, inputs.start_gap, inputs.rate])
+    above = jnp.zeros((families, 3, lanes)).at[:, 2].set(1)
+    carry = _Progress(jnp.asarray(1), jnp.zeros(()), rows, zeros, totals, jnp.ones(lanes, bool), jnp.zeros(lanes))
+    blocks = []
     for start, end in BLOCKS:
-        width = 2 * end + 1
-        a = np.arange(width, dtype=float)[:, None]
-
-        def row(carry: Any, width: int = width, a: np.ndarray = a, start: int = start) -> Any:
-            k, above, block, rows, slopes, gaps, running, first = carry
-            level = level_gap[k]
-            columns = column_gap[:width]
-            x = rho * (level + (1 - level) * columns)
-            g1 = R11 * above[:, :-2] + R12 * above[:, 1:-1]
-            g2 = R21 * above[:, 1:-1] + R22 * above[:, 2:]
-            tau = (g1 * (from_2 - x) + g2 * (from_1 - x)) / ((to_1 - x) * (to_2 - x))
-            tau = jnp.where(running, tau, 0)
-            total = _over_columns(tau)
-            size = sum(_over_columns(jnp.abs(tau)))
-            first = jnp.where(k == 1, jnp.minimum(size, 1), first)
-            gaps = gaps + level * total + (1 - level) * _over_columns(tau * columns)
-            rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
-            slopes = lax.dynamic_update_index_in_dim(slopes, _over_columns(jnp.asarray(a) * tau), k, 0)
-            block = lax.dynamic_update_index_in_dim(block, tau, k - start, 0)
-            above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
-            return k + 1, above, block, rows, slopes, gaps, running & (size > ROW_TOLERANCE * first), first
-
-        def going(carry: Any, end: int = end) -> Array:
-            return (carry[0] <= end) & carry[-2].any()
-
-        block = jnp.zeros((end - start + 1, families, width, lanes))
-        carry = (k, above[:, : width + 2], block, rows, slopes, gaps, running, first)
-        k, short, block, rows, slopes, gaps, running, first = lax.while_loop(going, row, carry)
-        above = above.at[:, : width + 2].set(short)
+        stored = store_all or end <= STORED
+        block = jnp.zeros((end - start + 1 if stored else 0, families, 2 * end + 1, lanes))
+        above = jnp.zeros((families, 2 * end + 3, lanes)).at[:, : above.shape[1]].set(above)
+        carry, above, block = _fill(inputs, carry, above, block, (start, end))
         blocks.append(block)
-    return _Table(tuple(blocks), rows, slopes, gaps, k - 1, ~running)
+    return Series(
+        inputs=inputs,
+        blocks=tuple(blocks),
+        rows=carry.rows,
+        beyond=carry.beyond,
+        totals=carry.totals,
+        amplitude=zeros,
+        last=carry.k - 1,
+        own_last=carry.own_last,
+        sound=~carry.running,
+    )
 
 
-def _power_gaps(gap: Lanes, count: int) -> Float[Array, "count lanes"]:
+class _Progress(NamedTuple):
+    k: Array  # the next row
+    level: Array  # 1 − r_2^{2(k−1)}
+    rows: Array
+    beyond: Array
+    totals: Array
+    running: Array
+    own_last: Array
+
+
+def _fill(
+    inputs: Inputs, carry: _Progress, above: Table, block: Array, span: tuple[int, int]
+) -> tuple[_Progress, Table, Array]:
+    """Rows of one block; written to `block` if it has places for them."""
+    start, end = span
+    first_block, stored = start == 1, block.shape[0] > 0
+    columns = power_gaps(decayed(inputs.column_rate), 2 * end + 1)
+    level_gap = decayed(inputs.level_rate)
+    a = jnp.asarray(np.arange(2.0 * end + 1)[:, None])
+
+    def row(state: tuple[_Progress, Table, Array]) -> tuple[_Progress, Table, Array]:
+        (k, level, rows, beyond, totals, running, own_last), above, block = state
+        level = level + (1 - level) * level_gap
+        gap = level + (1 - level) * columns
+        tau = entries(inputs, above, gap)
+        tau = tau if first_block else jnp.where(running, tau, 0)
+        total = over_columns(tau)
+        bend = inputs.level_rate * k.astype(total.dtype) * total + inputs.column_rate * over_columns(a * tau)
+        lost = over_columns(gap * tau)
+        rho = 1 - inputs.start_gap
+        totals = totals + jnp.stack([total, inputs.start_gap * total + rho * lost, inputs.rate * total + bend])
+        own_last = jnp.where(running, k.astype(level.dtype), own_last)
+        if stored:
+            rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
+        else:
+            beyond = beyond + total
+        if not first_block:
+            size = over_families(over_columns(jnp.abs(tau)))
+            scale = jnp.minimum(over_families(jnp.abs(rows[1])), 1)
+            running = running & (size > ROW_TOLERANCE * scale)
+        if stored:
+            block = lax.dynamic_update_index_in_dim(block, tau, k - start, 0)
+        above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
+        return _Progress(k + 1, level, rows, beyond, totals, running, own_last), above, block
+
+    def going(state: tuple[_Progress, Table, Array]) -> Array:
+        return (state[0].k <= end) & state[0].running.any()
+
+    carry = carry._replace(level=jnp.broadcast_to(carry.level, level_gap.shape))
+    return lax.while_loop(going, row, (carry, above, block))
+
+
+def entries(inputs: Inputs, above: Table, gap: Float[Array, "a lanes"]) -> Table:
+    """τ of one row from the row above (two columns of zeros first) and 1 − μ/start."""
+    (R11, R12), (R21, R22) = inputs.reflected
+    x = (1 - inputs.start_gap)[:, None] * gap
+    to_1, to_2, from_1, from_2 = (y[:, None] for y in (*inputs.to_roots, *inputs.to_modes))
+    g1 = R11 * above[:, :-2] + R12 * above[:, 1:-1]
+    g2 = R21 * above[:, 1:-1] + R22 * above[:, 2:]
+    return (g1 * (from_2 - x) + g2 * (from_1 - x)) / ((to_1 - x) * (to_2 - x))
+
+
+def power_gaps(gap: Lanes, count: int) -> Float[Array, "count lanes"]:
     """1 − (1 − gap)^n, n = 0 … count − 1, as sums of positive numbers."""
     out = jnp.stack([jnp.zeros_like(gap), gap])
     while out.shape[0] < count:  # twice as many powers by one product: 1 − xy = (1 − x) + x (1 − y)
@@ -196,7 +222,7 @@ def _power_gaps(gap: Lanes, count: int) -> Float[Array, "count lanes"]:
     return out[:count]
 
 
-def _over_columns(x: Float[Array, "F a lanes"]) -> Float[Array, "F lanes"]:
+def over_columns(x: Table) -> Float[Array, "F lanes"]:
     """Σ_a, written out: XLA hands its own reduction to a library that costs more than the sum."""
     total = x[:, 0]
     for a in range(1, x.shape[1]):
@@ -204,7 +230,8 @@ def _over_columns(x: Float[Array, "F a lanes"]) -> Float[Array, "F lanes"]:
     return total
 
 
-def _over_families(x: Float[Array, "F lanes"]) -> Lanes:
+def over_families(x: Float[Array, "F lanes"]) -> Lanes:
+    """Σ_j, written out."""
     total = x[0]
     for j in range(1, x.shape[0]):
         total = total + x[j]
@@ -221,46 +248,3 @@ def decayed(x: Array) -> Array:
     for _ in range(6):
         e = e * (2 - e)
     return e
-
-
-def rise_far(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
-    """As `rise` where (r_1/r_2)^s has vanished, and only the first column of the table is left."""
-    column = jnp.concatenate([jnp.ones_like(series.rows[:1]), *(block[:, :, 0] for block in series.blocks)])
-    return _rise(series, s, series.rows - column, jnp.zeros_like(column))
-
-
-def rise(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
-    """t(s) − 1 and t'(s); summed as what every term has lost since s = 0, so that a rise as small as b keeps its digits."""
-    column_gap = _power_gaps(decayed(s * series.column_rate), 2 * ROWS + 1)
-    lost, slopes = jnp.zeros_like(series.rows), jnp.zeros_like(series.rows)
-    for (start, end), block in zip(BLOCKS, series.blocks, strict=True):
-        gaps = column_gap[: 2 * end + 1]
-        weights = jnp.asarray(np.arange(2 * end + 1, dtype=float)[:, None]) * (1 - gaps)
-
-        def add(
-            k: Array, both: Any, block: Array = block, gaps: Array = gaps, weights: Array = weights, start: int = start
-        ) -> Any:
-            tau = block[k - start]
-            at_k = _over_columns(gaps * tau), _over_columns(weights * tau)
-            return tuple(lax.dynamic_update_index_in_dim(x, y, k, 0) for x, y in zip(both, at_k, strict=True))
-
-        lost, slopes = lax.fori_loop(start, jnp.minimum(end, series.last) + 1, add, (lost, slopes))
-    return _rise(series, s, lost, slopes)
-
-
-def _rise(series: Series, s: Lanes, lost: Array, slopes: Array) -> tuple[Lanes, Lanes]:
-    """From each row's Σ_a τ (1 − v^a) and Σ_a a τ v^a, v = (r_1/r_2)^s, by Horner's rule in u = r_2^{2s}.
-
-    What row k has lost is (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), and (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k.
-    """
-    level_gap, start_gap = decayed(s * series.level_rate), decayed(s * series.rate)
-    level = 1 - level_gap
-    change, fall = jnp.zeros_like(series.rate), jnp.zeros_like(series.rate)
-    above = jnp.zeros_like(series.rate)
-    for k in range(ROWS, -1, -1):
-        kept = series.rows[k] - lost[k]
-        change = level * change + level_gap * above + lost[k] + start_gap * kept
-        fall = level * fall + (series.rate + k * series.level_rate) * kept + series.column_rate * slopes[k]
-        above = above + series.rows[k]
-    weight = series.amplitude
-    return -_over_families(weight * change), -_over_families(weight * (1 - start_gap) * fall)
