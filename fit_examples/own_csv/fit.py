@@ -1,0 +1,22 @@
+"""Your own table: copy this folder, replace lengths.csv, run fit.py."""
+
+import sys
+from pathlib import Path
+
+import slippulse_jax as sp
+
+TABLE = Path(__file__).with_name("lengths.csv")
+
+
+def main(table: str | Path = TABLE, figure: str | Path | None = None) -> sp.FitResult:
+    """Read, fit, report; draw into `figure` if one is named."""
+    result = sp.fit(sp.read_measurements(table))
+    print(result.report())
+    if figure is not None:
+        result.plot().savefig(figure)
+    assert result.converged
+    return result
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

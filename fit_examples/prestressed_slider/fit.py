@@ -1,0 +1,31 @@
+"""One block under different shears of its top: the stiffness with the shear known, and the shear itself where it is not."""
+
+import dataclasses
+from pathlib import Path
+
+import slippulse_jax as sp
+
+TRUE_STIFFNESS, UNKNOWN = 0.01, 0.4
+
+
+def main() -> sp.FitResult:
+    """Fit with the shear stated; then take the last line's shear for unknown."""
+    data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
+    result = sp.fit(data)
+    print(result.report())
+    assert any(piece.low < TRUE_STIFFNESS < piece.high for piece in result.intervals["stiffness"][0.95])
+    # forgetting the shear: no stiffness explains lengths that differ on one block
+    blind = sp.fit(dataclasses.replace(data, prestress=None))
+    print(f"Without the shear: {blind.identifiability.value}")
+    assert blind.chi2 > 100 * result.chi2
+    # the other way: a block of known stiffness is a gauge of shear
+    last = sp.Measurements(height=20, poisson=0.3, length=data.length[-1:], length_sigma=0.5)
+    gauge = sp.fit(last, free=("prestress",), fixed={"stiffness": TRUE_STIFFNESS})
+    print(gauge.report())
+    (shear,) = gauge.intervals["prestress"][0.95]
+    assert shear.low < UNKNOWN < shear.high
+    return result
+
+
+if __name__ == "__main__":
+    main()

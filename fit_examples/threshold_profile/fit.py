@@ -1,0 +1,28 @@
+"""What twelve lengths say of a threshold that varies along the interface."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+
+import slippulse_jax as sp
+
+HERE = Path(__file__).resolve().parent
+
+
+def main() -> sp.RecoveredProfile:
+    """Recover the profile, and hold it to the one the data were made with, where it is determined."""
+    truth = runpy.run_path(str(HERE / "make_data.py"))["threshold"]
+    found = sp.recover_profile(sp.read_measurements(HERE / "lengths.csv"), stiffness=0.03)
+    print(found.report())
+    low, high = found.interval(0.95)
+    inside = (low < truth(found.position)) & (truth(found.position) < high)
+    print(f"{found.determined.sum()} places determined; true profile inside the 95 % band at {inside[found.determined].sum()}")
+    assert found.determined.sum() >= 8
+    assert inside[found.determined].mean() >= 0.85
+    assert np.ptp(found.profile[found.determined]) > 0.1
+    return found
+
+
+if __name__ == "__main__":
+    main()
