@@ -124,6 +124,55 @@ def test_derivatives():
         assert np.allclose(mode(length)(at), expected, rtol=1e-6)
 
 
+def test_reverse_derivatives_with_respect_to_a_profile():
+    """Against differences; sites ahead of the front have none; both modes give the same."""
+    rng = np.random.default_rng(8)
+    at = rng.uniform(0.95, 1.05, 24), rng.uniform(0.0, 0.1, 24)
+
+    def length(theta, phi):
+        return precursor_length(Slider(20.0, 0.02, 0.3), interface=Profile(theta, phi))
+
+    s0, by_threshold, by_prestress = int(np.ceil(length(*at))), *jax.grad(length, argnums=(0, 1))(*at)
+    assert 3 < s0 < 22
+    for which, gradient in ((0, by_threshold), (1, by_prestress)):
+        assert not gradient[s0 + 1 :].any()
+        for i in (0, 1, s0 - 1, s0):
+            step = 1e-6 * np.eye(24)[i]
+            up, down = list(at), list(at)
+            up[which], down[which] = at[which] + step, at[which] - step
+            assert abs(gradient[i] - (length(*up) - length(*down)) / 2e-6) < 1e-5 * abs(gradient).max()
+    forward = jax.jacfwd(length)(*at)
+    assert np.allclose(forward, by_threshold, rtol=1e-12)
+
+
+def test_profile_that_nothing_stops():
+    """Beyond its last value a profile is uniform: endless if the prestress is beyond φ_c there, whatever it was before."""
+    critical = (1 + float(lattice_modes(FIG2).weight.sum())) / 2
+    for level, runs in ((critical + 1e-4, True), (critical - 1e-3, False)):
+        profile = Profile(np.linspace(0.9, 1.0, 15), np.linspace(0.5, level, 15))
+        length = precursor_length(FIG2, interface=profile)
+        assert np.isinf(length) == runs
+        record = first_precursor(FIG2, interface=profile, recorded_sites=5000)
+        assert (int(record.status) == FrontStatus.RUN_AWAY) == runs
+    # half the thresholds and half the prestress: the same ratio
+    assert np.isinf(precursor_length(FIG2, interface=Profile(np.full(3, 0.5), (critical + 1e-4) / 2)))
+    held = precursor_length(FIG2, interface=Profile(np.append(np.ones(40), 3.0), 0.6))
+    assert np.isfinite(held), "rising thresholds hold it"
+
+
+def test_single_precision(float32):
+    """float32 in, float32 out: a relative error below 1e-4 at a prestress far from φ_c, delays included."""
+    lengths = [
+        precursor_length(FIG2, interface=Interface(np.float32(0.2), repin_delay=2)),
+        precursor_length(FIG2, interface=Profile(np.ones(5, np.float32), 0.2, 2)),
+    ]
+    with jax.enable_x64(True):
+        exact = float(precursor_length(FIG2, interface=Interface(0.2, repin_delay=2)))
+    for length in lengths:
+        assert length.dtype == np.float32
+        assert abs(length - exact) < 1e-4 * exact
+
+
 def test_batches_do_not_depend_on_company():
     rng = np.random.default_rng(2)
     sliders = Slider(rng.uniform(5, 40, 50), 10 ** rng.uniform(-3, -1, 50), 0.3)

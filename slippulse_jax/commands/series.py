@@ -1,8 +1,14 @@
 """``slippulse series``."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import click
 
-from slippulse_jax.commands.shared import BadInput, as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.commands.shared import NOT_CONVERGED, BadInput, as_json, figure_path, print_json, refuse, save_figure
+
+if TYPE_CHECKING:
+    from slippulse_jax.lattice.catalogue import Catalogue
 
 
 @click.command()
@@ -16,20 +22,19 @@ from slippulse_jax.commands.shared import BadInput, as_json, figure_path, print_
 @click.option("--spring", type=float, metavar="K", help="Drive through a spring of this stiffness.")
 @click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")
 @click.option("--recovery", type=float, metavar="U_S", help="Ageing: load over which thresholds recover.")
+@click.option(
+    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks for which a contact stays detached."
+)
 @click.option("--out", type=click.Path(dir_okay=False), metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw friction curve and space–time map.")
 @as_json
 def command(
     height: float, stiffness: float, poisson: float, sites: int, events: int, right: str, step: float | None,
-    spring: float | None, newborn: float | None, recovery: float | None, out: str | None, figure: object, as_json: bool,
+    spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
+    out: str | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """A series of precursors of one slider, as a catalogue of events (CSV on stdout)."""
-    if step is not None and spring is not None:
-        raise click.UsageError("--step and --spring are two protocols: give one")
-    if (newborn is None) != (recovery is None):
-        raise click.UsageError("ageing needs both --newborn and --recovery")
-    if out is not None and not out.endswith((".csv", ".nc")):
-        raise BadInput(f"{out}: a series is written as .csv or .nc")
+    _check(step, spring, newborn, recovery, out)
     import jax
 
     from slippulse_jax.lattice.ageing import Ageing
@@ -43,24 +48,49 @@ def command(
             protocol = Steps(step) if step is not None else Spring(spring) if spring is not None else Adiabatic()
             ageing = None if newborn is None or recovery is None else Ageing(newborn, recovery)
             one = chain(Slider(height, stiffness, poisson), sites=sites, right=right)  # pyright: ignore[reportArgumentType]
-            found = series(one, protocol, events=events, ageing=ageing, recorded_breaks=50 * events if figure else 0)
+            found = series(
+                one,
+                protocol,
+                events=events,
+                ageing=ageing,
+                repin_delay=repin_delay,
+                recorded_breaks=50 * events if figure else 0,
+            )
         except ValueError as error:
             refuse(error)
         status = SeriesStatus(int(found.status))
         if out is not None:
             write_series(out, found)
         if figure is not None:
-            from matplotlib.figure import Figure
-
-            from slippulse_jax.plot_series import friction_curve, space_time
-
-            picture = Figure(figsize=(10, 4.2), layout="constrained")
-            left, right_axes = picture.subplots(1, 2)
-            friction_curve(found, ax=left)
-            space_time(found, ax=right_axes)
-            save_figure(picture, figure)  # pyright: ignore[reportArgumentType]
+            _draw(found, figure)
         if as_json:
             print_json({"status": status.name.lower(), **{name: column.tolist() for name, column in table(found).items()}})
         elif out is None:
             click.echo(to_csv(found), nl=False)
     click.echo(status.message, err=True)
+    if status == SeriesStatus.LIMIT:
+        raise SystemExit(NOT_CONVERGED)
+
+
+def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None, out: str | None) -> None:
+    """Refuse options that do not go together, before anything is computed."""
+    if step is not None and spring is not None:
+        raise click.UsageError("--step and --spring are two protocols: give one")
+    if (newborn is None) != (recovery is None):
+        raise click.UsageError("ageing needs both --newborn and --recovery")
+    if out is not None and not out.endswith((".csv", ".nc")):
+        raise BadInput(f"{out}: a series is written as .csv or .nc")
+    if out is not None and not Path(out).parent.is_dir():
+        raise BadInput(f"{out}: there is no folder {Path(out).parent}")
+
+
+def _draw(found: "Catalogue", path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    from slippulse_jax.plot_series import friction_curve, space_time
+
+    picture = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right_axes = picture.subplots(1, 2)
+    friction_curve(found, ax=left)
+    space_time(found, ax=right_axes)
+    save_figure(picture, path)

@@ -115,7 +115,12 @@ def to_dataset(catalogue: Catalogue) -> Any:
         for name, values in table(catalogue).items()
     }
     status = SeriesStatus(int(catalogue.status))
-    attributes = {"status": status.name.lower(), "message": status.message, "drift": float(catalogue.drift)}
+    attributes = {
+        "status": status.name.lower(),
+        "message": status.message,
+        "drift": float(catalogue.drift),
+        "energy_drift": float(catalogue.energy_drift),
+    }
     return xarray.Dataset(variables, attrs=attributes)
 
 

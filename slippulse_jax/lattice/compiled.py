@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from slippulse_jax.derivatives import by_forward_mode
@@ -91,8 +92,19 @@ def gradient_function(delay: int, configuration: Configuration) -> Callable[[np.
 
 @functools.cache
 def profile_function(configuration: Configuration) -> Callable[[Slider, Profile], Arrest]:
-    """`Arrest` of one slider on a profile."""
-    return eqx.filter_jit(lambda slider, profile: interface_front.arrest(slider, profile, *configuration))
+    """`Arrest` of one slider on a profile; its length has derivatives, at the cost of one tangent a number of the profile."""
+
+    def ended(slider: Slider, profile: Profile) -> Arrest:
+        numbers, together = ravel_pytree((slider, profile))
+
+        def outcome(x: Array) -> Arrest:
+            slider, profile = together(x)
+            return interface_front.arrest(slider, profile, *configuration)
+
+        length = by_forward_mode(lambda x: jnp.asarray(outcome(x).length))
+        return outcome(jax.lax.stop_gradient(numbers))._replace(length=length(numbers))
+
+    return eqx.filter_jit(ended)
 
 
 @functools.cache

@@ -13,12 +13,14 @@ Run-away. Behind a front far from the edge every contact gave up the same stress
 Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
 φ ≥ φ_c = (1 + G_00)/2. Below φ_c (or with rising thresholds) every front stops. Above it the front never stops, unless it
 stops on its way to that state: far from the edge t approaches its limit as ρ_2^s, and on a soft, short slider it does so from
-below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that approach is over to rounding.
+below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that approach is over to rounding; on a profile,
+as long after its last site.
 """
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
@@ -116,11 +118,9 @@ def arrest(slider: Slider, interface: Interface | Profile, right: RightEnd, site
     """Length and status of the first precursor of one slider on one interface; differentiable forward."""
     modes = lattice_modes(slider, right, sites)
     start, drive = nucleate(modes, interface)
-    never_stops = jnp.zeros((), bool)
-    if right == "semi-infinite" and isinstance(interface, Interface):
-        uniform = jnp.asarray(interface.threshold_slope) == 0
-        never_stops = uniform & (jnp.asarray(interface.prestress) >= runaway_prestress(modes))
-    enough = jnp.minimum(APPROACH / slowest_approach(modes) + 10 + interface.repin_delay, 2.0e9)
+    uniform, since, prestress = _far_away(interface)
+    never_stops = uniform & (prestress >= runaway_prestress(modes)) & (right == "semi-infinite")
+    enough = jnp.minimum(since + APPROACH / slowest_approach(modes) + 10 + interface.repin_delay, 2.0e9)
     end = jnp.ceil(jnp.minimum(jnp.where(never_stops, enough, 2.0e9), interface.last_site()))
     chain_end = 2**31 - 1 if sites is None else sites
     limit = jnp.minimum(jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts), chain_end)
@@ -150,6 +150,15 @@ def arrest(slider: Slider, interface: Interface | Profile, right: RightEnd, site
     infinite = (status == FrontStatus.RAN_THROUGH) | (status == FrontStatus.RUN_AWAY)
     undefined = jnp.where(infinite, jnp.inf, jnp.nan)
     return Arrest(s0, jnp.where(status <= FrontStatus.REBREAK, length, undefined * (1 + jnp.abs(length))), status, at_edge)
+
+
+def _far_away(interface: Interface | Profile) -> tuple[Array, int, Array]:
+    """Whether the interface is uniform in the end, from which site on, and its prestress there over its threshold."""
+    if isinstance(interface, Interface):
+        return jnp.asarray(interface.threshold_slope) == 0, 0, jnp.asarray(interface.prestress)
+    sites = np.shape(interface.threshold)[0]
+    last = jnp.asarray(sites - 1)
+    return jnp.ones((), bool), sites, interface.prestress_at(last) / interface.threshold_at(last)
 
 
 def _uniform_part(interface: Interface | Profile) -> tuple[Array, Array]:
