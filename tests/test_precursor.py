@@ -6,7 +6,7 @@ import plain_chain
 import pytest
 
 from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import lanes
+from slippulse_jax.lattice import batch
 from slippulse_jax.lattice.bulk import precursor_arrests
 
 
@@ -82,7 +82,7 @@ def test_lengths_do_not_depend_on_the_batch(monkeypatch):
     np.testing.assert_array_equal(
         precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
     )
-    monkeypatch.setattr(lanes, "CHUNKS", (64,))
+    monkeypatch.setattr(batch, "CHUNKS", (64,))
     np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
     singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])
     np.testing.assert_allclose(whole[:20], singly, rtol=1e-12)

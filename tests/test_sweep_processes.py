@@ -108,9 +108,9 @@ def test_local_devices_share_a_sweep(reference, tmp_path, count):
     store = tmp_path / "s"
     code = (
         f"assert jax.local_device_count() == {count}\n"
-        "from slippulse_jax.lattice import lanes\n"
+        "from slippulse_jax.lattice import batch\n"
         "from slippulse_jax.sweeps import outputs\n"
-        "lanes.CHUNKS, outputs.BLOCK = (64,), 64\n"
+        "batch.CHUNKS, outputs.BLOCK = (64,), 64\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r}, chunk=1000)\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r} + '1', chunk=100)\n"
     )

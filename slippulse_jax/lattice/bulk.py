@@ -1,19 +1,19 @@
 """First precursors by the million: NumPy in and out, double precision, every lane by itself."""
 
-from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from slippulse_jax.devices import spread
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.compiled import chunk_function, fields, gradient_function, shape_of
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, AnyArray, Arrest, FrontStatus
-from slippulse_jax.lattice.lanes import length_rank, sorted_lengths
+from slippulse_jax.lattice import compiled, lanes, long_fronts
+from slippulse_jax.lattice.batch import over_lanes
+from slippulse_jax.lattice.compiled import fields, shape_of
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
-from slippulse_jax.lattice.precursor import check_max_contacts, report_without_length
+from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_without_length
+from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
 
@@ -21,35 +21,30 @@ def precursor_lengths(
     slider: Slider,
     *,
     interface: Interface | None = None,
+    rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> np.ndarray:
     """Lengths ℓ of a batch of any size, in λc, as NumPy float64.
 
-    The same numbers as `precursor_length` in double precision whatever the JAX flags, computed lane by lane in the
-    order of their expected length and in chunks of one fixed shape, so that no lane waits for a much longer one. A
-    result never depends on the rest of the batch. Not traceable: inside ``jit`` use ``jax.vmap`` of `precursor_length`.
+    The numbers of `precursor_length` in double precision whatever the JAX flags, to rounding, computed lane by lane in the
+    order of their expected length and in chunks of fixed shapes, so that no lane waits for a much longer one. A result never
+    depends on the rest of the batch. Not traceable: inside ``jit`` use ``jax.vmap`` of `precursor_length`.
 
     Parameters
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    interface, right, sites, max_contacts
-        As for `precursor_length`.
+    interface, rule, right, sites, max_contacts
+        As for `precursor_length`; the width of a smooth rule broadcasts with the slider.
 
     Returns
     -------
     numpy.ndarray
-        float64, of shape ``slider.shape``; inf and NaN as for `precursor_length`, with a warning for the latter.
-
-    Examples
-    --------
-    >>> precursor_lengths(Slider([[10.0], [25.0]], [0.01, 0.03], 0.3)).round(2)
-    array([[ 7.27,  9.72],
-           [21.64, 25.79]])
+        float64, of the shape of the batch; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
-    found = lengths(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
+    found = lengths(slider, interface=interface, rule=rule, right=right, sites=sites, max_contacts=max_contacts)
     if np.isnan(found).any():
         # in double precision every slider that can be made is one, and what has no length was given up
         report_without_length(np.where(np.isnan(found), FrontStatus.LIMIT, 0), max_contacts, raises=False)
@@ -60,15 +55,24 @@ def lengths(
     slider: Slider,
     *,
     interface: Interface | None = None,
+    rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> np.ndarray:
     """`precursor_lengths` without warnings."""
-    check_right_end(right, sites)
-    check_max_contacts(max_contacts)
-    if right == "semi-infinite" and interface is None:
-        return sorted_lengths(_lanes(slider, None), max_contacts).reshape(slider.shape)
+    check_rule(rule)
+    if isinstance(rule, SmoothBreak):
+        if right != "semi-infinite" or interface is not None:
+            raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
+        check_max_contacts(max_contacts)
+        columns, shape = _stacked(slider.height, slider.stiffness, slider.poisson, rule.width)
+        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,))[0].reshape(shape)
+    if _is_simple(interface, right):
+        check_right_end(right, sites)
+        check_max_contacts(max_contacts)
+        columns = _lanes(slider, interface)
+        return _simple_lengths(columns, max_contacts).reshape(shape_of(slider, interface))
     ended = precursor_arrests(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
     return np.asarray(ended.length)
 
@@ -87,11 +91,10 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    lanes = _lanes(slider, interface)
-    chunk = chunk_function(0 if interface is None else interface.repin_delay, (right, sites, max_contacts))
-    columns = in_chunks(chunk, lanes, (np.int32, np.float64, np.int32, np.float64))
-    shape = shape_of(slider, interface)
-    return Arrest(*(column.reshape(shape) for column in columns))
+    statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
+    dtypes = np.int32, np.float64, np.int32, np.float64
+    columns = over_lanes(compiled.arrest_kernel, statics, _lanes(slider, interface), dtypes)
+    return Arrest(*(column.reshape(shape_of(slider, interface)) for column in columns))
 
 
 class LengthGradient(NamedTuple):
@@ -121,36 +124,51 @@ def precursor_length_gradients(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    lanes = _lanes(slider, interface)
-    chunk = gradient_function(0 if interface is None else interface.repin_delay, (right, sites, max_contacts))
-    columns = in_chunks(chunk, lanes, (np.float64,) * (1 + len(lanes)))
-    shape = shape_of(slider, interface)
-    return LengthGradient(*(column.reshape(shape) for column in columns))
+    columns = _lanes(slider, interface)
+    if _is_simple(interface, right):
+        kernel, statics = lanes.gradient_kernel, (max_contacts,)
+    else:
+        kernel, statics = (
+            compiled.gradient_kernel,
+            (0 if interface is None else interface.repin_delay, (right, sites, max_contacts)),
+        )
+    found = over_lanes(kernel, statics, columns, (np.float64,) * (1 + len(columns)), GRADIENT_CHUNKS, piece=1)
+    return LengthGradient(*(column.reshape(shape_of(slider, interface)) for column in found))
 
 
-LANES = 1024
-"""Lanes a chunk of `in_chunks`: its carried state stays in the nearest cache."""
+def _simple_lengths(columns: Float[np.ndarray, "fields n"], max_contacts: int) -> Float[np.ndarray, " n"]:
+    """By the recursion, or on relaxed interfaces by the series where a front is expected to be long and the series settles."""
+
+    def by_recursion(columns: np.ndarray) -> np.ndarray:
+        return over_lanes(lanes.length_kernel, (max_contacts,), columns, (np.float64,))[0]
+
+    relaxed = len(columns) == 3 and max_contacts > long_fronts.LONG
+    long = long_fronts.are_long(columns) if relaxed else np.zeros(columns.shape[1], bool)
+    if not long.any():
+        return by_recursion(columns)
+    found = np.full(columns.shape[1], np.nan)
+    kernel, sizes = long_fronts.long_length_kernel, long_fronts.CHUNKS
+    found[long] = over_lanes(kernel, (max_contacts,), columns[:, long], (np.float64,), sizes)[0]
+    rest = np.isnan(found)
+    found[rest] = by_recursion(columns[:, rest])
+    return found
 
 
-def in_chunks(
-    function: Callable[[np.ndarray], Iterable[AnyArray]], lanes: Float[np.ndarray, "fields n"], dtypes: Sequence[type]
-) -> list[np.ndarray]:
-    """Columns of a function of chunks of lanes, shape (LANES, fields): lanes of like length together, on every core."""
-    order = np.argsort(length_rank(lanes[:3]), kind="stable")
-    columns = [np.empty(lanes.shape[1], dtype) for dtype in dtypes]
+GRADIENT_CHUNKS = (1024,)
+"""Lanes a chunk where derivatives are computed: one size, because they take long to compile."""
 
-    def run(chosen: np.ndarray) -> None:
-        padded = lanes.T[np.resize(chosen, LANES)]
-        for column, values in zip(columns, function(padded), strict=True):
-            column[chosen] = np.asarray(values)[: len(chosen)]
 
-    spread(run, [order[start : start + LANES] for start in range(0, len(order), LANES)][::-1])
-    return columns
+def _is_simple(interface: Interface | None, right: RightEnd) -> bool:
+    """Whether `slippulse_jax.lattice.lanes` has a loop of its own for it."""
+    return right == "semi-infinite" and (interface is None or interface.repin_delay == 0)
 
 
 def _lanes(slider: Slider, interface: Interface | None) -> Float[np.ndarray, "fields n"]:
-    numbers = fields(slider, interface)
+    return _stacked(*fields(slider, interface))[0]
+
+
+def _stacked(*numbers: object) -> tuple[Float[np.ndarray, "fields n"], tuple[int, ...]]:
     if any(isinstance(x, Tracer) for x in numbers):
         raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use precursor_length there")
-    shape = shape_of(slider, interface)
-    return np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
+    values = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
+    return np.stack([x.ravel() for x in values]), values[0].shape

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import interface_front
+from slippulse_jax.lattice.batch import Kernel
 from slippulse_jax.lattice.front import Arrest, arrest
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.lattice.surrogate import smooth_length
@@ -69,15 +70,17 @@ def arrest_function(delay: int, configuration: Configuration) -> Callable[[Array
     return jax.jit(lambda lane: arrest_of(lane, delay, configuration))
 
 
-@functools.cache
-def chunk_function(delay: int, configuration: Configuration) -> Callable[[np.ndarray], Arrest]:
-    """`Arrest` of a chunk of lanes, shape (lanes, n)."""
-    return jax.jit(jax.vmap(lambda lane: arrest_of(lane, delay, configuration)))
+def arrest_kernel(delay: int, configuration: Configuration) -> Kernel:
+    """`Arrest` of a chunk of lanes of any configuration."""
+
+    def arrests(lanes: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        return tuple(jnp.asarray(x) for x in jax.vmap(lambda lane: arrest_of(lane, delay, configuration), in_axes=1)(lanes))
+
+    return arrests
 
 
-@functools.cache
-def gradient_function(delay: int, configuration: Configuration) -> Callable[[np.ndarray], tuple[Array, ...]]:
-    """ℓ of a chunk of lanes, shape (lanes, n), and its n derivatives."""
+def gradient_kernel(delay: int, configuration: Configuration) -> Kernel:
+    """ℓ of a chunk of lanes of any configuration, and its derivative in every field."""
 
     def one(lane: Array) -> tuple[Array, ...]:
         def length(x: Array) -> tuple[Array, Array]:
@@ -87,7 +90,16 @@ def gradient_function(delay: int, configuration: Configuration) -> Callable[[np.
         gradient, value = jax.jacfwd(length, has_aux=True)(lane)
         return value, *gradient
 
-    return jax.jit(jax.vmap(one))
+    return jax.vmap(one, in_axes=1)
+
+
+def smooth_kernel(max_contacts: int) -> Kernel:
+    """ℓ_w of a chunk of lanes (height, stiffness, poisson, width)."""
+
+    def lengths(lanes: Float[Array, "4 lanes"]) -> tuple[Array, ...]:
+        return (smooth_length(Slider(lanes[0], lanes[1], lanes[2]), SmoothBreak(lanes[3]), max_contacts=max_contacts)[0],)
+
+    return lengths
 
 
 @functools.cache

@@ -13,6 +13,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice import lane_crossing, lane_gradient, lane_series
+from slippulse_jax.lattice import lane_crossing, lane_series
+from slippulse_jax.lattice.batch import length_rank
 from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front, exact_length
 from slippulse_jax.slider import Slider
 

@@ -1,0 +1,241 @@
+"""The benchmark of lengths in bulk. Prints ratios; writes benchmarks/lengths.json, docs/benchmarks.md and a figure.
+
+``python -m benchmarks`` runs everything; ``python -m benchmarks points heights`` some parts, the others being taken from the file.
+Needs numba and SciPy (the extra ``bench``) and, for numbers that mean something, a machine that does nothing else.
+"""
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from benchmarks import lengths as others
+from slippulse_jax import Slider, precursor_length, precursor_length_gradients, precursor_lengths
+from slippulse_jax.lattice import batch, lanes
+
+HERE = Path(__file__).resolve().parent
+RESULTS, PAGE, FIGURE = (
+    HERE / "lengths.json",
+    HERE.parent / "docs" / "benchmarks.md",
+    HERE.parent / "docs" / "pictures" / "benchmarks.png",
+)
+POINTS, FEW, MAX_CONTACTS = 200_000, 50, 10_000_000
+
+
+def random_points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """H/λc uniform 10–50, k/K log-uniform 1e-3–0.03, ν uniform 0.1–0.45."""
+    rng = np.random.default_rng(0)
+    return rng.uniform(10, 50, count), 10 ** rng.uniform(-3, np.log10(0.03), count), rng.uniform(0.1, 0.45, count)
+
+
+def side_by_side(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Shortest time of each in s, in turns, so that a busy moment of the machine falls on all alike; compiled before."""
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for turn in range(repeats + 1):
+        for name, function in functions.items():
+            began = time.perf_counter()
+            function()
+            if turn:
+                times[name].append(time.perf_counter() - began)
+    return {name: min(taken) for name, taken in times.items()}
+
+
+def dense(height: float, q: float, nu: float, sites: int = 200) -> float:
+    """A dense matrix of 2N equations, solved for each break."""
+    b = 1 / (2 * (1 + nu) * height)
+    bond = 2 * np.eye(sites) - np.eye(sites, k=1) - np.eye(sites, k=-1)
+    layer = bond.copy()
+    layer[0, 0] = layer[-1, -1] = 1
+    upper = height * bond
+    upper[-1, -1] = height
+    matrix = np.block([[upper + b * np.eye(sites), -b * np.eye(sites)], [-b * np.eye(sites), layer + (b + q) * np.eye(sites)]])
+    matrix[0] = 0
+    matrix[0, 0] = 1
+    force = np.zeros(2 * sites)
+    force[0] = 1
+    force[0] /= np.linalg.solve(matrix, force)[sites]
+    stress = 1.0
+    for front in range(sites - 1):
+        force[sites + front] += q * stress
+        ahead = np.linalg.solve(matrix, force)[sites + front + 1]
+        if ahead < 1:
+            return front + (stress - 1) / (stress - ahead)
+        stress = ahead
+    return np.inf
+
+
+def points() -> dict:
+    """200 000 random points by every means there is."""
+    given = random_points(POINTS)
+    slider, out = Slider(*given), np.empty(POINTS)
+    length = precursor_lengths(slider)
+    few = list(zip(*(x[:FEW] for x in given), strict=True))
+    times = side_by_side(
+        {
+            "this package": lambda: precursor_lengths(slider),
+            "numba, all cores": lambda: others.parallel(*given, out),
+            "numba, one core": lambda: others.serial(*given, out),
+            "this package, with all three derivatives": lambda: precursor_length_gradients(slider),
+        },
+        12,
+    )
+    difference = float(np.abs(length - out).max())
+    with jax.enable_x64(True):
+        vmapped = jax.jit(precursor_length)
+        times |= side_by_side({"plain vmap of `precursor_length`": lambda: vmapped(slider).block_until_ready()}, 2)
+    times |= {
+        name: seconds * POINTS / FEW
+        for name, seconds in side_by_side(
+            {
+                "SciPy, a banded solve a break": lambda: [others.banded(*point) for point in few],
+                "NumPy, a dense solve a break": lambda: [dense(*point) for point in few[:5] * (FEW // 50)],
+            },
+            1,
+        ).items()
+    }
+    times["NumPy, a dense solve a break"] *= FEW / 5
+    return {"seconds": times, "difference from numba": difference, "mean length": float(length.mean())}
+
+
+def heights() -> dict:
+    """Cost of one point against H/λc: by the recursion, and as the batch takes it; k/K = 1/(2.6 H/λc), so that b = 1."""
+    found: dict = {"height": [], "contacts": [], "recursion": [], "batch": []}
+    for height in np.geomspace(1e2, 1e6, 5):
+        q = 1 / (2.6 * height)
+        one, n = np.array([[height], [q], [0.3]]), 64
+
+        def recursion(one: np.ndarray = one, n: int = n) -> object:
+            return batch.over_lanes(lanes.length_kernel, (MAX_CONTACTS,), np.repeat(one, n, axis=1), (np.float64,))
+
+        many = Slider(np.full(2048, height), np.full(2048, q), np.full(2048, 0.3))
+        taken = side_by_side({"recursion": recursion}, 1 if height > 1e5 else 3)
+        taken |= side_by_side({"batch": lambda many=many: precursor_lengths(many)}, 2)
+        found["height"].append(float(height))
+        found["contacts"].append(float(precursor_lengths(Slider(height, q, 0.3))))
+        found["recursion"].append(taken["recursion"] / n)
+        found["batch"].append(taken["batch"] / 2048)
+    slope = np.polyfit(np.log(found["contacts"][1:]), np.log(found["recursion"][1:]), 1)[0]
+    return found | {"slope of the recursion": float(slope)}
+
+
+def counts() -> dict:
+    """Cost against the number of points, 1 to 10⁷."""
+    found: dict = {"points": [], "seconds": []}
+    for count in 10 ** np.arange(8):
+        slider = Slider(*random_points(count))
+        taken = side_by_side({"": lambda slider=slider: precursor_lengths(slider)}, 5 if count < 10**6 else 2)
+        found["points"].append(int(count))
+        found["seconds"].append(taken[""])
+    return found
+
+
+def tall() -> dict:
+    """Points of H/λc = 10⁵ beside the recursion in numba on all cores; 20 000 and 200 of them, scaled to a million."""
+    rng = np.random.default_rng(1)
+    n, few = 20_000, 200
+    q, nu = 10 ** rng.uniform(-6, -2, n), rng.uniform(0.1, 0.45, n)
+    slider, out = Slider(np.full(n, 1e5), q, nu), np.empty(few)
+    taken = side_by_side({"this package": lambda: precursor_lengths(slider)}, 2)
+    taken |= side_by_side({"numba, all cores": lambda: others.parallel(np.full(few, 1e5), q[:few], nu[:few], out)}, 2)
+    return {"this package": taken["this package"] * 1e6 / n, "numba, all cores": taken["numba, all cores"] * 1e6 / few}
+
+
+def start() -> dict:
+    """A new process: to the first length, to 200 000, again; and its memory at the end."""
+    code = (
+        "import time; began = time.perf_counter()\n"
+        "import numpy as np, resource, slippulse_jax as sp\n"
+        "sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3)); first = time.perf_counter() - began\n"
+        "h = np.linspace(10, 50, 200_000); began = time.perf_counter()\n"
+        "sp.precursor_lengths(sp.Slider(h, 0.01, 0.3)); cold = time.perf_counter() - began; began = time.perf_counter()\n"
+        "sp.precursor_lengths(sp.Slider(h, 0.01, 0.3)); warm = time.perf_counter() - began\n"
+        "print(first, cold, warm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HERE.parent)
+    names = (
+        "import and first length, s",
+        "200 000 points, compilation included, s",
+        "200 000 points again, s",
+        "memory at most, MiB",
+    )
+    return dict(zip(names, map(float, done.stdout.split()), strict=True))
+
+
+PARTS = {"points": points, "heights": heights, "counts": counts, "tall": tall, "start": start}
+
+
+def page(found: dict) -> str:
+    """The page of the documentation."""
+    seconds = found["points"]["seconds"]
+    ours = seconds["this package"]
+    lines = [
+        "# Benchmarks", "",
+        "Written by `python -m benchmarks`; every number of a table is from one run. "
+        f"Machine: {found['machine']}.", "",
+        "## 200 000 random points", "",
+        "H/λc uniform in 10–50, k/K log-uniform in 10⁻³–0.03, ν uniform in 0.1–0.45, unsorted; sorting counts. "
+        f"Mean length {found['points']['mean length']:.1f} λc; largest difference from numba "
+        f"{found['points']['difference from numba']:.0e} λc. The two solvers are timed on a few points and scaled.", "",
+        "| | points/s | time over ours |", "|---|---|---|",
+        *(f"| {name} | {POINTS / t:.3g} | {t / ours:.3g} |" for name, t in seconds.items()), "",
+        "## Cost of a point against its height", "", "At b = 1, ν = 0.3, in µs a point; the batch takes the series from some 2000 contacts on.", "",
+        "| H/λc | contacts | recursion | batch |", "|---|---|---|---|",
+        *(
+            f"| {h:.0e} | {n:.0f} | {1e6 * r:.3g} | {1e6 * b:.3g} |"
+            for h, n, r, b in zip(*(found["heights"][k] for k in ("height", "contacts", "recursion", "batch")), strict=True)
+        ), "",
+        f"Log–log slope of the recursion's cost against contacts, from the second row on: {found['heights']['slope of the recursion']:.2f}.",
+        f"A million points at H/λc = 10⁵, k/K log-uniform in 10⁻⁶–10⁻²: {found['tall']['this package']:.1f} s; numba on all cores, "
+        f"scaled from 200 points, {found['tall']['numba, all cores']:.0f} s "
+        f"({found['tall']['numba, all cores'] / found['tall']['this package']:.0f} times as long).", "",
+        "## Cost against the number of points", "", "| points | s | µs a point |", "|---|---|---|",
+        *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} |" for n, t in zip(*found["counts"].values(), strict=True)), "",
+        "## A new process", "", "| | |", "|---|---|", *(f"| {name} | {value:.3g} |" for name, value in found["start"].items()), "",
+        "![Cost of a point against contacts broken and against the number of points](pictures/benchmarks.png)", "",
+        "Nothing here was run on a GPU.", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def draw(found: dict) -> None:
+    """Cost against contacts, and against the number of points."""
+    from matplotlib.figure import Figure
+
+    from slippulse_jax import style
+
+    with style.use():
+        figure = Figure(figsize=(style.PAGE, 2.6))
+        left, right = figure.subplots(1, 2)
+        tall, counts = found["heights"], found["counts"]
+        left.loglog(tall["contacts"], 1e6 * np.array(tall["recursion"]), "o-", label="recursion")
+        left.loglog(tall["contacts"], 1e6 * np.array(tall["batch"]), "s--", label="batch")
+        left.set(xlabel="contacts broken", ylabel="time a point (µs)")
+        left.legend()
+        right.loglog(counts["points"], 1e6 * np.array(counts["seconds"]) / np.array(counts["points"]), "o-")
+        right.set(xlabel="points in the batch", ylabel="time a point (µs)")
+        figure.savefig(FIGURE, dpi=150)
+
+
+def main() -> None:
+    found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for name in sys.argv[1:] or PARTS:
+        found[name] = PARTS[name]()
+        print(name, json.dumps(found[name], indent=1))
+    found["machine"] = f"{os.cpu_count()} cores, {platform.machine()}, jax {jax.__version__}, no GPU"
+    found["memory, MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    RESULTS.write_text(json.dumps(found, indent=1) + "\n")
+    if set(found) >= set(PARTS):
+        PAGE.write_text(page(found))
+        draw(found)
+
+
+if __name__ == "__main__":
+    main()

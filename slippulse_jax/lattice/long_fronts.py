@@ -1,0 +1,48 @@
+"""Lengths of long fronts by the exact solution, at a cost that does not grow with the length.
+
+The recursion costs a nanosecond or two a lane and contact; the series of `slippulse_jax.lattice.lane_series`, some
+microseconds a lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the two
+contacts around ℓ*.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from slippulse_jax.lattice import lane_crossing, lane_series
+from slippulse_jax.lattice.batch import Kernel
+
+LONG = 2000.0
+"""Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
+
+CHUNKS = (128,)
+"""Lanes a chunk: as many as leave the table of the series in the second-level cache."""
+
+
+def are_long(lanes: Float[np.ndarray, "fields n"]) -> Bool[np.ndarray, " n"]:
+    """Whether the series is to be used, by a rule that looks at a lane's own numbers and rounds the same way everywhere.
+
+    The leading term of Eq. (25), ln[2/(1+β)]/κ_2, with ln(1 + x) ≈ 2x/(2 + x): correctly rounded operations only.
+    """
+    height, stiffness, poisson = lanes[:3]
+    shape = 2 * (1 + poisson)
+    b = shape * stiffness * height
+    x = b / (2 + b)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        return 2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b)) >= LONG
+
+
+def long_length_kernel(max_contacts: int) -> Kernel:
+    """ℓ of relaxed lanes; NaN where the search did not settle, which the recursion then has to decide."""
+
+    def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array, ...]:
+        with jax.numpy_rank_promotion("allow"):
+            series = lane_series.solve(parameters, False)
+            exact, status = lane_crossing.crossing(series, parameters, False)
+            last = jnp.floor(exact)  # the last contact that breaks
+            behind, ahead = lane_series.rise(series, last)[0], lane_series.rise(series, last + 1)[0]
+        length = last + behind / (behind - ahead)
+        return (jnp.where((status == 0) & (length < max_contacts), length, jnp.nan),)
+
+    return lengths

@@ -1,0 +1,104 @@
+"""Lengths in bulk: three kernels, each against the one-front functions, and no lane touched by its company."""
+
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.lattice import batch, bulk, compiled, lanes, long_fronts
+
+MOST = 10_000_000
+
+
+def random_lanes(n, seed, tall=3.3):
+    rng = np.random.default_rng(seed)
+    return np.stack([1 + 10 ** rng.uniform(-1, tall, n), 10 ** rng.uniform(-5, 0, n), rng.uniform(-0.9, 0.5, n)])
+
+
+def by_recursion(lanes_):
+    return batch.over_lanes(lanes.length_kernel, (MOST,), lanes_, (np.float64,))[0]
+
+
+def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
+    points = random_lanes(1000, 0)
+    whole = by_recursion(points)
+    monkeypatch.setattr(batch, "CHUNKS", (64,))
+    monkeypatch.setattr(batch, "PIECE", 4)
+    np.testing.assert_array_equal(by_recursion(points), whole)
+    np.testing.assert_array_equal(by_recursion(points[:, ::-1])[::-1], whole)
+    np.testing.assert_array_equal(by_recursion(points[:, 3:4]), whole[3:4])
+
+
+def test_interfaces_equal_the_general_recursion():
+    """Prestress and slopes of either sign: length, where there is none, and all derivatives."""
+    rng = np.random.default_rng(1)
+    n = 600
+    five = np.concatenate([random_lanes(n, 2, 2.0), rng.uniform(0, 0.7, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
+    statics = 0, ("semi-infinite", None, 5000)
+    exact = batch.over_lanes(compiled.gradient_kernel, statics, five, (np.float64,) * 6)
+    got = batch.over_lanes(lanes.gradient_kernel, (5000,), five, (np.float64,) * 6)
+    alone = batch.over_lanes(lanes.length_kernel, (5000,), five, (np.float64,))
+    np.testing.assert_array_equal(alone[0], got[0])
+    assert np.isinf(exact[0]).sum() > 20
+    for a, b in zip(got, exact, strict=True):
+        finite = np.isfinite(b)
+        np.testing.assert_array_equal(np.isfinite(a), finite)
+        np.testing.assert_allclose(a[finite], b[finite], rtol=1e-7, atol=1e-9)
+    np.testing.assert_array_equal(np.isinf(got[0]), np.isinf(exact[0]))
+
+
+def test_gradients_equal_those_of_one_front():
+    points = random_lanes(300, 4, 2.0)
+    got = sp.precursor_length_gradients(sp.Slider(*points))
+    exact = batch.over_lanes(compiled.gradient_kernel, (0, ("semi-infinite", None, MOST)), points, (np.float64,) * 4)
+    np.testing.assert_array_equal(got.length, by_recursion(points))
+    assert (got.length == 0).any()
+    assert (got.height[got.length == 0] == 0).all()
+    for a, b in zip(got, exact, strict=False):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
+
+
+def test_limit_is_nan():
+    slider = sp.Slider([25.0, 1000.0], 0.03, 0.3)
+    with pytest.warns(RuntimeWarning, match="1 of 2 fronts"):
+        assert np.isnan(sp.precursor_lengths(slider, max_contacts=100)).tolist() == [False, True]
+    for most in (25, 26):  # 26 contacts break: the very number, and one fewer
+        assert np.isnan(bulk.lengths(sp.Slider(25.0, 0.03, 0.3), max_contacts=most)) == (most < 26)
+
+
+def test_long_fronts_by_the_series_equal_the_recursion():
+    rng = np.random.default_rng(5)
+    n = 120
+    points = np.stack([10 ** rng.uniform(2.7, 4.0, n), 10 ** rng.uniform(-4, -0.5, n), rng.uniform(0, 0.5, n)])
+    long = long_fronts.are_long(points)
+    assert 20 < long.sum() < 100
+    whole = sp.precursor_lengths(sp.Slider(*points))
+    np.testing.assert_allclose(whole, by_recursion(points), rtol=1e-10)
+    assert (whole[long] > 0.9 * long_fronts.LONG).all()
+    order = rng.permutation(n)
+    np.testing.assert_array_equal(sp.precursor_lengths(sp.Slider(*points[:, order])), whole[order])
+    one = int(np.flatnonzero(long)[0])
+    assert float(sp.precursor_lengths(sp.Slider(*points[:, one]))) == whole[one]
+
+
+def test_smooth_rule_in_bulk():
+    slider, width = sp.Slider([10.0, 25.0, 50.0], 0.01, 0.3), 0.02
+    np.testing.assert_allclose(
+        sp.precursor_lengths(slider, rule=sp.SmoothBreak(width)),
+        sp.precursor_length(slider, rule=sp.SmoothBreak(width)),
+        rtol=1e-12,
+    )
+    with pytest.raises(ValueError, match="needs a relaxed, semi-infinite chain"):
+        sp.precursor_lengths(slider, rule=sp.SmoothBreak(width), interface=sp.Interface(0.1))
+
+
+def test_rank_follows_the_length():
+    """Neighbours in rank are neighbours in length; ranks span the domain without saturating."""
+    points = random_lanes(4000, 6, 6.0)
+    rank = batch.length_rank(points)
+    assert rank.dtype == np.uint16
+    assert rank.max() < 65535
+    short = points[:, points[0] < 1000]
+    length, order = by_recursion(short), np.argsort(batch.length_rank(short), kind="stable")
+    long_enough = length[order] > 5
+    chunks = np.array_split(length[order][long_enough], 40)
+    assert np.mean([chunk.max() / chunk.mean() for chunk in chunks]) < 1.5
