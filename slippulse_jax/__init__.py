@@ -11,9 +11,12 @@ if TYPE_CHECKING:
     from slippulse_jax import style as style
     from slippulse_jax import theory as theory
     from slippulse_jax.explorer import explore as explore
+    from slippulse_jax.inference.design import Design as Design
+    from slippulse_jax.inference.design import design as design
     from slippulse_jax.inference.fields import RecoveredProfile as RecoveredProfile
     from slippulse_jax.inference.fields import recover_profile as recover_profile
     from slippulse_jax.inference.fit import fit as fit
+    from slippulse_jax.inference.knowledge import Knowledge as Knowledge
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
     from slippulse_jax.inference.parameters import Parameter as Parameter
@@ -64,6 +67,7 @@ _HOME = {
     "Adiabatic": "lattice.events",
     "Ageing": "lattice.ageing",
     "CrackLike": "lattice.dynamics",
+    "Design": "inference.design",
     "ExactLengths": "lattice.exact_lanes",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
@@ -71,6 +75,7 @@ _HOME = {
     "FrontStatus": "lattice.front",
     "HardBreak": "rules",
     "Interface": "interface",
+    "Knowledge": "inference.knowledge",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
     "Parameter": "inference.parameters",
@@ -86,6 +91,7 @@ _HOME = {
     "ThresholdDistribution": "lattice.distribution",
     "animate": "movie",
     "chain": "lattice.chain",
+    "design": "inference.design",
     "equilibrium": "lattice.equilibrium",
     "exact_fields": "lattice.exact",
     "exact_front": "lattice.exact",

@@ -15,6 +15,7 @@ from slippulse_jax.commands.shared import FAILURE, INTERRUPTED, leave_when_inter
 COMMANDS = {
     "series": "A series of precursors, as a catalogue of events.",
     "claims": "Measure the claims of the paper, one by one.",
+    "design": "Which experiment to do next, to learn the interface stiffness.",
     "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
     "sweep": "First precursors over ranges of parameters, labelled, into a table or a store.",
     "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",

@@ -1,0 +1,176 @@
+r"""What an outcome y tells about θ, known as weighted samples θ_i: expected information, standard error, roots told apart.
+
+An experiment measures a length ℓ(θ) with a normal error σ, or counts whole contacts, ceil(ℓ + error); a front that never stops
+is an outcome of its own. The expected information (mutual information, in nats) is
+
+    I = Σ_i w_i ∫ dy p(y|θ_i) ln[p(y|θ_i)/p(y)],        p(y) = Σ_i w_i p(y|θ_i),
+
+a one-dimensional quadrature for one experiment. For several, I is the mean of the same logarithm over (θ, y) drawn together:
+p(y) being an exact sum over the samples, that estimate has no bias, and scrambled Sobol points give its standard error.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp, ndtr, ndtri, xlogy
+
+Kind = Literal["length", "whole"]
+
+REACH = 7.0
+"""Standard errors beyond the lengths up to which outcomes are summed."""
+
+STEP = 0.25
+"""Distance of outcomes summed over, in standard errors."""
+
+SURE = 0.95
+"""Probability of one root from which on the roots count as told apart."""
+
+REPLICATES, POINTS = 8, 512
+"""Scrambled Sobol sequences, and points of each."""
+
+
+class Prior(NamedTuple):
+    """Weighted samples, each of shape (m,)."""
+
+    theta: np.ndarray
+    weight: np.ndarray  # adds up to one
+    root: np.ndarray  # 0, 1, …
+
+    def thinned(self) -> tuple["Prior", np.ndarray]:
+        """Every other sample of each root, and their indices."""
+        kept = np.sort(np.concatenate([np.flatnonzero(self.root == r)[::2] for r in range(self.root.max() + 1)]))
+        share = np.bincount(self.root, self.weight)
+        weight = self.weight[kept]
+        left = np.bincount(self.root[kept], weight, len(share))
+        weight = weight * (share / np.where(left > 0, left, 1))[self.root[kept]]
+        return Prior(self.theta[kept], weight / weight.sum(), self.root[kept]), kept
+
+
+class Gain(NamedTuple):
+    """What is expected of one experiment, or of several together."""
+
+    information: float  # nats
+    error: float  # of the information: of the quadrature, or a standard error
+    log_stderr: float  # expected standard deviation of θ afterwards
+    told_apart: float  # probability that one root is left with `SURE`
+
+
+def likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+    """p(y | ℓ), shape (n, m); a density for lengths, a probability for counts and for y = ∞.
+
+    Parameters
+    ----------
+    y : array, shape (n,)
+    length : array, shape (m,)
+    sigma : float
+        Standard error; may be 0 for counts.
+    kind : {"length", "whole"}
+    """
+    y = y[:, None]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        if kind == "length":
+            p = np.exp(-(((y - length) / sigma) ** 2) / 2) / (sigma * np.sqrt(2 * np.pi))
+        elif sigma > 0:
+            below = np.where(y > 1, ndtr((y - 1 - length) / sigma), 0)  # at least one contact breaks
+            p = ndtr((y - length) / sigma) - below
+        else:
+            p = (y == np.maximum(np.ceil(length), 1)).astype(float)
+    endless = np.isinf(length)
+    return np.where(np.isinf(y), endless, np.where(endless, 0, p))
+
+
+def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
+    """Outcomes to sum over and their weights, both of shape (n,)."""
+    finite = length[np.isfinite(length)]
+    y, dy = np.empty(0), np.empty(0)
+    if finite.size:
+        if kind == "length":
+            # only where there is something: the lengths may lie in clumps far apart
+            edges = np.unique(np.floor(finite[:, None] / sigma) + np.arange(-REACH, REACH + 1))
+            y = (edges[:, None] + step * np.arange(round(1 / step))).ravel() * sigma
+            dy = np.full(len(y), step * sigma)
+        else:
+            low, high = np.floor(finite.min() - REACH * sigma), np.ceil(finite.max() + REACH * sigma)
+            y = np.arange(max(low, 1), max(high, 1) + 1)
+            dy = np.ones(len(y))
+    if finite.size < length.size:
+        y, dy = np.append(y, np.inf), np.append(dy, 1.0)
+    return y, dy
+
+
+def expected_gain(prior: Prior, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
+    """Of one experiment whose length at each sample is `length`, shape (m,); by quadrature."""
+    found = _quadrature(prior, length, sigma, kind, STEP)
+    thin, kept = prior.thinned()
+    coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(prior, length, sigma, kind, 2 * STEP)
+    error = max(abs(found.information - other.information) for other in coarse)
+    return found._replace(error=error)
+
+
+def _quadrature(prior: Prior, length: np.ndarray, sigma: float, kind: Kind, step: float) -> Gain:
+    y, dy = outcomes(length, sigma, kind, step)
+    information = stderr = apart = 0.0
+    for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
+        p = likelihood(y[part], length, sigma, kind)
+        total = p @ prior.weight
+        # one outcome no sample leads to is worth nothing
+        known = total > 0
+        p, total, share = p[known], total[known], (dy[part] * total)[known]
+        entropy = xlogy(p, p) @ prior.weight - xlogy(total, total)
+        information += dy[part][known] @ entropy
+        sd, sure = _afterwards(prior, p * prior.weight / total[:, None])
+        stderr += share @ sd
+        apart += share @ sure
+    return Gain(float(information), 0.0, float(stderr), float(apart))
+
+
+def _afterwards(prior: Prior, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviation of θ and whether one root is sure, for posteriors of shape (n, m)."""
+    theta = prior.theta - prior.weight @ prior.theta
+    mean = posterior @ theta
+    variance = posterior @ theta**2 - mean**2
+    by_root = posterior @ (prior.root[:, None] == np.arange(prior.root.max() + 1))
+    return np.sqrt(np.maximum(variance, 0)), by_root.max(axis=1) >= SURE
+
+
+class Drawn(NamedTuple):
+    """Truths and errors drawn for a sequence of experiments, the same for all candidates."""
+
+    truth: np.ndarray  # (n,) the sample that is the truth
+    noise: np.ndarray  # (n, steps), standard normal
+
+
+def draw(prior: Prior, steps: int, seed: int) -> Drawn:
+    """`REPLICATES` independently scrambled Sobol sequences, one after another."""
+    from scipy.stats.qmc import Sobol
+
+    rng = np.random.default_rng(seed)
+    u = np.concatenate([Sobol(steps + 1, rng=rng).random(POINTS) for _ in range(REPLICATES)])
+    index = np.searchsorted(np.cumsum(prior.weight), u[:, 0] * (1 - 1e-12))
+    return Drawn(np.minimum(index, len(prior.weight) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12)))
+
+
+def log_likelihoods(drawn: Drawn, step: int, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+    """Logarithms ln p(y|θ_j) of the outcome of each draw, for every sample j; shape (n, m)."""
+    true = length[drawn.truth]
+    y = true + sigma * drawn.noise[:, step]
+    if kind == "whole":
+        y = np.where(np.isinf(y), y, np.maximum(np.ceil(y), 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if kind == "length":
+            # the constant is the same for all samples; densities may underflow where their logarithms do not
+            finite = -(((y[:, None] - length) / sigma) ** 2) / 2
+            endless = np.isinf(length)
+            return np.where(np.isinf(y)[:, None], np.where(endless, 0, -np.inf), np.where(endless, -np.inf, finite))
+        return np.log(likelihood(y, length, sigma, kind))
+
+
+def joint_gain(prior: Prior, drawn: Drawn, log_p: np.ndarray) -> Gain:
+    """Of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
+    with np.errstate(divide="ignore"):
+        joint = log_p + np.log(prior.weight)
+    total = np.asarray(logsumexp(joint, axis=1))
+    own = log_p[np.arange(len(log_p)), drawn.truth]
+    means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
+    sd, sure = _afterwards(prior, np.exp(joint - total[:, None]))
+    return Gain(float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean()))

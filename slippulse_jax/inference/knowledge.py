@@ -1,0 +1,251 @@
+"""What is known of the interface's stiffness before the next experiment: weighted samples of its logarithm.
+
+Weighted samples hold any shape: a normal curve, one that ends abruptly, or the two roots that one length may have. On a grid
+the weights are the quadrature's, and sums over the samples are integrals.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from slippulse_jax.inference.likelihood import Data, Loss, terms
+from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.parameters import STIFFEST
+from slippulse_jax.lattice.exact_lanes import exact_lengths
+from slippulse_jax.slider import Slider, check_domain
+
+NODES = 1201
+"""Samples of a grid."""
+
+NEGLIGIBLE = 1e-9
+"""Weight over the largest below which a sample is left out."""
+
+VALLEY = 0.5
+"""Two peaks of a density are two roots where it falls between them to less than this part of the lower one."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Knowledge:
+    """Weighted samples of ln(stiffness).
+
+    Parameters
+    ----------
+    log_stiffness : array_like, shape (m,)
+        ln of k/K, or of the areal stiffness k/λc² in Pa/m where the material is given.
+    weight : array_like, shape (m,), optional
+        Probabilities; equal by default, as for samples of a Markov chain. They need not add up to one.
+    root : array_like of int, shape (m,), optional
+        Which root (mode) each sample belongs to; all to one by default.
+    in_si : bool
+        Whether the stiffness is areal, in Pa/m.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, a value is not finite, or a weight is negative or all are zero.
+    """
+
+    log_stiffness: ArrayLike
+    weight: ArrayLike | None = None
+    root: ArrayLike | None = None
+    in_si: bool = False
+
+    def __post_init__(self) -> None:
+        theta = np.atleast_1d(np.asarray(self.log_stiffness, dtype=np.float64))
+        weight = np.full(theta.shape, 1.0) if self.weight is None else np.asarray(self.weight, dtype=np.float64)
+        root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)
+        if theta.ndim != 1 or weight.shape != theta.shape or root.shape != theta.shape:
+            raise ValueError(
+                f"Knowledge: samples {theta.shape}, weights {weight.shape} and roots {root.shape} must be one column each"
+            )
+        check_domain("Knowledge.log_stiffness", theta, lambda x: abs(x) < 100, "must be the logarithm of a stiffness")
+        check_domain("Knowledge.weight", weight, lambda x: x >= 0, "must be 0 or more")
+        if not weight.sum() > 0:
+            raise ValueError("Knowledge.weight: all zero")
+        order = np.argsort(theta, kind="stable")
+        object.__setattr__(self, "log_stiffness", theta[order])
+        object.__setattr__(self, "weight", weight[order] / weight.sum())
+        object.__setattr__(self, "root", np.unique(root[order], return_inverse=True)[1])
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Samples of ln(stiffness) in increasing order, shape (m,)."""
+        return np.asarray(self.log_stiffness)
+
+    @classmethod
+    def lognormal(
+        cls, stiffness: ArrayLike, log_sd: ArrayLike, *, share: ArrayLike = 1.0, in_si: bool = False, nodes: int = NODES
+    ) -> "Knowledge":
+        """A stiffness known to a factor, or several of which one is right.
+
+        Parameters
+        ----------
+        stiffness : array_like, shape () or (r,)
+            Median of each root: k/K, or Pa/m with `in_si`.
+        log_sd : array_like
+            Standard deviation of ln(stiffness).
+        share : array_like
+            Probability of each root; need not add up to one.
+        in_si : bool
+        nodes : int
+            Samples of the grid.
+        """
+        middle, sd, share = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (stiffness, log_sd, share)))
+        check_domain("stiffness", middle, lambda x: x > 0, "must be positive")
+        check_domain("log_sd", sd, lambda x: x > 0, "must be positive: the standard deviation of ln(stiffness)")
+        check_domain("share", share, lambda x: x > 0, "must be positive")
+        each = max(nodes // len(middle), 3)
+        x = np.linspace(-5, 5, each)
+        return cls(
+            np.concatenate([np.log(k) + s * x for k, s in zip(middle, sd, strict=True)]),
+            np.concatenate([p * np.exp(-(x**2) / 2) for p in share]),
+            np.repeat(np.arange(len(middle)), each),
+            in_si,
+        )
+
+    @classmethod
+    def from_measurements(
+        cls,
+        measurements: Measurements,
+        *,
+        prior: "Knowledge | None" = None,
+        bounds: tuple[float, float] | None = None,
+        nodes: int = NODES,
+    ) -> "Knowledge":
+        """Posterior of the stiffness after earlier measurements, on a grid, with as many roots as it has modes.
+
+        Parameters
+        ----------
+        measurements : Measurements
+            Lengths, counts, and fronts without arrest. In SI with Young's modulus the stiffness is areal, in Pa/m.
+        prior : Knowledge, optional
+            Of the same kind of stiffness; its samples are weighed by the likelihood. By default ln(stiffness) is uniform.
+        bounds : (float, float), optional
+            Of that uniform prior; from where no domino starts up to k/K = 1 by default.
+        nodes : int
+            Samples of the grid.
+
+        Raises
+        ------
+        MeasurementError, ValueError
+            If standard errors are missing, the data are in SI without Young's modulus, or no stiffness gives the data.
+        """
+        m = measurements
+        ratio = _ratio_per_unit(m)
+        if prior is not None:
+            if prior.in_si != m.in_si:
+                raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
+            theta = prior.theta
+            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio)
+        else:
+            theta, log_weight = _scan(m, ratio, bounds, nodes)
+        if not np.isfinite(log_weight).any():
+            raise ValueError(f"{m.source}: no stiffness in the range gives these measurements")
+        weight = np.exp(log_weight - log_weight.max())
+        kept = weight > NEGLIGIBLE
+        # the density, not the weight, has peaks: samples may be unevenly spaced
+        spacing = np.gradient(theta) if prior is None else np.ones_like(theta)
+        root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / spacing)
+        return cls(theta[kept], weight[kept], root[kept], m.in_si)
+
+    @property
+    def mean(self) -> float:
+        """Of ln(stiffness)."""
+        return float(self.probability @ self.theta)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """Of each sample, shape (m,); adds up to one."""
+        return np.asarray(self.weight)
+
+    @property
+    def log_sd(self) -> float:
+        """Standard deviation of ln(stiffness), over all roots."""
+        return float(np.sqrt(self.probability @ (self.theta - self.mean) ** 2))
+
+    @property
+    def roots(self) -> list[tuple[float, float, float]]:
+        """(probability, median-like e^mean, standard deviation of ln) of each root."""
+        found = []
+        for r in range(int(np.max(self.labels)) + 1):
+            w = self.probability * (self.labels == r)
+            mean = w @ self.theta / w.sum()
+            sd = np.sqrt(w @ (self.theta - mean) ** 2 / w.sum())
+            found.append((float(w.sum()), float(np.exp(mean)), float(sd)))
+        return found
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Root of each sample, shape (m,)."""
+        return np.asarray(self.root)
+
+    @property
+    def within_sd(self) -> float:
+        """Standard deviation of ln(stiffness) about the mean of its own root."""
+        return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
+
+
+def _ratio_per_unit(m: Measurements) -> np.ndarray:
+    """k/K of each measurement for a stiffness of 1."""
+    if m.correlation_length is None:
+        return np.ones(len(m))
+    if m.young is None:
+        raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
+    return m.correlation_length / m.young
+
+
+def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np.ndarray:
+    """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
+    sigma = m.sigma
+    if not np.isfinite(sigma).all():
+        raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
+    slider = Slider(m.height, np.exp(theta)[:, None] * ratio, m.poisson)
+    length = exact_lengths(slider, prestress=m.or_zero("prestress"), threshold_slope=m.or_zero("threshold_slope")).length
+    data = Data(np.array(m.kind), m.length[None], sigma, np.ones((1, len(m))), np.zeros(len(m), bool))
+    return -terms(length, data, np.zeros(len(theta), int), Loss(), None).value.sum(axis=1)
+
+
+def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """θ and ln of the weights of a grid, finer where the posterior is."""
+    if bounds is None:
+        softest = 1e-2 / (2 * (1 + m.poisson) * m.height**3)
+        bounds = float((softest / ratio).min()), float((STIFFEST / ratio).max())
+    low, high = bounds
+    if not 0 < low < high < np.inf:
+        raise ValueError(f"bounds = ({low:g}, {high:g}): must be positive, finite and in increasing order")
+    theta = np.linspace(np.log(low), np.log(high), nodes)
+    value = _log_likelihood(theta, m, ratio)
+    for _ in range(2):
+        # cells with any weight share the nodes of the next grid, and are seen by it with a neighbour on each side
+        near = value > np.max(value[np.isfinite(value)], initial=-np.inf) - 40
+        near = np.convolve(near, np.ones(5), "same") > 0
+        if not np.isfinite(value).any() or near.sum() > nodes // 3:
+            break
+        theta = np.interp(np.linspace(0, near.sum() - 1, nodes), np.arange(near.sum()), theta[near])
+        theta = np.unique(theta)
+        value = _log_likelihood(theta, m, ratio)
+    return theta, value + np.log(np.gradient(theta))
+
+
+def _roots(density: np.ndarray) -> np.ndarray:
+    """Number of the mode each node belongs to: modes are parted where the density falls below `VALLEY` of the lower peak."""
+    rises = np.concatenate([[True], density[1:] > density[:-1]])
+    falls = np.concatenate([density[:-1] >= density[1:], [True]])
+    peaks = np.flatnonzero(rises & falls)
+    peaks = peaks[density[peaks] > 1e-3 * density.max()]
+    kept: list[int] = []
+    cuts: list[int] = []
+    for peak in peaks.tolist():
+        if kept:
+            valley = kept[-1] + int(np.argmin(density[kept[-1] : peak + 1]))
+            if density[valley] >= VALLEY * min(density[kept[-1]], density[peak]):
+                if density[peak] > density[kept[-1]]:
+                    kept = [*kept[:-1], peak]
+                continue
+            cuts.append(valley)
+        kept = [*kept, peak]
+    return np.searchsorted(np.array(cuts, dtype=int), np.arange(len(density)), side="right")

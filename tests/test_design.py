@@ -1,0 +1,248 @@
+"""Expected information against closed forms, quadrature of another make, brute force with dice, and counts from dense solves."""
+
+import json
+
+import numpy as np
+import plain_interface
+import pytest
+from click.testing import CliRunner
+from scipy.integrate import quad
+from scipy.special import ndtr
+
+import slippulse_jax as sp
+from slippulse_jax.commands.design import command
+from slippulse_jax.commands.shared import BAD_INPUT
+from slippulse_jax.inference.information import Prior, draw, expected_gain, joint_gain, likelihood, log_likelihoods, outcomes
+
+
+def normal_prior(sd, nodes=801):
+    x = np.linspace(-8, 8, nodes)
+    w = np.exp(-(x**2) / 2)
+    return Prior(sd * x, w / w.sum(), np.zeros(nodes, int))
+
+
+@pytest.mark.parametrize(("sd", "slope", "sigma"), [(0.5, 3.0, 1.0), (0.2, 0.1, 0.5), (1.0, -20.0, 2.0)])
+def test_linear_gaussian_limit(sd, slope, sigma):
+    """I = ½ ln(1 + s²J²/σ²) and 1/var = 1/s² + J²/σ², for one experiment and for three."""
+    prior = normal_prior(sd)
+    length = 30 + slope * prior.theta
+    found = expected_gain(prior, length, sigma, "length")
+    assert found.information == pytest.approx(0.5 * np.log1p((sd * slope / sigma) ** 2), abs=1e-6)
+    assert found.error < 1e-5
+    assert found.log_stderr == pytest.approx((sd**-2 + (slope / sigma) ** 2) ** -0.5, rel=1e-6)
+    drawn = draw(prior, 3, seed=0)
+    log_p = sum(log_likelihoods(drawn, step, length, sigma, "length") for step in range(3))
+    found = joint_gain(prior, drawn, log_p)
+    expected = 0.5 * np.log1p(3 * (sd * slope / sigma) ** 2)
+    assert abs(found.information - expected) < 4 * found.error + 1e-9
+    assert found.error < 0.02
+    assert found.log_stderr == pytest.approx((sd**-2 + 3 * (slope / sigma) ** 2) ** -0.5, rel=1e-2)
+
+
+@pytest.mark.parametrize("apart", [0.1, 1.0, 3.0, 20.0])
+def test_two_values_of_stiffness(apart):
+    """Against SciPy's adaptive quadrature: ln 2 less the entropy that is left of which of two it is."""
+    prior = Prior(np.array([0.0, 1.0]), np.array([0.5, 0.5]), np.array([0, 1]))
+    found = expected_gain(prior, np.array([10.0, 10.0 + apart]), 1.0, "length")
+
+    def integrand(y):
+        p = np.exp(-((y - np.array([0, apart])) ** 2) / 2) / np.sqrt(2 * np.pi)
+        return sum(0.5 * x * np.log(x / p.mean()) for x in p if x > 0)
+
+    pieces = [(-9, apart / 2), (apart / 2, apart + 9)]
+    assert found.information == pytest.approx(sum(quad(integrand, *ends, epsabs=1e-12)[0] for ends in pieces), abs=1e-8)
+    if apart == 20:
+        assert found.information == pytest.approx(np.log(2), abs=1e-9)
+        assert found.told_apart == pytest.approx(1)
+        assert found.log_stderr == pytest.approx(0, abs=1e-6)
+    # told apart where the odds exceed 19: |y − middle| > ln(19)/apart, from either side
+    edge = np.log(19) / apart
+    assert found.told_apart == pytest.approx(ndtr(apart / 2 - edge) + ndtr(-apart / 2 - edge), abs=0.05)
+
+
+def brute_force(length, weight, sigma, seed, rolls=20000):
+    """Information by throwing dice, in loops and without the package."""
+    rng = np.random.default_rng(seed)
+    gains = []
+    for i in rng.choice(len(length), rolls, p=weight):
+        y = length[i] + sigma * rng.normal()
+        p = np.exp(-(((y - length) / sigma) ** 2) / 2)
+        gains.append(np.log(p[i] / np.sum(weight * p)))
+    return np.mean(gains), np.std(gains) / np.sqrt(rolls)
+
+
+def test_information_against_brute_force():
+    known = sp.Knowledge.lognormal([0.01, 0.06], [0.3, 0.1], share=[1, 2], nodes=300)
+    found = sp.design(known, height=[10, 25, 50], sigma=[0.2, 0.5, 0.5])
+    for j, height in enumerate([10, 25, 50]):
+        length = np.asarray(sp.exact_length(sp.Slider(height, np.exp(known.log_stiffness), 0.3)))
+        mean, error = brute_force(length, known.probability, found.candidates[j].sigma, seed=j)
+        assert abs(found.information[j] - mean) < 4 * error
+        assert found.information_error[j] < 0.02
+
+
+def test_counts_against_dense_solves():
+    """Without error a count tells the entropy of its own distribution; the counts here are those of the dense program."""
+    theta = np.linspace(np.log(0.003), np.log(0.2), 41)
+    known = sp.Knowledge(theta)
+    found = sp.design(known, height=[8, 14], sigma=0.0, kind="whole")
+    for j, height in enumerate([8, 14]):
+        counts = [plain_interface.front(height, q, 0.3, np.ones(60), np.zeros(60), 0, 60)[0] for q in np.exp(theta)]
+        share = np.unique(counts, return_counts=True)[1] / 41
+        assert found.information[j] == pytest.approx(-share @ np.log(share), abs=1e-12)
+    blurred = sp.design(known, height=[8, 14], sigma=0.3, kind="whole")
+    assert (blurred.information < found.information).all()
+
+
+def test_probabilities_of_outcomes_add_up():
+    length = np.array([0.0, 3.2, 40.7, np.inf])
+    for kind, sigma in (("length", 0.1), ("length", 3.0), ("whole", 0.0), ("whole", 0.7)):
+        y, dy = outcomes(length, sigma, kind)
+        np.testing.assert_allclose(dy @ likelihood(y, length, sigma, kind), 1, atol=1e-9)
+
+
+def test_nothing_is_learnt_at_the_peak_nor_on_the_plateau():
+    """At H/λc = 25 ℓ(k/K) is flat at 0.0454; Λ/H of a tall block on a stiff interface has all but its largest value."""
+    flat = sp.design(sp.Knowledge.lognormal(0.0454, 0.05), height=25, sigma=0.5)
+    assert flat.information[0] < 1e-3
+    assert flat.d_optimal[0] < 1e-3
+    soft, stiff = (sp.design(sp.Knowledge.lognormal(k, 0.3), height=75000, sigma=750) for k in (1e-5, 3e-4))
+    assert stiff.information[0] < 0.01 < 1 < soft.information[0]
+    assert stiff.d_optimal[0] < 0.01
+    assert "no candidate tells anything much" in flat.report()
+
+
+def test_roots_of_one_length_are_told_apart_elsewhere():
+    """25.9 ± 0.1 at H/λc = 25 has two roots; a taller block parts them, which the local gain does not see."""
+    one = sp.Measurements(height=25.0, poisson=0.3, length=25.9, length_sigma=0.1)
+    known = sp.Knowledge.from_measurements(one)
+    assert len(known.roots) == 2
+    for share, stiffness, _ in known.roots:
+        assert 0.3 < share < 0.7
+        assert abs(float(sp.exact_length(sp.Slider(25.0, stiffness, 0.3))) - 25.9) < 0.05
+    found = sp.design(known, height=[5, 25, 50, 100], sigma=0.5, experiments=2)
+    assert found.best == 3
+    assert found.information[1] < 0.05
+    assert found.told_apart[1] < 0.01 < 0.9 < found.told_apart[3]
+    # of which root it is, one bit at most; the rest is within them
+    assert np.log(2) > (found.information - found.d_optimal)[2] > 0.3
+    assert [step.candidate for step in found.sequence][0] == 3
+    assert found.sequence[1].gain.information > found.sequence[0].gain.information
+    assert found.sequence[1].gain.log_stderr < found.sequence[0].gain.log_stderr
+
+
+def test_d_optimal_gain_is_that_of_the_slope():
+    known = sp.Knowledge.lognormal(0.01, 0.02)
+    found = sp.design(known, height=[25, 50], sigma=0.3)
+    for j, height in enumerate([25.0, 50.0]):
+        h = 1e-5
+        up, down = (float(sp.exact_length(sp.Slider(height, 0.01 * np.exp(x), 0.3))) for x in (h, -h))
+        slope = (up - down) / (2 * h)
+        assert found.d_optimal[j] == pytest.approx(0.5 * np.log1p((0.02 * slope / 0.3) ** 2), rel=2e-3)
+    # so little is unknown that ℓ is straight over it
+    np.testing.assert_allclose(found.information, found.d_optimal, rtol=5e-3)
+
+
+def test_a_front_that_never_stops_is_an_outcome():
+    prior = normal_prior(1.0, 101)
+    length = np.where(prior.theta > 0.5, np.inf, 30 + 5 * prior.theta)
+    never = prior.weight @ np.isinf(length)
+    found = expected_gain(prior, length, 1e4, "length")
+    # with an error that swamps every length, what is left is whether it stops
+    expected = -never * np.log(never) - (1 - never) * np.log1p(-never)
+    assert found.information == pytest.approx(expected, abs=1e-4)
+    drawn = draw(prior, 1, seed=1)
+    joint = joint_gain(prior, drawn, log_likelihoods(drawn, 0, length, 1e4, "length"))
+    assert abs(joint.information - expected) < 4 * joint.error + 1e-4
+
+
+def test_units():
+    """In SI the same plan as in λc."""
+    plain = sp.design(sp.Knowledge.lognormal(0.02, 0.5), height=[10, 25], sigma=0.5)
+    young, fine = 3e9, 2e-3
+    si = sp.Knowledge.lognormal(0.02 * young / fine, 0.5, in_si=True)
+    found = sp.design(si, height=[10 * fine, 25 * fine], sigma=0.5 * fine, correlation_length=fine, young=young)
+    np.testing.assert_allclose(found.information, plain.information, rtol=1e-6)
+    np.testing.assert_allclose(found.d_optimal, plain.d_optimal, rtol=1e-6)
+    assert "H = 50 mm" in found.report()
+
+
+def test_too_few_samples_are_noticed():
+    chain = np.random.default_rng(0).normal(np.log(0.02), 0.5, 30)
+    found = sp.design(sp.Knowledge(chain), height=100, sigma=0.001)
+    assert found.information_error[0] > 0.2
+    assert "too few" in found.report()
+
+
+def test_earlier_measurements_sharpen_a_prior():
+    prior = sp.Knowledge.lognormal(0.01, 1.0)
+    m = sp.Measurements(height=[10.0, 25.0], poisson=0.3, length=[7.0, 20.0], length_sigma=[0.3, 0.5])
+    known = sp.Knowledge.from_measurements(m, prior=prior)
+    assert known.log_sd < 0.2 < prior.log_sd
+    fitted = sp.fit(m)
+    assert abs(known.mean - np.log(fitted.values["stiffness"])) < 0.5 * known.log_sd
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"sigma": 0.0}, "sigma = 0"),
+        ({"height": [25, 0.5]}, "height over correlation length = 0.5 at index 1"),
+        ({"poisson": 0.7}, "poisson = 0.7"),
+        ({"prestress": 1.0}, "prestress = 1"),
+        ({"kind": "force"}, "kind = 'force'"),
+        ({"young": 3e9}, "give both, or neither"),
+        ({"correlation_length": 1e-5, "young": 3e9, "height": 0.01, "sigma": 1e-3}, "the knowledge is of k/K"),
+        ({"height": [1, 2, 3], "prestress": [0, 0.1]}, "must broadcast"),
+        ({"experiments": 0}, "experiments = 0"),
+    ],
+)
+def test_errors_name_the_argument(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        sp.design(sp.Knowledge.lognormal(0.02, 0.5), **{"height": 25.0, "sigma": 0.5, **wrong})
+    with pytest.raises(ValueError, match="log_sd = -1"):
+        sp.Knowledge.lognormal(0.02, -1.0)
+    with pytest.raises(ValueError, match="Knowledge.weight"):
+        sp.Knowledge([0.0, 1.0], [1.0, -1.0])
+
+
+def test_command(tmp_path):
+    table = tmp_path / "lengths.csv"
+    table.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.1\n", encoding="utf-8")
+    picture = tmp_path / "design.png"
+    asked = ["--height", "10,50", "--sigma", "0.5", "--poisson", "0.3", "--next", "2", "--json", "--figure", str(picture)]
+    done = CliRunner().invoke(command, ["--measured", str(table), *asked])
+    assert done.exit_code == 0, done.stderr
+    content = json.loads(done.stdout)
+    assert [c["rank"] for c in content["candidates"]] == [2, 1]
+    assert len(content["knowledge"]["roots"]) == 2
+    assert len(content["sequence"]) == 2
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert done.stderr.strip() == f"figure written to {picture}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--height", "10", "--sigma", "0.5", "--poisson", "0.3"], "missing --stiffness"),
+        (["--height", "10,x", "--sigma", "0.5", "--poisson", "0.3"], "numbers parted by commas"),
+        (["--height", "10", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "missing --sigma"),
+        (["--height", "0.5", "--sigma", "0.5", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "must exceed 1"),
+        (["--height", "9", "--sigma", "0.5", "--poisson", "0.3", "--measured", "nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_status_2(arguments, message):
+    done = CliRunner().invoke(command, arguments)
+    assert done.exit_code == BAD_INPUT
+    assert message in done.output
+    assert "Traceback" not in done.output
+
+
+def test_pictures():
+    from matplotlib.figure import Figure
+
+    found = sp.design(sp.Knowledge.lognormal([0.01, 0.06], 0.2), height=[10, 25], sigma=0.5)
+    left, right = Figure().subplots(1, 2)
+    assert found.plot(ax=left) is left
+    assert found.plot_lengths(ax=right) is right
+    assert "bits" in left.get_xlabel()
