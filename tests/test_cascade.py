@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dense_chain import Dense, end_stiffness
+from random_chain import batch, both_chains
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.cascade import RuptureStatus, nucleate, rupture
@@ -37,18 +37,7 @@ def random_event(rng, sites, right):
         "upper": height * 10 ** rng.uniform(-spread, spread, sites - 1),
         "layer": 10 ** rng.uniform(-spread, spread, sites - 1),
     }
-    K_T = 1 / (2 * (1 + poisson) * height)
-    numbers = Dense(
-        K_L=fields["upper"],
-        K=fields["layer"],
-        K_T=np.full(sites, K_T),
-        k=contact,
-        threshold=fields["threshold"],
-        prestress=fields["prestress"],
-        k_ref=stiffness,
-        end=end_stiffness(right, height, 1.0, K_T, stiffness),
-    )
-    mine = chain(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sites=sites, right=right, **fields)
+    numbers, mine = both_chains((height, stiffness, poisson), sites, right, fields)
     pinning = rng.choice([0, 0.2]) * rng.uniform(-1, 1, sites)
     load, trigger = numbers.nucleate(pinning)
     more = rng.choice([1.0, 1.0, 1.2, 2.0])
@@ -57,10 +46,6 @@ def random_event(rng, sites, right):
         over = np.where(contact > 0, numbers.stress(pinning, load) - fields["threshold"], -np.inf)
         trigger = int(over.argmax()) if over.max() >= 0 else trigger
     return numbers, mine, State(jnp.asarray(pinning), jnp.asarray(load)), trigger
-
-
-def batch(trees):
-    return jax.tree.map(lambda *x: jnp.stack(x), *trees)
 
 
 events = jax.jit(jax.vmap(lambda c, s, i: rupture(c, s, trigger=i, max_breaks=MAX_BREAKS)))

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dense_chain import Dense, end_stiffness
 from jax.tree_util import Partial
+from random_chain import batch, both_chains
 from scipy.optimize import fsolve
 
 import slippulse_jax as sp
@@ -32,18 +32,7 @@ def random_case(rng, sites, right):
         "layer": 10 ** rng.uniform(-0.3, 0.3, sites - 1),
     }
     pinning, load = rng.uniform(-1, 1, sites) * rng.choice([0, 0.3]), rng.uniform(0, 5)
-    K_T = 1 / (2 * (1 + poisson) * height)
-    dense = Dense(
-        K_L=fields["upper"],
-        K=fields["layer"],
-        K_T=np.full(sites, K_T),
-        k=contact,
-        threshold=fields["threshold"],
-        prestress=fields["prestress"],
-        k_ref=stiffness,
-        end=end_stiffness(right, height, 1.0, K_T, stiffness),
-    )
-    mine = chain(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sites=sites, right=right, **fields)
+    dense, mine = both_chains((height, stiffness, poisson), sites, right, fields)
     return dense, mine, State(jnp.asarray(pinning), jnp.asarray(load))
 
 
@@ -52,10 +41,6 @@ def balance_bound(chains, found, floor=1e-12):
     load = np.abs(found.push)
     digit = np.finfo(found.upper.dtype).eps * np.abs(found.upper).max(-1)
     return np.maximum(floor, 4 * np.asarray(chains.upper).max(-1) * digit / load)
-
-
-def batch(trees):
-    return jax.tree.map(lambda *x: jnp.stack(x), *trees)
 
 
 @pytest.mark.parametrize("right", ENDS)
