@@ -73,12 +73,15 @@ def front_stress(
     ax = axes(ax)
     c = colours(ax)
     stress = np.asarray(stress)
-    ax.plot(stress, "o-", color=c.blue, markersize=3, linewidth=1, label="stress at the front")
+    ax.plot(stress, "o-", color=c.blue, markersize=3, linewidth=1, label="front")
     ax.axhline(threshold, color=c.grey, linestyle=":", label="threshold")
     if length is not None and np.isfinite(length):
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
     ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel="front stress, $t(s)/\\sigma_s$")
-    ax.legend(frameon=False)
+    # above the Axes: inside, it would lie on the threshold or on the curve
+    ax.legend(
+        frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 1), ncols=3, handlelength=1.5, columnspacing=1.2, borderpad=0
+    )
     return ax
 
 

@@ -40,7 +40,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
             )
     ax.set(xlabel="load, $U/u_s$", ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
-    ax.legend(frameon=False, title="event", loc="lower right")
+    ax.legend(frameon=False, title="event", alignment="left", loc="lower right")
     return ax
 
 
@@ -60,5 +60,5 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
         if chosen.any():
             ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=kind.name.lower())
     ax.set(xlabel=DISTANCE, ylabel="load, $U/u_s$")
-    ax.legend(frameon=False, title="event", loc="lower right", markerscale=3)
+    ax.legend(frameon=False, title="event", alignment="left", loc="lower right", markerscale=3)
     return ax

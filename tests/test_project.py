@@ -1,7 +1,6 @@
 """Promises of the project as a whole: layers, README, examples, what importing does."""
 
 import ast
-import os
 import re
 import runpy
 import subprocess
@@ -126,20 +125,7 @@ def test_there_are_examples():
 NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
 
 
-@pytest.fixture
-def shared_compilations(tmp_path_factory, monkeypatch):
-    """Notebooks run in processes of their own: what one has compiled, the others read, whichever worker runs them."""
-    folder = tmp_path_factory.getbasetemp().parent / "notebook-compilations"
-    for name, value in (
-        ("JAX_COMPILATION_CACHE_DIR", str(folder)),
-        ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2"),
-        ("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1"),
-    ):
-        monkeypatch.setenv(name, os.environ.get(name, value))
-
-
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
-@pytest.mark.usefixtures("shared_compilations")
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_notebook_runs_and_is_committed_with_its_output(name):
     path = ROOT / "notebooks" / name
