@@ -121,7 +121,13 @@ def drawn(function: Draw) -> Draw:
 
 
 def contrast(one: str, other: str) -> float:
-    """Contrast of two colours as WCAG 2 defines it, between 1 and 21."""
+    """Contrast of two colours as WCAG 2 defines it, between 1 and 21.
+
+    Examples
+    --------
+    >>> round(contrast("black", "white"))
+    21
+    """
     from matplotlib.colors import to_rgb
 
     def luminance(colour: str) -> float:
