@@ -7,6 +7,8 @@ from lattice_mp import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.exact import ExactStatus, exact_length
+from slippulse_jax.lattice.lane_series import Inputs, inputs_of
+from slippulse_jax.lattice.mode_jets import flatten, input_jets
 
 
 def random_lanes(count, seed):
@@ -58,6 +60,41 @@ def test_gradient_against_differences():
     size = np.abs(expected * scale).max(0)
     error = np.abs(found.gradient.T - expected) * scale / size
     assert np.max(error[:4, arrested]) < 1e-7
+
+
+def test_hessian_against_differences_of_the_gradient():
+    lanes = random_lanes(24, 65)
+    lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], np.abs(lanes[4]) * (lanes[3] == 0)
+    lanes = lanes[:, (lanes[0] * lanes[1] > 1e-2) & (lanes[3] < 0.4)]
+    found = bulk(lanes, derivatives=2)
+    arrested = found.status == ExactStatus.ARRESTED
+    assert arrested.sum() > 10
+    unit = np.maximum(np.abs(lanes), [[0], [0], [0], [1e-2], [1e-9]])
+    moved = [lanes + k * 1e-4 * unit[i] * np.eye(5)[i][:, None] for i in range(5) for k in (-2, -1, 1, 2)]
+    moved = [np.concatenate([x[:4], np.maximum(x[4:], 0)]) for x in moved]
+    around = bulk(np.concatenate(moved, axis=1), derivatives=1).gradient.reshape(5, 4, -1, 5)
+    expected = (around[:, 0] - 8 * around[:, 1] + 8 * around[:, 2] - around[:, 3]) / (12e-4 * unit[..., None])
+    scale = unit.T[:, :, None] * unit.T[:, None] / np.where(arrested, found.length, 1)[:, None, None]
+    error, size = (found.hessian - expected.swapaxes(0, 1)) * scale, np.abs(found.hessian * scale).max((1, 2))
+    # where the threshold is level its slope cannot be moved both ways
+    rows = np.where(lanes[4] > 0, 5, 4)
+    for one, most, last, ok in zip(error, size, rows, arrested, strict=True):
+        assert not ok or np.max(np.abs(one[:last])) < 1e-6 * most
+    symmetric = (found.hessian - found.hessian.swapaxes(1, 2)) * scale
+    assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
+
+
+def test_numbers_that_carry_derivatives_are_the_same_inputs():
+    lanes = random_lanes(40, 66)
+    found, first, _ = input_jets(lanes[:4])
+    with jax.numpy_rank_promotion("allow"):
+        expected, slope = jax.jit(lambda x: jax.jvp(lambda y: inputs_of(y, prestressed=True), (x,), (x,)))(lanes[:4])
+    for one, two in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-300)
+    # along the parameters themselves
+    lengths = np.abs(first * lanes[:4]).max(1) + 1e-300
+    error = (first * lanes[:4]).sum(1) - flatten(Inputs(*(np.asarray(x) for x in slope)))
+    assert np.max(np.abs(error) / lengths) < 1e-10
 
 
 def test_a_lane_does_not_see_its_neighbours():

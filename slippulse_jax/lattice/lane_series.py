@@ -13,7 +13,7 @@ to less than `ROW_TOLERANCE` of the first row's: rows shrink by a third at least
 what is left out is below half of that. A lane that has ended gets rows of zeros, so that it never depends on its neighbours.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,17 +40,17 @@ Table = Float[Array, "F a lanes"]
 
 
 class Inputs(NamedTuple):
-    """What the table and its amplitudes are made of; F families."""
+    """What the table and its amplitudes are made of: arrays of JAX, or of NumPy in `lane_derivatives`; F families."""
 
-    reflected: Float[Array, "2 2 lanes"]  # r_m R_mn
-    start_gap: Float[Array, "F lanes"]  # 1 − start_j
-    to_roots: Float[Array, "2 F lanes"]  # start_j − ρ_i
-    to_modes: Float[Array, "2 F lanes"]  # start_j − r_m
-    rate: Float[Array, "F lanes"]  # −ln start_j
-    level_rate: Lanes  # −2 ln r_2
-    column_rate: Lanes  # −ln(r_1/r_2)
-    first_step: Lanes  # t(1) − t(0)
-    plateau: Lanes  # stress far from the edge where nothing stops the front
+    reflected: Any  # r_m R_mn, shape (2, 2, lanes)
+    start_gap: Any  # 1 − start_j, shape (F, lanes)
+    to_roots: Any  # start_j − ρ_i, shape (2, F, lanes)
+    to_modes: Any  # start_j − r_m, shape (2, F, lanes)
+    rate: Any  # −ln start_j, shape (F, lanes)
+    level_rate: Any  # −2 ln r_2, shape (lanes,)
+    column_rate: Any  # −ln(r_1/r_2)
+    first_step: Any  # t(1) − t(0)
+    plateau: Any  # stress far from the edge where nothing stops the front
 
 
 class Series(NamedTuple):
@@ -63,7 +63,6 @@ class Series(NamedTuple):
     totals: Float[Array, "3 F lanes"]  # Σ τ, Σ τ (1 − μ), −Σ τ ln μ
     amplitude: Float[Array, "F lanes"]  # c_j
     last: Array  # the last row any lane has
-    own_last: Lanes  # the last row of the lane
     sound: Bool[Array, " lanes"]  # whether every digit is there
 
     def at_edge(self) -> Lanes:
@@ -109,9 +108,9 @@ def inputs_of(theta: Float[Array, "n lanes"], prestressed: bool) -> Inputs:
     )
 
 
-def solve(inputs: Inputs, store_all: bool = False) -> Series:
-    """Table, and amplitudes from t(0) = 1 and from t(1) − t(0); later rows than `STORED` are kept with `store_all`."""
-    table = _table(inputs, store_all)
+def solve(inputs: Inputs) -> Series:
+    """Table, and amplitudes from t(0) = 1 and from t(1) − t(0)."""
+    table = _table(inputs)
     (A, gaps, _), plateau = table.totals, inputs.plateau
     B, known_0, known_1 = -gaps, jnp.ones_like(plateau), inputs.first_step
     prestressed = A.shape[0] > 2
@@ -123,17 +122,17 @@ def solve(inputs: Inputs, store_all: bool = False) -> Series:
     return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]), sound=sound)
 
 
-def _table(inputs: Inputs, store_all: bool) -> Series:
+def _table(inputs: Inputs) -> Series:
     """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
     families, lanes = inputs.rate.shape
     zeros, one = jnp.zeros((families, lanes)), jnp.ones((families, lanes))
-    rows = jnp.zeros(((ROWS if store_all else STORED) + 1, families, lanes)).at[0].set(1)
+    rows = jnp.zeros((STORED + 1, families, lanes)).at[0].set(1)
     totals = jnp.stack([one, inputs.start_gap, inputs.rate])
     above = jnp.zeros((families, 3, lanes)).at[:, 2].set(1)
-    carry = _Progress(jnp.asarray(1), jnp.zeros(()), rows, zeros, totals, jnp.ones(lanes, bool), jnp.zeros(lanes))
+    carry = _Progress(jnp.asarray(1), jnp.zeros(()), rows, zeros, totals, jnp.ones(lanes, bool))
     blocks = []
     for start, end in BLOCKS:
-        stored = store_all or end <= STORED
+        stored = end <= STORED
         block = jnp.zeros((end - start + 1 if stored else 0, families, 2 * end + 1, lanes))
         above = jnp.zeros((families, 2 * end + 3, lanes)).at[:, : above.shape[1]].set(above)
         carry, above, block = _fill(inputs, carry, above, block, (start, end))
@@ -146,7 +145,6 @@ def _table(inputs: Inputs, store_all: bool) -> Series:
         totals=carry.totals,
         amplitude=zeros,
         last=carry.k - 1,
-        own_last=carry.own_last,
         sound=~carry.running,
     )
 
@@ -158,7 +156,6 @@ class _Progress(NamedTuple):
     beyond: Array
     totals: Array
     running: Array
-    own_last: Array
 
 
 def _fill(
@@ -172,7 +169,7 @@ def _fill(
     a = jnp.asarray(np.arange(2.0 * end + 1)[:, None])
 
     def row(state: tuple[_Progress, Table, Array]) -> tuple[_Progress, Table, Array]:
-        (k, level, rows, beyond, totals, running, own_last), above, block = state
+        (k, level, rows, beyond, totals, running), above, block = state
         level = level + (1 - level) * level_gap
         gap = level + (1 - level) * columns
         tau = entries(inputs, above, gap)
@@ -182,7 +179,6 @@ def _fill(
         lost = over_columns(gap * tau)
         rho = 1 - inputs.start_gap
         totals = totals + jnp.stack([total, inputs.start_gap * total + rho * lost, inputs.rate * total + bend])
-        own_last = jnp.where(running, k.astype(level.dtype), own_last)
         if stored:
             rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
         else:
@@ -194,7 +190,7 @@ def _fill(
         if stored:
             block = lax.dynamic_update_index_in_dim(block, tau, k - start, 0)
         above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
-        return _Progress(k + 1, level, rows, beyond, totals, running, own_last), above, block
+        return _Progress(k + 1, level, rows, beyond, totals, running), above, block
 
     def going(state: tuple[_Progress, Table, Array]) -> Array:
         return (state[0].k <= end) & state[0].running.any()
@@ -203,7 +199,7 @@ def _fill(
     return lax.while_loop(going, row, (carry, above, block))
 
 
-def entries(inputs: Inputs, above: Table, gap: Float[Array, "a lanes"]) -> Table:
+def entries(inputs: Inputs, above: Any, gap: Any) -> Any:
     """τ of one row from the row above (two columns of zeros first) and 1 − μ/start."""
     (R11, R12), (R21, R22) = inputs.reflected
     x = (1 - inputs.start_gap)[:, None] * gap

@@ -38,10 +38,11 @@ def long_length_kernel(max_contacts: int) -> Kernel:
 
     def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array, ...]:
         with jax.numpy_rank_promotion("allow"):
-            series = lane_series.solve(parameters, False)
-            exact, status = lane_crossing.crossing(series, parameters, False)
+            series = lane_series.solve(lane_series.inputs_of(parameters, False))
+            relaxed = jnp.concatenate([parameters, jnp.zeros((2, parameters.shape[1]))])
+            exact, status = lane_crossing.crossing(series, relaxed)
             last = jnp.floor(exact)  # the last contact that breaks
-            behind, ahead = lane_series.rise(series, last)[0], lane_series.rise(series, last + 1)[0]
+            behind, ahead = lane_crossing.rise(series, last)[0], lane_crossing.rise(series, last + 1)[0]
         length = last + behind / (behind - ahead)
         return (jnp.where((status == 0) & (length < max_contacts), length, jnp.nan),)
 
