@@ -9,8 +9,8 @@ The same solution as `slippulse_jax.double_series`, written for the total stress
 
 Two things differ. The pole at a resonance ρ_2 r_2^{2n} = ρ_1 is left in: it costs digits only where the distance is below
 a thousandth of the residue, which `Series.sound` watches over. And a lane's table ends at the first row whose moduli add up
-to less than `ROW_TOLERANCE` of the first row's: rows shrink by a third at least (measured; docs/exact_solution.md), so that
-what is left out is below half of that. A lane that has ended gets rows of zeros, so that it never depends on its neighbours.
+to less than `ROW_TOLERANCE` of the first row's: rows shrink to an eighth from there on (measured; docs/exact_solution.md).
+A lane that has ended gets rows of zeros, so that it never depends on its neighbours.
 """
 
 from typing import Any, NamedTuple
