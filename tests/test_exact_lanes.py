@@ -112,6 +112,8 @@ def test_shapes_and_refusals():
     assert found.length.shape == (2, 3)
     assert found.gradient.shape == (2, 3, 5)
     np.testing.assert_allclose(found.length[1, 2], 25.788815261, atol=5e-10)
+    single = sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=2)
+    assert (single.length.shape, single.gradient.shape, single.hessian.shape) == ((), (5,), (5, 5))
     with pytest.raises(ValueError, match="derivatives = 3"):
         sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=3)
     with pytest.raises(ValueError, match=r"prestress = 1\.5"):

@@ -81,7 +81,7 @@ def exact_lengths(
     shape = np.broadcast_shapes(*(np.shape(x) for x in numbers))
     lanes = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
     found = solve_lanes(lanes, derivatives)
-    return ExactLengths(*(None if x is None else x.reshape(*shape, *x.shape[1:]) for x in found))  # pyright: ignore[reportArgumentType]
+    return ExactLengths(*(None if x is None else x.reshape((*shape, *x.shape[1:])) for x in found))  # pyright: ignore[reportArgumentType]
 
 
 def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactLengths:
