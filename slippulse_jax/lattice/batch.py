@@ -22,7 +22,7 @@ Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 CHUNKS = (64, 512, 2048)
 """Lanes a chunk may have. The largest is fastest a lane; the others spare small batches its padding."""
 
-PIECE = 16
+PIECE = 4
 """Largest chunks that a call takes one after another."""
 
 
