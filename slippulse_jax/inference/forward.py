@@ -83,24 +83,25 @@ def _values(y: np.ndarray) -> np.ndarray:
 def displacements(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """Displacement of the pushed edge at nucleation, in u_s = f_s/k."""
     del columns  # all five cost nothing here
-    return _at_nucleation(_displacement, y, order)
+    return _at_nucleation(displacement_at, y, order)
 
 
 def forces(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """Driving force at nucleation over that on one contact at its threshold, f_s: all that the contacts carry."""
     del columns
-    return _at_nucleation(_force, y, order)
+    return _at_nucleation(force_at, y, order)
 
 
 PREDICTED = {"length": lengths, "displacement": displacements, "force": forces}
 
 
-def _displacement(y: Array) -> Array:
+def displacement_at(y: Array) -> Array:
+    """Displacement of the pushed edge at nucleation at one y, in u_s."""
     return (1 - y[3]) * lattice_modes(Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2])).load
 
 
-def _force(y: Array) -> Array:
-    """Σ_i Σ_m C_m r_m^i over the contacts, a geometric series in each mode."""
+def force_at(y: Array) -> Array:
+    """Driving force at nucleation at one y, in f_s: Σ_i Σ_m C_m r_m^i, a geometric series in each mode."""
     modes = lattice_modes(Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2]))
     return (1 - y[3]) * (modes.drive / modes.gap).sum()
 

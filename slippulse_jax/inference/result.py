@@ -21,6 +21,7 @@ from slippulse_jax.slider import Slider
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from slippulse_jax.inference.bayes import Posterior
     from slippulse_jax.inference.bootstrap import Bootstrap
 
 
@@ -319,6 +320,12 @@ class FitResult:
         from slippulse_jax.inference.bootstrap import bootstrap
 
         return bootstrap(self, count, kind=kind, seed=seed)
+
+    def posterior(self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> "Posterior":
+        """Posterior by NUTS: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
+        from slippulse_jax.inference.bayes import posterior
+
+        return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed)
 
 
 def _recursion_status(y: np.ndarray) -> np.ndarray:
