@@ -40,6 +40,13 @@ class PlainSeries:
             return self.spring * (self.load - u_t[0])
         return self.height * (u_t[0] - u_t[1]) + self.transverse * (u_t[0] - u[0])
 
+    def energy(self):
+        """Of all springs, summed one by one, and of the tractions that balance the prestress; of a free chain."""
+        u_t, u = self.fields(self.load)
+        springs = self.height * (np.diff(u_t) ** 2).sum() + (np.diff(u) ** 2).sum() + self.transverse * ((u_t - u) ** 2).sum()
+        drive = 0 if self.spring is None else self.spring * (self.load - u_t[0]) ** 2
+        return (springs + self.q * ((u - self.u_b) ** 2).sum() + drive) / 2 - self.q * (self.phi * self.u_b).sum()
+
     def thresholds(self, load):
         if self.strength is None:
             return self.theta
