@@ -71,7 +71,7 @@ def minimise(
     lane : array of int, shape (B,), optional
         Replicate of each start.
     method : {"lm", "lbfgs", "adam"}
-        The first by default, because it measures best (benchmarks/optimisers.py); the others are optax's.
+        Levenberg–Marquardt by default; the others are optax's.
     max_steps : int
         Steps allowed each start; optax's Adam gets twenty times as many.
     """
