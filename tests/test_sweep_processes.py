@@ -31,7 +31,7 @@ def reference(tmp_path_factory):
 def child(code, **environment):
     return subprocess.Popen(
         [sys.executable, "-c", "import numpy as np, jax, slippulse_jax as sp\n" + code],
-        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"} | environment,
     )  # fmt: skip
 
 

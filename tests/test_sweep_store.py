@@ -101,7 +101,10 @@ def child(store):
         f" outputs='length', store={str(store)!r}, chunk={CHUNK})\n"
     )
     return subprocess.Popen(
-        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"},
+        stderr=subprocess.PIPE,
     )
 
 
