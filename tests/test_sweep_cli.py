@@ -127,9 +127,12 @@ def test_interrupt_leaves_a_store_to_resume(tmp_path):
         "--chunk",
         "4",
     ]
+    # the signal is ignored where the tests run in the background
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slippulse_jax.cli import main; main()"
     with subprocess.Popen(
-        [sys.executable, "-m", "slippulse_jax.cli", "sweep", *arguments, "--store", str(store)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"},
+        [sys.executable, "-c", code, "sweep", *arguments, "--store", str(store)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"},
     ) as process:  # fmt: skip
         while process.poll() is None and len(list((store / "chunks").glob("*.npz"))) < 5:
             time.sleep(0.01)

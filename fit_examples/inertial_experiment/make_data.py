@@ -9,7 +9,7 @@ import slippulse_jax as sp
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-from plain_chain import write  # noqa: E402
+from independent_lattice import write  # noqa: E402
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)

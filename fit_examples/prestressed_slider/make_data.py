@@ -7,7 +7,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-from plain_chain import front_stress, length, write  # noqa: E402
+from independent_lattice import front_stress, length, write  # noqa: E402
 
 if __name__ == "__main__":
     rng = np.random.default_rng(2014)
