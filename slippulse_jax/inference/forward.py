@@ -31,9 +31,9 @@ class Prediction(NamedTuple):
 def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """ℓ*, in λc: 0 where no domino starts, inf where the front never stops.
 
-    Its slopes, in the `columns` of y asked for, are central differences. ℓ* is analytic and known to 1e-13, so that they hold
-    to 1e-8; and the values are the one program that a fit has to compile. Exact slopes take several times as long to compile,
-    and a lane of them costs more than two values.
+    Its slopes, in the `columns` of y asked for, are central differences. ℓ* is analytic and known to about 1e-13,
+    which leaves some 1e-8 (by estimate; tests hold 1e-6). The values are the one program that a fit has to compile, and two of
+    them cost less than a lane of exact slopes.
 
     Raises
     ------
