@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -81,21 +82,12 @@ def test_without_ipywidgets_it_says_what_to_install(monkeypatch):
         sp.explore()
 
 
-def needed():
-    """What a browser test needs and this machine lacks; empty if nothing."""
-    missing = []
-    for module in ("voila", "selenium"):
-        try:
-            __import__(module)
-        except ImportError:
-            missing.append(module)
-    return missing + [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]
+MISSING = [x for x in ("voila", "selenium") if find_spec(x) is None]
+MISSING += [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]
 
 
 @pytest.fixture
 def browser():
-    if needed():
-        pytest.skip(f"no browser test without {', '.join(needed())}")
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()
@@ -110,8 +102,6 @@ def browser():
 @pytest.fixture
 def page(tmp_path):
     """Address of a page that shows `explore()`, served by Voilà."""
-    if needed():
-        pytest.skip(f"no browser test without {', '.join(needed())}")
     import nbformat
 
     cells = [nbformat.v4.new_code_cell("import slippulse_jax as sp\nsp.explore()")]
@@ -129,6 +119,7 @@ def page(tmp_path):
     server.wait(20)
 
 
+@pytest.mark.skipif(bool(MISSING), reason=f"no browser test without {', '.join(MISSING)}")
 def test_in_a_browser(browser, page, tmp_path):
     """Sliders are moved by keys, and the front is run by the play button."""
     from selenium.webdriver.common.by import By

@@ -37,6 +37,17 @@ class Objective(Protocol):
         ...
 
 
+class Starts(NamedTuple):
+    """What is minimised, from where, and within which box."""
+
+    objective: Objective
+    theta: np.ndarray  # (B, p)
+    low: np.ndarray  # (B, p)
+    high: np.ndarray  # (B, p)
+    held: np.ndarray  # (p,), coordinates that stay where they start
+    lane: np.ndarray  # (B,), replicate of each
+
+
 class Minimum(NamedTuple):
     """Where each start ended."""
 
@@ -86,20 +97,12 @@ def minimise(
         ends = np.where(np.isfinite(value), Outcome.CONVERGED, Outcome.NO_LENGTH)
         return Minimum(start, value, ends, np.zeros(len(start), dtype=int))
     run = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}[method]
-    return run(objective, start, low, high, held, lane, max_steps)
+    return run(Starts(objective, start, low, high, held, lane), max_steps)
 
 
-def _levenberg_marquardt(
-    objective: Objective,
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    held: np.ndarray,
-    lane: np.ndarray,
-    max_steps: int,
-) -> Minimum:
+def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
     """Damped steps; each lane has its own damping, and its own largest metric so far as the measure of a step (Moré)."""
-    theta = start
+    objective, theta, low, high, held, lane = given
     at = objective(theta, lane, 1)
     assert at.gradient is not None
     assert at.metric is not None
@@ -180,43 +183,28 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.einsum("bpk,bk,bqk->bpq", vectors, upward, vectors) * unit[:, :, None] * unit[:, None, :]
 
 
-def _adam(
-    objective: Objective,
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    held: np.ndarray,
-    lane: np.ndarray,
-    max_steps: int,
-) -> Minimum:
+def _adam(given: Starts, max_steps: int) -> Minimum:
     """optax.adam in units of a sixtieth of the box, its rate falling to nothing by a cosine."""
     rounds = 20 * max_steps
+    unit = (given.high - given.low) / 60
     optimiser = optax.adam(optax.cosine_decay_schedule(1.0, rounds))
 
     def propose(theta: np.ndarray, gradient: np.ndarray, state):
         updates, state = optimiser.update(gradient, state)
         return theta + np.asarray(updates), state
 
-    return _descend(objective, start, low, high, held, lane, rounds, optimiser.init, propose, (high - low) / 60, careful=False)
+    return _descend(given, rounds, optimiser.init, propose, unit, careful=False)
 
 
-def _lbfgs(
-    objective: Objective,
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    held: np.ndarray,
-    lane: np.ndarray,
-    max_steps: int,
-) -> Minimum:
+def _lbfgs(given: Starts, max_steps: int) -> Minimum:
     """optax.scale_by_lbfgs a lane (vmapped), with a step halved until it gains; in units of the first metric."""
     import jax
 
     optimiser = optax.scale_by_lbfgs(memory_size=10)
-    first = objective(start, lane, 1)
+    first = given.objective(given.theta, given.lane, 1)
     assert first.metric is not None
     diagonal = np.einsum("bpp->bp", first.metric)
-    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (high - low) / 60)
+    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (given.high - given.low) / 60)
 
     def init(z: np.ndarray):
         return jax.vmap(optimiser.init)(z)
@@ -227,16 +215,11 @@ def _lbfgs(
         updates, state = update(gradient, state, z)
         return z - np.asarray(updates), state
 
-    return _descend(objective, start, low, high, held, lane, max_steps, init, propose, unit, careful=True)
+    return _descend(given, max_steps, init, propose, unit, careful=True)
 
 
 def _descend(
-    objective: Objective,
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    held: np.ndarray,
-    lane: np.ndarray,
+    given: Starts,
     rounds: int,
     init: Callable,
     propose: Callable,
@@ -247,9 +230,10 @@ def _descend(
     """Steps of an optax optimiser on z = θ/unit, clipped to the box; `careful` ones are halved until they gain."""
     import jax
 
-    theta, unit = start, np.broadcast_to(unit, start.shape)
+    objective, theta, low, high, held, lane = given
     at = objective(theta, lane, 1)
     best, lowest = theta.copy(), at.value.copy()
+    steps = np.zeros(len(theta), dtype=int)
     with jax.enable_x64(True):
         state = init(theta / unit)
         for _ in range(rounds):
@@ -263,6 +247,7 @@ def _descend(
                     break
                 trial = np.where(worse[:, None], (trial + theta) / 2, trial)
             settled = np.all(np.abs(trial - theta) <= 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
+            steps += ~settled
             theta = trial
             at = objective(theta, lane, 1)
             gained = at.value < lowest
@@ -282,4 +267,4 @@ def _descend(
         [Outcome.NO_LENGTH, Outcome.FLAT, Outcome.CONVERGED],
         Outcome.NOT_CONVERGED,
     )
-    return Minimum(best, lowest, ends, np.full(len(best), rounds))
+    return Minimum(best, lowest, ends, steps)
