@@ -1,9 +1,11 @@
 """How often the intervals of a fit hold the truth, and how often degenerate studies are refused a number.
 
-Prints two tables. Run: python benchmarks/coverage.py [studies, 500 by default] [part …], a part being identifiable,
-near-plateau (with :1, :3 or :8 for so many specimens alone) or degenerate.
+Prints two tables. Run: python benchmarks/coverage.py [studies, 500 by default] [part …] [--seed N], a part being identifiable,
+near-plateau (with :1, :3 or :8 for so many specimens alone) or degenerate. One seed draws the same scatter in both regimes,
+so that chance moves both alike: another draw needs another seed.
 """
 
+import argparse
 import sys
 import time
 
@@ -28,11 +30,10 @@ def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndar
 def stiffness_at(height: float, share: float) -> float:
     """k/K below the peak at which the length is this share of the longest."""
     y = np.array([[np.log(height), 0, 0.3, 0, 0]])
-    longest, top = longest_over(y, np.array([np.log(1e-6)]), np.array([0.0]))
-    grid = np.linspace(np.log(1e-6), top[0], 4001)
-    rising = model(np.full(4001, height), 1.0) * 0
-    lanes = np.column_stack([np.full(4001, np.log(height)), grid, np.full(4001, 0.3), rising, rising])
-    return float(np.exp(np.interp(share * longest[0], lengths(lanes, 0).value, grid)))
+    longest, top = longest_over(y, np.array([np.log(1e-4)]), np.array([0.0]))
+    lanes = np.repeat(y, 401, axis=0)
+    lanes[:, 1] = np.linspace(np.log(1e-4), top[0], 401)
+    return float(np.exp(np.interp(share * longest[0], lengths(lanes, 0).value, lanes[:, 1])))
 
 
 def study(rng: np.random.Generator, specimens: int, regime: str) -> tuple[Measurements, float]:
@@ -108,14 +109,18 @@ DEGENERATE = ("k and E both free", "one specimen, two roots", "length above the 
 
 def main() -> None:
     """Print both tables, or the part asked for."""
-    studies = int(sys.argv[1]) if len(sys.argv) > 1 else 500
-    parts = sys.argv[2:] or ["identifiable", "near-plateau", "degenerate"]
+    asked = argparse.ArgumentParser(description="Coverage of the intervals of a fit.")
+    asked.add_argument("studies", nargs="?", type=int, default=500)
+    asked.add_argument("parts", nargs="*", default=["identifiable", "near-plateau", "degenerate"])
+    asked.add_argument("--seed", type=int, default=100, help="the number of specimens is added to it")
+    given = asked.parse_args()
+    studies, parts = given.studies, given.parts
     for part in [part for part in parts if part != "degenerate"]:
         regime, _, only = part.partition(":")
         print(f"| regime | specimens | interval | 68 % | 95 % |  ({studies} studies each)\n|---|---|---|---|---|")
         for specimens in [int(only)] if only else [1, 3, 8]:
             began = time.perf_counter()
-            found = coverage(studies, specimens, regime, seed=100 + specimens)
+            found = coverage(studies, specimens, regime, seed=given.seed + specimens)
             for name, shares in found.items():
                 print(f"| {regime} | {specimens} | {name} | " + " | ".join(f"{100 * x:.1f}" for x in shares) + " |", flush=True)
             print(f"({time.perf_counter() - began:.0f} s)", file=sys.stderr)

@@ -182,6 +182,16 @@ def test_earlier_measurements_sharpen_a_prior():
     assert abs(known.mean - np.log(fitted.values["stiffness"])) < 0.5 * known.log_sd
 
 
+def test_a_fit_is_the_knowledge_of_its_measurements():
+    one = sp.Measurements(height=25.0, poisson=0.3, length=25.0, length_sigma=0.3)
+    fitted, direct = sp.Knowledge.from_fit(sp.fit(one)), sp.Knowledge.from_measurements(one)
+    for found, expected in zip(fitted.roots, direct.roots, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0.02)
+    each = sp.Measurements(height=[10, 25], poisson=0.3, length=[7, 20], length_sigma=0.3, specimen=("A", "B"))
+    with pytest.raises(ValueError, match="2 stiffnesses"):
+        sp.Knowledge.from_fit(sp.fit(each, [sp.Parameter("stiffness", each="specimen")]))
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

@@ -10,6 +10,7 @@ from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.forward import lengths
 from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.result import Identifiability
+from slippulse_jax.inference.search import undetermined_axes
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -134,6 +135,16 @@ def test_hopeless_sigma_allows_every_stiffness():
     assert result.identifiability is Identifiability.UNINFORMATIVE
     assert "unbounded" in result.report()
     assert result.to_dict()["intervals"]["stiffness"]["0.95"] == [[None, None]]
+
+
+def test_information_too_small_to_invert_is_none():
+    """Fronts that ran far past where they were seen last: 1/information overflows, or is a million ranges."""
+    for sigma in np.geomspace(0.05, 2, 12):
+        result = fit(Measurements(height=[20, 30], poisson=0.3, length=[8, 12], length_sigma=sigma, kind=["at_least"] * 2))
+        assert result.stderr["stiffness"] is None
+        assert np.isfinite([root.covariance for root in result.found]).all()
+    assert undetermined_axes(np.array([[1e-310]])).all()
+    assert not undetermined_axes(np.array([[1e-3]])).any()
 
 
 def test_plateau_without_domino_is_never_called_converged():

@@ -48,6 +48,7 @@ def test_pictures(tmp_path):
         (["--fix", "prestress=0.1,0.2"], "--fix prestress: one value"),
         (["--request", "none.toml"], "none.toml: No such file"),
         (["--sigma", "relative", "--intervals", "calibrated"], "standard errors that are believed"),
+        (["--loss", "huber", "--posterior", "10"], "a posterior needs a likelihood"),
         (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),
     ],
 )
@@ -57,6 +58,14 @@ def test_refusals(arguments, message):
     done = run(*arguments)
     assert done.exit_code == 2, done.output
     assert re.search(message, done.output)
+
+
+def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
+    path = tmp_path / "plateau.csv"
+    path.write_text("height,poisson,length,length_sigma\n25,0.3,26.2,0.3\n40,0.3,30,0.3\n")
+    done = CliRunner().invoke(command, [str(path)])
+    assert done.stderr.startswith("before fitting: 1 of 2 lengths lie within 3% of the longest attainable")
+    assert run("--free", "stiffness", "--json").stderr == ""
 
 
 def test_request_that_is_not_one(tmp_path):

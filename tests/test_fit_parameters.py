@@ -1,8 +1,7 @@
 """Several parameters, priors, uncertain inputs, further observables, counts, censoring, losses: each against an independent answer."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+import plain_chain
 import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
@@ -15,6 +14,7 @@ from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.result import Identifiability
+from slippulse_jax.lattice.exact_lanes import solve_lanes
 
 
 def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
@@ -59,39 +59,29 @@ def test_gradient_is_that_of_the_value(loss):
     assert (np.abs(found - numerical) <= 1e-4 * np.abs(numerical) + 10 * rounding).all()
 
 
-def slopes_case():
+@pytest.mark.parametrize("prestressed", [False, True])
+def test_slopes_are_those_of_the_exact_length(prestressed):
+    """Against the derivatives of the series itself, as in the documentation: 1e-8 of the larger of slope and length."""
     rng = np.random.default_rng(2)
-    y = np.stack([rng.uniform(1.5, 9, 24), rng.uniform(-8, -2.5, 24), rng.uniform(0, 0.45, 24), *np.zeros((2, 24))], axis=1)
-    y[-4:, 2] = 0.5
-    return y
+    y = np.stack([rng.uniform(1.5, 9, 100), rng.uniform(-8, -2, 100), rng.uniform(0, 0.45, 100), *np.zeros((2, 100))], axis=1)
+    y[:, 3] = prestressed * rng.uniform(-0.3, 0.3, 100)
+    lanes = np.vstack([np.exp(y.T[:2]), y.T[2:]])
+    exact = solve_lanes(lanes, 1)
+    slope = exact.gradient * np.column_stack([lanes[0], lanes[1], np.ones((100, 3))])
+    found = lengths(y, 1, range(4 if prestressed else 3)).first
+    for column in range(4 if prestressed else 3):
+        scale = np.maximum(np.maximum(np.abs(slope[:, column]), exact.length), 0.1)
+        assert (np.abs(found[:, column] - slope[:, column]) / scale).max() < 1e-8
 
 
-def test_slopes_do_not_depend_on_the_step():
-    """Against differences of fourth order and a hundred times the step, where rounding is a hundredth."""
-    y = slopes_case()[:-4]
-    found = lengths(y, 1, (0, 1, 2)).first
-
-    def shifted(column, by):
-        return lengths(y + by * np.eye(5)[column], 0).value
-
-    for column in range(3):
-        h = 5e-3
-        near, far = shifted(column, h) - shifted(column, -h), shifted(column, 2 * h) - shifted(column, -2 * h)
-        np.testing.assert_allclose(found[:, column], (8 * near - far) / (12 * h), rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.slow  # compiling the exact derivative takes half a minute
-def test_slopes_are_those_of_the_exact_length():
-    from slippulse_jax import Slider, exact_length
-
-    def total(x):
-        return exact_length(Slider(jnp.exp(x[:, 0]), jnp.exp(x[:, 1]), x[:, 2])).sum()
-
-    y = slopes_case()
-    exact = jax.grad(total)(jnp.asarray(y[:, :3]))
-    found = lengths(y, 1, (0, 1, 2)).first[:, :3]
-    np.testing.assert_allclose(found[:-4], exact[:-4], rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(found[-4:], exact[-4:], rtol=1e-4, atol=1e-5)  # one-sided at ν = 1/2
+def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
+    rng = np.random.default_rng(3)
+    y = np.stack([rng.uniform(2, 6, 20), rng.uniform(-7, -3, 20), np.full(20, 0.5), np.zeros(20), np.full(20, 1e-4)], axis=1)
+    lanes = np.vstack([np.exp(y.T[:2]), y.T[2:]])
+    exact = solve_lanes(lanes, 1)
+    found = lengths(y, 1, (2, 4)).first
+    np.testing.assert_allclose(found[:, 4], exact.gradient[:, 4], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 2], exact.gradient[:, 2], rtol=1e-4)  # one-sided at ν = 1/2
 
 
 def test_likelihood_of_a_count_is_that_of_its_interval():
@@ -198,6 +188,20 @@ def test_two_parameters_are_found_and_correlated():
     assert curve.deviance[i] == pytest.approx(chi2.min(), rel=1e-3)
 
 
+def test_a_fitted_discrepancy_does_not_hide_the_stiffness():
+    """Data without any: the interval is there, and wider than that of σ alone by no more than F allows."""
+    rng = np.random.default_rng(5)
+    length = model(HEIGHTS, 0.004)
+    for _ in range(4):
+        m = Measurements(
+            height=HEIGHTS, poisson=0.3, length=length * (1 + 0.02 * rng.standard_normal(5)), length_sigma=0.02 * length
+        )
+        with_it = fit(m, ["stiffness", "discrepancy"])
+        assert with_it.verdicts["stiffness"].identifiability is not Identifiability.AT_MAXIMUM
+        (plain,), (wide,) = (one.theta_intervals["stiffness"][0.6827] for one in (fit(m), with_it))
+        assert 1 < (wide.high - wide.low) / (plain.high - plain.low) < 3
+
+
 def test_areal_stiffness_and_young_together_are_refused_a_number():
     """Only their ratio acts: said, with the ratio, and no standard error for either."""
     length = model(HEIGHTS * 100, 6e-5)
@@ -233,14 +237,11 @@ def test_force_and_displacement_give_the_strength():
 
 
 def test_force_at_nucleation_is_what_the_contacts_carry():
-    """The sum over the lattice modes, against the stresses of the chain added up one by one."""
-    from slippulse_jax import Slider, exact_front_stress, first_precursor
-
-    front = first_precursor(Slider(10.0, 0.03, 0.3), recorded_sites=600)
+    """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
+    load, _ = plain_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
     y = np.array([[np.log(10.0), np.log(0.03), 0.3, 0.0, 0.0]])
-    assert forces(y, 0).value[0] == pytest.approx(float(front.nucleation.stress.sum()), rel=1e-4)
-    assert displacements(y, 0).value[0] == pytest.approx(float(front.load), rel=1e-6)
-    del exact_front_stress
+    assert forces(y, 0).value[0] == pytest.approx(load.sum() / load[0], rel=1e-9)
+    assert displacements(y, 0).value[0] == pytest.approx(1 / load[0], rel=1e-9)
 
 
 def test_scaled_errors():

@@ -5,24 +5,38 @@ import numpy as np
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.bayes import log_density
+from slippulse_jax.inference import bayes
 from slippulse_jax.inference.forward import lengths
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
 
 
+def outside(plain, y):
+    """The length from the batches that a fit works with, called from within a compiled function."""
+    del plain
+    shape = jax.ShapeDtypeStruct((), y.dtype)
+    return jax.pure_callback(lambda y: lengths(np.atleast_2d(y), 0).value[0], shape, y, vmap_method="sequential")
+
+
 @pytest.mark.parametrize("loss", ["normal", "student"])
-def test_density_is_the_objective(loss):
+def test_density_is_the_objective(loss, monkeypatch):
     """At random points, with counts, censoring, discrepancy and a prior."""
+    monkeypatch.setattr(bayes, "_length", outside)  # the traced length takes long to compile; it has a test of its own
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
     q = resolve(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02)), "discrepancy"])
     problem = make_problem(m, q, Loss(loss), m.sigma)
     theta = np.random.default_rng(0).uniform([-7, 0.2, -5], [-4, 0.4, -2], (4, 3))
-    density = jax.jit(jax.vmap(log_density(problem)))(theta)
+    density = jax.jit(jax.vmap(bayes.log_density(problem)))(theta)
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_traced_length_is_that_of_the_fit(plain):
+    y = np.array([3.2, -4.5, 0.3, 0.0 if plain else 0.1, 0.0])
+    assert float(bayes._length(plain, y)) == pytest.approx(lengths(y[None], 0).value[0], rel=1e-11)
 
 
 @pytest.mark.slow  # the sampler takes minutes to compile

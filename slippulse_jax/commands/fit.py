@@ -43,6 +43,12 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 )
 @click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
 @click.option("--case", is_flag=True, help="Bootstrap by drawing the measurements with replacement.")
+@click.option(
+    "--posterior",
+    type=click.IntRange(min=2),
+    metavar="COUNT",
+    help="Sample the posterior by NUTS, this many in each of 4 chains.",
+)
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
 @click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
 @click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
@@ -63,26 +69,34 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
+    from slippulse_jax.inference.notes import before_fit
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.table import read_measurements
 
     try:
         request = read_request(options["request"]) if options["request"] else {}
-        result = fit(read_measurements(csv), bounds=options["bounds"] or None, **from_request(_asked(request, options)))
-        drawn = None
+        measurements = read_measurements(csv)
+        asked = from_request(_asked(request, options))
+        for warning in before_fit(measurements):
+            click.echo(f"before fitting: {warning}", err=True)
+        result = fit(measurements, bounds=options["bounds"] or None, **asked)
+        more = {}
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
-            drawn = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
-    except ValueError as error:
+            more["bootstrap"] = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
+        if options["posterior"]:
+            more["posterior"] = result.posterior(samples=options["posterior"], seed=result.request["seed"])
+    except (ValueError, ModuleNotFoundError) as error:
         refuse(error)
     if options["as_json"]:
-        print_json(result.to_dict() | ({"bootstrap": drawn.to_dict()} if drawn else {}))
+        print_json(result.to_dict() | {name: drawn.to_dict() for name, drawn in more.items()})
     else:
-        click.echo(result.report() + (f"\n\n{drawn}" if drawn else ""))
+        click.echo("\n\n".join([result.report(), *map(str, more.values())]))
+    samples = next((drawn.theta.reshape(-1, result.problem.p) for drawn in more.values()), None)
     pictures = {
         "figure": result.plot,
         "profiles": result.plot_profiles,
-        "corner": lambda: result.plot_corner(None if drawn is None else drawn.theta),
+        "corner": lambda: result.plot_corner(samples),
     }
     for name, draw in pictures.items():
         if options[name] is not None:

@@ -17,6 +17,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float
 
 from slippulse_jax.inference.forward import displacement_at, force_at
+from slippulse_jax.inference.identifiability import LEVELS
 from slippulse_jax.inference.likelihood import SHARPEST, STUDENT_DOF
 from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.result import FitResult
@@ -55,6 +56,22 @@ class Posterior:
         """Central interval of a parameter."""
         low, high = np.quantile(self._of(name), [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Summary as plain Python values."""
+        chains, samples, _ = self.values.shape
+        return {
+            "chains": chains,
+            "samples": samples,
+            "seed": self.seed,
+            "divergences": self.divergences,
+            "converged": self.converged,
+            "mean": {name: float(self._of(name).mean()) for name in self.names},
+            "stderr": {name: self.stderr(name) for name in self.names},
+            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+            "rhat": self.rhat,
+            "ess": self.ess,
+        }
 
     def __str__(self) -> str:
         chains, samples, _ = self.values.shape

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 from scipy.special import ndtri
@@ -97,21 +98,15 @@ def _bands(result: FitResult, one: int, height: np.ndarray) -> Iterator[tuple[np
     """Lengths that the allowed values give: exact for one parameter, by error propagation for several."""
     if result.problem.p == 1:
         for piece in result.theta_intervals[result.names[0]][BAND_LEVEL]:
-            family = np.array([_lengths_at(result, np.array([t]), one, height) for t in np.linspace(piece.low, piece.high, 25)])
+            family = _lengths_over(result, np.linspace(piece.low, piece.high, 25)[:, None], one, height)
             yield family.min(axis=0), family.max(axis=0)
         return
     if result.covariance is None:
         return
     middle = _lengths_at(result, result.theta, one, height)
     step = 1e-3 * np.sqrt(np.diag(result.covariance))
-    shifts = np.diag(step)
-    slope = np.array(
-        [
-            (_lengths_at(result, result.theta + shift, one, height) - _lengths_at(result, result.theta - shift, one, height))
-            / (2 * h)
-            for shift, h in zip(shifts, step, strict=True)
-        ]
-    )
+    up, down = (_lengths_over(result, result.theta + side * np.diag(step), one, height) for side in (1, -1))
+    slope = (up - down) / (2 * step[:, None])
     half = float(ndtri((1 + BAND_LEVEL) / 2)) * np.sqrt(np.einsum("pn,pq,qn->n", slope, result.covariance, slope))
     yield np.maximum(middle - half, 0), middle + half
 
@@ -131,7 +126,7 @@ def draw_information(result: FitResult, ax: Axes) -> None:
         together = np.nonzero(m.height == tall)[0]
         name = f"$H$ = {tall * scale[i]:.4g} {unit}" if m.in_si else rf"$H/\lambda_c$ = {tall:.4g}"
         name += f" ({len(together)} measured)" if len(together) > 1 else ""
-        share = np.array([_lengths_at(result, np.array([t]), i, np.array([tall]))[0] for t in theta]) / tall
+        share = _lengths_over(result, theta[:, None], i, np.array([tall]))[:, 0] / tall
         ax.plot(stiffness, share, color=color, label=name)
         ax.axhspan(*_measured_share(result, together), color=color, alpha=0.2, lw=0)
         largest = max(largest, float(share.max()))
@@ -199,7 +194,7 @@ def draw_profile(result: FitResult, name: str, ax: Axes) -> None:
         if one.log and below[-1] - below[0] > 1:
             ax.set_xscale("log")
     ax.set_ylim(0, limit)
-    ax.set_xlabel(_label(one))
+    _name(one, ax.xaxis)
     ax.set_ylabel("rise of the deviance")
     ax.legend(frameon=False, fontsize="small")
 
@@ -258,8 +253,8 @@ def draw_pair(
     if samples is not None:
         ax.plot(q.free[i].value(samples[:, i]), q.free[j].value(samples[:, j]), ".", color=LIGHT.ink, ms=1, alpha=0.4)
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=VERMILION, ms=8)
-    ax.set_xlabel(_label(q.free[i]))
-    ax.set_ylabel(_label(q.free[j]))
+    _name(q.free[i], ax.xaxis)
+    _name(q.free[j], ax.yaxis)
 
 
 def _window(result: FitResult, k: int, nodes: int) -> np.ndarray:
@@ -271,9 +266,16 @@ def _window(result: FitResult, k: int, nodes: int) -> np.ndarray:
     return np.linspace(max(one.low, low - pad), min(one.high, high + pad), nodes)
 
 
-def _label(one: Free) -> str:
+def _name(one: Free, axis: Axis) -> None:
+    """Label a finished axis; a power of ten goes into the unit, where Matplotlib would print it over a neighbour's label."""
     text = LABELS.get(one.name, one.symbol)
-    return text + (f" {one.label[one.label.index('[') :]}" if "[" in one.label else "")
+    power = int(np.floor(np.log10(max(np.abs(axis.get_view_interval()).max(), 1e-300))))
+    if axis.get_scale() == "linear" and not -2 <= power < 4:
+        axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
+        head, bracket, unit = text.removesuffix(")").rpartition("(") if text.endswith(")") else (text + " ", "(", "")
+        text = f"{head}{bracket}$10^{{{power}}}$ {unit}".rstrip() + ")"
+    text += f" {one.label[one.label.index('[') :]}" if "[" in one.label else ""
+    axis.set_label_text(text)
 
 
 def _display_unit(result: FitResult) -> tuple[np.ndarray, str]:
@@ -292,9 +294,15 @@ def _inputs_at(result: FitResult, theta: np.ndarray, row: int, height: np.ndarra
 
 def _lengths_at(result: FitResult, theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
     """Predicted lengths in stated λc."""
+    return _lengths_over(result, theta[None], row, height)[0]
+
+
+def _lengths_over(result: FitResult, theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
+    """The same at many θ, (t, p), in one batch; shape (t, heights)."""
     q = result.parameters
-    scale = np.exp(q.scale_base["length"][row] + q.scale_slope["length"][row] @ theta)
-    return lengths(_inputs_at(result, theta, row, height), 0).value * scale + q.offset[row] @ theta
+    y = np.concatenate([_inputs_at(result, one, row, height) for one in theta])
+    scale = np.exp(q.scale_base["length"][row] + theta @ q.scale_slope["length"][row])
+    return lengths(y, 0).value.reshape(len(theta), -1) * scale[:, None] + (theta @ q.offset[row])[:, None]
 
 
 def _groups(result: FitResult) -> list[np.ndarray]:

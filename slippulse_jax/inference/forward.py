@@ -4,8 +4,7 @@ The length is ℓ*, the exact solution's crossing (`slippulse_jax.exact_lengths`
 the domino starts, and costs microseconds a lane. What is measured at nucleation is closed in the two lattice modes.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -31,9 +30,8 @@ class Prediction(NamedTuple):
 def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """ℓ*, in λc: 0 where no domino starts, inf where the front never stops.
 
-    Its slopes, in the `columns` of y asked for, are central differences. ℓ* is analytic and known to about 1e-13,
-    which leaves some 1e-8 (by estimate; tests hold 1e-6). The values are the one program that a fit has to compile, and two of
-    them cost less than a lane of exact slopes.
+    Its slopes, in the `columns` of y asked for, are central differences, good to 1e-8 of the larger of slope and length (in ε to
+    1e-6 of the slope), by comparison with the exact ones; two values cost less than a lane of those.
 
     Raises
     ------
@@ -43,10 +41,12 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     if not order:
         return Prediction(_values(y), None)
     shifted = [y]
+    steps = np.tile(STEPS, (len(y), 1))
+    steps[:, 4] *= np.exp(-y[:, 0])
     for column in columns:
         for sign in (1, -1):
             moved = y.copy()
-            moved[:, column] += sign * STEPS[column]
+            moved[:, column] += sign * steps[:, column]
             # ν = 1/2 is the end of the domain
             moved[:, 2] = np.minimum(moved[:, 2], 0.5)
             shifted.append(moved)
@@ -57,15 +57,15 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
         apart = shifted[2 * i + 1][:, column] - shifted[2 * i + 2][:, column]
         # beside the run-away one side has no length
         ends = np.isfinite(up), np.isfinite(down)
-        apart = np.where(ends[0] & ends[1], apart, STEPS[column])
+        apart = np.where(ends[0] & ends[1], apart, steps[:, column])
         with np.errstate(invalid="ignore"):
             first[:, column] = (np.where(ends[0], up, value) - np.where(ends[1], down, value)) / apart
     first[~np.isfinite(value)] = 0
     return Prediction(value, first)
 
 
-STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 1e-8)
-"""Of the differences in y; of ε, which acts multiplied by ℓ*, the smallest."""
+STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 2e-5)
+"""Of the differences in y; that of ε, which acts multiplied by ℓ*, over H/λc."""
 
 
 def _values(y: np.ndarray) -> np.ndarray:
@@ -83,13 +83,13 @@ def _values(y: np.ndarray) -> np.ndarray:
 def displacements(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """Displacement of the pushed edge at nucleation, in u_s = f_s/k."""
     del columns  # all five cost nothing here
-    return _at_nucleation(displacement_at, y, order)
+    return _at_nucleation(0, y, order)
 
 
 def forces(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """Driving force at nucleation over that on one contact at its threshold, f_s: all that the contacts carry."""
     del columns
-    return _at_nucleation(force_at, y, order)
+    return _at_nucleation(1, y, order)
 
 
 PREDICTED = {"length": lengths, "displacement": displacements, "force": forces}
@@ -106,18 +106,23 @@ def force_at(y: Array) -> Array:
     return (1 - y[3]) * (modes.drive / modes.gap).sum()
 
 
-@partial(jax.jit, static_argnums=0)
-def _with_slope(function: Callable[[Array], Array], y: Float[Array, "L 5"]) -> tuple[Array, Array]:
-    return jax.vmap(function)(y), jax.vmap(jax.jacfwd(function))(y)
+@jax.jit
+def _both_with_slopes(y: Float[Array, "L 5"]) -> tuple[Float[Array, "L 2"], Float[Array, "L 2 5"]]:
+    """Displacement and force: one program, since whoever measures one of them mostly measures the other."""
+
+    def both(y: Array) -> Array:
+        return jnp.stack([displacement_at(y), force_at(y)])
+
+    return jax.vmap(both)(y), jax.vmap(jax.jacfwd(both))(y)
 
 
-def _at_nucleation(function: Callable[[Array], Array], y: np.ndarray, order: int) -> Prediction:
+def _at_nucleation(which: int, y: np.ndarray, order: int) -> Prediction:
     value, first = np.empty(len(y)), np.empty((len(y), 5))
     with jax.enable_x64(True):
         for start in range(0, len(y), LANES):
             part = slice(start, start + LANES)
             chosen = y[part]
             padded = np.concatenate([chosen, np.repeat(chosen[-1:], LANES - len(chosen), axis=0)])
-            one, slope = _with_slope(function, padded)
-            value[part], first[part] = np.asarray(one)[: len(chosen)], np.asarray(slope)[: len(chosen)]
+            found, slopes = (np.asarray(x)[: len(chosen), which] for x in _both_with_slopes(padded))
+            value[part], first[part] = found, slopes
     return Prediction(value, first if order else None)

@@ -5,15 +5,20 @@ the weights are the quadrature's, and sums over the samples are integrals.
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import ArrayLike
 
 from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.inference.parameters import STIFFEST
+from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES
+from slippulse_jax.inference.resolve import softest
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider, check_domain
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 NODES = 1201
 """Samples of a grid."""
@@ -152,6 +157,41 @@ class Knowledge:
         root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / spacing)
         return cls(theta[kept], weight[kept], root[kept], m.in_si)
 
+    @classmethod
+    def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
+        """What a fit says of its stiffness: the likelihood along its profile, the other parameters fitted anew at each value.
+
+        With one parameter that is the posterior of `from_measurements`; with several it stands for the marginal one, as far as
+        the profile of a parameter has its shape.
+
+        Parameters
+        ----------
+        result : FitResult
+            Of a fit of one stiffness, for all measurements.
+        nodes : int
+            Samples of the grid, about.
+
+        Raises
+        ------
+        ValueError
+            If no stiffness was fitted, or one for each specimen, or the data are in SI without Young's modulus.
+        """
+        from scipy.interpolate import PchipInterpolator
+
+        asked = [name for name in result.names if name.partition("[")[0] in STIFFNESSES]
+        if len(asked) != 1:
+            raise ValueError(f"the fit has {len(asked)} stiffnesses ({', '.join(asked)}): one is needed")
+        if asked[0] == "areal_stiffness_over_young":
+            raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
+        curve = result.curves[asked[0]]
+        low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))
+        node = curve.node[max(low[0] - 1, 0) : low[-1] + 2]
+        part = np.arange(len(node))
+        theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
+        deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
+        density = np.exp((deviance.min() - deviance) / (2 * result.rise.factor))
+        return cls(theta, density * np.gradient(theta), _roots(density), result.measurements.in_si)
+
     @property
     def mean(self) -> float:
         """Of ln(stiffness)."""
@@ -212,8 +252,7 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np
 def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """θ and ln of the weights of a grid, finer where the posterior is."""
     if bounds is None:
-        softest = 1e-2 / (2 * (1 + m.poisson) * m.height**3)
-        bounds = float((softest / ratio).min()), float((STIFFEST / ratio).max())
+        bounds = float((softest(m) / ratio).min()), float((STIFFEST / ratio).max())
     low, high = bounds
     if not 0 < low < high < np.inf:
         raise ValueError(f"bounds = ({low:g}, {high:g}): must be positive, finite and in increasing order")

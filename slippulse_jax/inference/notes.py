@@ -4,15 +4,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from slippulse_jax.inference.attainable import longest_over
 from slippulse_jax.inference.identifiability import PLATEAU
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.parameters import STIFFEST
+from slippulse_jax.inference.resolve import softest
 from slippulse_jax.inference.result import FitResult
+
+
+def before_fit(m: Measurements) -> Iterator[str]:
+    """Warnings that need no fit: lengths at or above the longest that any stiffness gives, with the inputs as stated."""
+    inputs = (np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    longest, _ = longest_over(np.stack(inputs, axis=1), np.log(softest(m)), np.full(len(m), np.log(STIFFEST)))
+    yield from _of_attainable(m, longest)
 
 
 def notes(result: FitResult) -> Iterator[str]:
     """Sentences, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
-    yield from _of_attainable(result)
+    yield from _of_attainable(result.measurements, result.attainable)
     if any(root.rebreaks.any() for root in result.roots[:1]):
         yield (
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
@@ -46,19 +57,18 @@ def _of_sigma(result: FitResult) -> Iterator[str]:
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
 
 
-def _of_attainable(result: FitResult) -> Iterator[str]:
-    m = result.measurements
+def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
     sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
     lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
-    above = lowest > result.attainable
+    above = lowest > attainable
     if above.any():
-        i = int(np.argmax(m.length / result.attainable))
+        i = int(np.argmax(m.length / attainable))
         where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
         yield (
             f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
-            f"worst at {where}: {m.length[i]:.6g} λc, attainable {result.attainable[i]:.6g} λc"
+            f"worst at {where}: {m.length[i]:.6g} λc, attainable {attainable[i]:.6g} λc"
         )
-    plateau = ~above & (m.length > PLATEAU * result.attainable)
+    plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any():
         ceiling = np.sqrt(2 * (1 + m.poisson[plateau][0])) * np.log(2)
         yield (

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import optax
 
 from slippulse_jax.inference.objective import Evaluation
 from slippulse_jax.status import Status
@@ -185,6 +184,8 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 def _adam(given: Starts, max_steps: int) -> Minimum:
     """optax.adam in units of a sixtieth of the box, its rate falling to nothing by a cosine."""
+    import optax
+
     rounds = 20 * max_steps
     unit = (given.high - given.low) / 60
     optimiser = optax.adam(optax.cosine_decay_schedule(1.0, rounds))
@@ -199,6 +200,7 @@ def _adam(given: Starts, max_steps: int) -> Minimum:
 def _lbfgs(given: Starts, max_steps: int) -> Minimum:
     """optax.scale_by_lbfgs a lane (vmapped), with a step halved until it gains; in units of the first metric."""
     import jax
+    import optax
 
     optimiser = optax.scale_by_lbfgs(memory_size=10)
     first = given.objective(given.theta, given.lane, 1)

@@ -236,10 +236,8 @@ def _default_bounds(m: Measurements, parameter: Parameter, rows: np.ndarray, ref
         low, high = _LIMITS.get(name, (-np.inf, np.inf))
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
-        # far below b = (λc/H)² no neighbour of the edge contact ever breaks: all lengths are zero
-        softest = (1e-2 / (2 * (1 + m.poisson) * m.height**3))[rows]
         per_unit = _ratio_per_unit(m)[rows]
-        return float((softest / per_unit).min()), float((STIFFEST / per_unit).max())
+        return float((softest(m)[rows] / per_unit).min()), float((STIFFEST / per_unit).max())
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
     by_name = {
         "offset": (-longest * size, longest * size),
@@ -259,6 +257,11 @@ def _default_bounds(m: Measurements, parameter: Parameter, rows: np.ndarray, ref
 
 
 _LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99)}
+
+
+def softest(m: Measurements) -> np.ndarray:
+    """k/K of each measurement, far below b = (λc/H)², at which no neighbour of the edge contact breaks: the length is zero."""
+    return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
 
 
 def _ratio_per_unit(m: Measurements) -> np.ndarray:

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-from scipy.stats import qmc
 
 from slippulse_jax.inference.attainable import attainable_of
 from slippulse_jax.inference.objective import Problem
@@ -45,6 +44,8 @@ def search(
 
 
 def _starts(problem: Problem, seed: int) -> np.ndarray:
+    from scipy.stats import qmc  # half a second to import, and most fits are of one parameter
+
     low, high = problem.parameters.low, problem.parameters.high
     sample = qmc.scale(qmc.Sobol(problem.p, rng=np.random.default_rng(seed)).random(SAMPLES), low, high)
     known = problem.prior_weight > 0
@@ -122,23 +123,35 @@ def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Found:
     at = problem(theta[None], order=2)
     assert at.metric is not None
     assert at.curvature is not None
-    metric, curvature = at.metric[0], at.curvature[0]
+    information = problem.information(theta)[0]
+    reach = problem.parameters.high - problem.parameters.low
+    singular = undetermined_axes(information * np.outer(reach, reach))
+    # a range as wide as the one searched, as a prior, makes the inverse exist and leaves alone what the data determine
+    vague = information + np.diag(1.0 / reach**2) * bool(singular.any())
+    # the scatter that the data happen to show moves the curvature in `discrepancy`; no prediction responds to that
+    predicted = np.arange(problem.p) != problem.parameters.discrepancy
+    share = _share(at.metric[0][np.ix_(predicted, predicted)], at.curvature[0][np.ix_(predicted, predicted)])
+    return Found(theta, deviance, np.linalg.inv(vague), singular, share)
+
+
+def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
+    """Least share of the metric in the second derivative, over all directions that this curves in."""
     unit = np.sqrt(np.maximum(np.maximum(np.abs(np.diag(curvature)), np.diag(metric)), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     told = values > 1e-8
     whitened = vectors[:, told] / np.sqrt(values[told])
     share = np.linalg.eigvalsh(whitened.T @ (metric / np.outer(unit, unit)) @ whitened)
-    information = problem.information(theta)[0]
-    singular = undetermined_axes(information)
-    # a range as wide as the one searched, as a prior, makes the inverse exist and leaves alone what the data determine
-    vague = information + np.diag(1.0 / (problem.parameters.high - problem.parameters.low) ** 2) * bool(singular.any())
-    return Found(theta, deviance, np.linalg.inv(vague), singular, float(share[0]) if len(share) else 1.0)
+    return float(share[0]) if len(share) else 1.0
 
 
 def undetermined_axes(information: np.ndarray) -> np.ndarray:
-    """Which parameters take part in a direction that the information says nothing of, to rounding; bool, (p,)."""
+    """Which parameters take part in a direction that the information says nothing of, to rounding; bool, (p,).
+
+    `information` is that of each parameter in units of the range searched for it: a standard error of a million such ranges
+    is rounding as well.
+    """
     unit = np.sqrt(np.diag(information))
-    empty = unit == 0
+    empty = unit < 1e-6
     unit = np.where(empty, 1, unit)
     values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
     return empty | (np.abs(vectors[:, values < 1e-10]) > 1e-3).any(axis=1)

@@ -129,12 +129,11 @@ def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, f
             column[chosen] = np.asarray(value)[: len(chosen)]
 
     chunks = [order[start : start + size] for start in range(0, len(order), size)]
+    for chunk in chunks[:1]:  # by itself: threads that meet a new program together would each compile it
+        run(chunk)
     if len(chunks) > 1:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(run, chunks))
-    else:
-        for chunk in chunks:
-            run(chunk)
+            list(pool.map(run, chunks[1:]))
 
 
 @functools.cache
