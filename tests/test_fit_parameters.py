@@ -80,7 +80,7 @@ def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
     lanes = np.vstack([np.exp(y.T[:2]), y.T[2:]])
     exact = solve_lanes(lanes, 1)
     found = lengths(y, 1, (2, 4)).first
-    np.testing.assert_allclose(found[:, 4], exact.gradient[:, 4], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 4], exact.gradient[:, 4], rtol=1e-7)
     np.testing.assert_allclose(found[:, 2], exact.gradient[:, 2], rtol=1e-4)  # one-sided at ν = 1/2
 
 

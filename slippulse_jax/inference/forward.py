@@ -64,7 +64,7 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     return Prediction(value, first)
 
 
-STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 2e-5)
+STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6)
 """Of the differences in y; that of ε, which acts multiplied by ℓ*, over H/λc."""
 
 
