@@ -30,8 +30,8 @@ class Prediction(NamedTuple):
 def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
     """ℓ*, in λc: 0 where no domino starts, inf where the front never stops.
 
-    Its slopes, in the `columns` of y asked for, are central differences, good to 1e-8 of the larger of slope and length (in ε to
-    1e-6 of the slope), by comparison with the exact ones; two values cost less than a lane of those.
+    Its slopes, in the `columns` of y asked for, are central differences: good to 1e-8 of the larger of slope and length but
+    next to run-away and where the domino just starts. Two values cost less than a lane of exact slopes.
 
     Raises
     ------
