@@ -11,19 +11,21 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 
 import click
+from pygments.lexers.special import TextLexer
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(HERE)]
 
 project = "slippulse_jax"
 author = "The slippulse_jax developers"
 copyright = author  # noqa: A001
 release = version = version_of("slippulse_jax")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
 templates_path = []
 exclude_patterns = ["_build", "tables", "figures", "pictures"]
+html_math_renderer = "mathml"
 nb_execution_mode = "off"
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -91,5 +93,6 @@ def as_text(app: object, what: str, name: str, obj: object, options: object, lin
 
 def setup(app: object) -> None:
     """Called by Sphinx."""
+    app.add_lexer("csv", TextLexer)  # pyright: ignore[reportAttributeAccessIssue]
     app.connect("autodoc-process-docstring", as_text)  # pyright: ignore[reportAttributeAccessIssue]
     app.connect("builder-inited", gather)  # pyright: ignore[reportAttributeAccessIssue]

@@ -131,11 +131,10 @@ def _explorer_class() -> Any:
                 control.observe(self._parameters_moved, "value")
             self.position.observe(self._position_moved, "value")
             widgets.jslink((self.play, "value"), (self.position, "value"))
-            left = [self.height, self.stiffness, self.poisson, self.prestress, self.slope, self.position, self.play]
-            row = widgets.HBox(
-                [widgets.VBox(left), self.picture], layout=widgets.Layout(flex_flow="row wrap", align_items="flex-start")
-            )
-            super().__init__([self.numbers, row])
+            controls = [self.height, self.stiffness, self.poisson, self.prestress, self.slope, self.position, self.play]
+            # as many beside each other as there is room for, so that the picture is in sight while one is moved
+            row = widgets.HBox(controls, layout=widgets.Layout(flex_flow="row wrap"))
+            super().__init__([self.numbers, row, self.picture])
             self._parameters_moved()
 
         @property

@@ -7,6 +7,7 @@ import pkgutil
 import re
 from pathlib import Path
 
+import documented
 import pytest
 
 import slippulse_jax as sp
@@ -23,7 +24,7 @@ def modules():
     return sorted(m.name for m in pkgutil.walk_packages(sp.__path__, "slippulse_jax."))
 
 
-def documented():
+def in_reference():
     """Names that the reference pages document, and the modules they document whole."""
     names, whole = set(), set()
     for path in (DOCS / "reference").glob("*.md"):
@@ -33,7 +34,7 @@ def documented():
 
 
 def test_every_public_name_is_in_the_reference():
-    names, whole = documented()
+    names, whole = in_reference()
     public = set(sp.__all__) - {"__version__"}
     assert public - names - whole == set()
     assert names <= public, "documented, but not public"
@@ -74,20 +75,38 @@ def test_examples_in_docstrings():
 PAGES = sorted(
     p.relative_to(DOCS).as_posix()
     for p in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"))
-    if "```python\n" in p.read_text(encoding="utf-8")
+    if documented.blocks(p, "python", "sh", "csv")
 )
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_examples_of_a_page_run(page, tmp_path, monkeypatch):
+    """Programs, commands and tables in their order, in one folder; pages mark what cannot run here as another kind of block."""
     import matplotlib.pyplot as plt
 
     monkeypatch.chdir(tmp_path)
     plt.switch_backend("Agg")
     scope = {"__name__": "__main__"}
-    for block in re.findall(r"^```python\n(.*?)^```$", (DOCS / page).read_text(encoding="utf-8"), flags=re.M | re.S):
-        exec(compile(block, page, "exec"), scope)
+    for kind, text in documented.blocks(DOCS / page, "python", "sh", "csv"):
+        if kind == "csv":
+            Path("my_lengths.csv").write_text(text, encoding="utf-8")
+        elif kind == "sh":
+            documented.run_shell(text)
+        else:
+            documented.run_python(text, page, scope)
     plt.close("all")
+
+
+def test_what_is_not_run_says_so():
+    """Blocks of another kind than those above are output, are put in from elsewhere, or need a cluster."""
+    for path in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"), ROOT / "README.md"):
+        kinds = re.findall(r"^```(.*)\n(?:.*\n)*?```$", path.read_text(encoding="utf-8"), flags=re.M)
+        other = {
+            kind
+            for kind in kinds
+            if kind not in ("python", "sh", "csv", "text") and not kind.startswith(("{toctree", "{include"))
+        }
+        assert other <= ({"bash", "{code-block} python"} if path.name == "clusters.md" else set()), path.name
 
 
 def test_links_between_pages_lead_somewhere():

@@ -2,14 +2,17 @@
 
 import ast
 import re
-import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import documented
 import nbformat
 import pytest
 from nbclient import NotebookClient
+
+import slippulse_jax
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "slippulse_jax"
@@ -69,19 +72,17 @@ def test_importing_changes_nothing():
 
 
 def test_unknown_name_is_an_attribute_error():
-    import slippulse_jax
-
     with pytest.raises(AttributeError, match="no attribute 'precurser_length'"):
         slippulse_jax.precurser_length  # noqa: B018
 
 
 def test_readme_examples_run(monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.M | re.S)
+    blocks = documented.blocks(ROOT / "README.md", "python")
     assert blocks
-    for block in blocks:
+    for _, block in blocks:
         scope = {}
-        exec(block, scope)
+        documented.run_python(block, "README.md", scope)
         assert int(scope["front"].contacts_broken) == 26
         assert scope["scan"].shape == (3, 3)
         assert scope["scan"][1, 2] == pytest.approx(25.7898, abs=1e-4)
@@ -98,6 +99,13 @@ def test_readme_commands_are_the_ones_ci_runs():
     assert "pytest" in command(2)
 
 
+def test_readme_table_is_read(tmp_path):
+    """The table in README is one that the package takes, and the command beside it is one there is."""
+    ((_, table),) = documented.blocks(ROOT / "README.md", "csv")
+    (tmp_path / "my_lengths.csv").write_text(table, encoding="utf-8")
+    assert slippulse_jax.read_measurements(tmp_path / "my_lengths.csv").length.shape == (2,)
+
+
 def test_readme_links_lead_somewhere():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if not link.startswith("http")]
@@ -110,10 +118,14 @@ EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/f
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_fit_example_runs_and_recovers(name):
-    """Each example's main() fits its data and checks what it recovers."""
-    assert (ROOT / "fit_examples" / name / "README.md").exists()
-    runpy.run_path(str(ROOT / "fit_examples" / name / "fit.py"))["main"]()
+def test_fit_example_runs_and_recovers(name, tmp_path, monkeypatch):
+    """What its README says to run: main() fits the data and checks what it recovers, and the command line takes them too."""
+    shutil.copytree(ROOT / "fit_examples", tmp_path / "fit_examples", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.chdir(tmp_path / "fit_examples" / name)
+    shutil.copy("lengths.csv", "my_lengths.csv")
+    ((_, commands),) = documented.blocks("README.md", "sh")
+    assert "python fit.py\n" in commands
+    documented.run_shell(commands)
 
 
 def test_there_are_examples():

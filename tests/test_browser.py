@@ -1,0 +1,151 @@
+"""`explore()` as a reader meets it: in JupyterLab, in a real browser, moved by keys and by the play button."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TOKEN = "slippulse"
+MISSING = [x for x in ("jupyterlab", "ipywidgets", "selenium") if find_spec(x) is None]
+MISSING += [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"no browser test without {', '.join(MISSING)}")
+
+
+@pytest.fixture
+def address(tmp_path):
+    """Address of a notebook of one cell, in a JupyterLab that knows no one's settings."""
+    import nbformat
+
+    cells = [nbformat.v4.new_code_cell("import slippulse_jax as sp\nsp.explore()")]
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    work = tmp_path / "work"
+    work.mkdir()
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=kernel), work / "explore.ipynb")
+    settings = tmp_path / "settings" / "@jupyterlab" / "apputils-extension"
+    settings.mkdir(parents=True)
+    (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false", "checkForUpdates": false}')
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name.lower()) for name in ("CONFIG", "DATA", "RUNTIME")}
+    folders |= {
+        "JUPYTERLAB_SETTINGS_DIR": str(tmp_path / "settings"),
+        "JUPYTERLAB_WORKSPACES_DIR": str(tmp_path / "workspaces"),
+    }
+    command = [sys.executable, "-m", "jupyterlab", "--no-browser", "--ip=127.0.0.1", f"--port={port}", "--allow-root"]
+    command += ["--ServerApp.port_retries=0", f"--IdentityProvider.token={TOKEN}", f"--ServerApp.root_dir={work}"]
+    with open(tmp_path / "server.log", "w") as log:
+        server = subprocess.Popen(
+            command, cwd=work, env=os.environ | folders | {"PYTHONPATH": str(ROOT)}, stdout=log, stderr=log
+        )
+    try:
+        wait_until_it_answers(f"http://127.0.0.1:{port}/api/status?token={TOKEN}", server, tmp_path / "server.log")
+        yield f"http://127.0.0.1:{port}/lab/tree/explore.ipynb?token={TOKEN}"
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def wait_until_it_answers(address, server, log):
+    deadline = time.monotonic() + 90
+    while True:
+        try:
+            urllib.request.urlopen(address, timeout=10).read()
+            return
+        except OSError:
+            assert server.poll() is None, log.read_text()
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.2)
+
+
+@pytest.fixture
+def browser(tmp_path):
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--window-size=1500,1150",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ):
+        options.add_argument(argument)
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    yield driver
+    driver.quit()
+
+
+def test_sliders_and_play_button_in_jupyterlab(browser, address, tmp_path):
+    """All cells are run from the menu, sliders are moved by keys, and the front is run by the play button."""
+    from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def wait(condition, seconds=120):
+        ignored = [StaleElementReferenceException, WebDriverException]
+        return WebDriverWait(browser, seconds, poll_frequency=0.2, ignored_exceptions=ignored).until(condition)
+
+    def find(css):
+        return browser.find_elements(By.CSS_SELECTOR, css)
+
+    def numbers():
+        found = find(".widget-html-content")
+        return found[0].text if found else ""
+
+    def prompt():
+        return find(".jp-InputPrompt")[0].text
+
+    def picture():
+        return find("img.widget-image")[0].get_attribute("src")
+
+    def count():
+        return int(find(".widget-readout")[5].text)
+
+    def shot(name):
+        folder = Path(os.environ.get("SCREENSHOTS", tmp_path))
+        assert browser.save_screenshot(str(folder / f"jupyterlab_{name}.png"))
+
+    def run_all():
+        """From the menu; a click before the page is ready is lost, so that it may take a second one."""
+        wait(lambda _: [x for x in find(".lm-MenuBar-item") if x.text == "Run"], 5)[0].click()
+        wait(lambda _: find(".lm-Menu-item[data-command='runmenu:run-all']:not(.lm-mod-disabled)"), 5)[0].click()
+        return wait(lambda _: "[*]" in prompt() or "[1]" in prompt(), 5)
+
+    browser.get(address)
+    wait(
+        lambda _: find(".jp-Notebook .jp-CodeCell .cm-content") and find(".jp-Notebook-ExecutionIndicator[data-status='idle']")
+    )
+    wait(lambda _: run_all())
+    wait(lambda _: "ℓ = 25.79" in numbers())
+
+    handles = find(".noUi-handle")
+    assert len(handles) == 6
+    before = picture()
+    handles[0].send_keys(Keys.ARROW_RIGHT)  # height, by one step of 0.5
+    wait(lambda _: "ℓ = 25.79" not in numbers() and picture() != before, 30)
+    assert float(re.search(r"ℓ = ([\d.]+)", numbers())[1]) == pytest.approx(26.31, abs=0.01)
+
+    # run the front: the count on the last slider goes from 0 to the end, and the picture follows
+    find(".jupyter-widgets.widget-play button")[0].click()
+    wait(lambda _: count() < 27, 30)
+    seen = picture()
+    shot("running")
+    wait(lambda _: picture() != seen, 30)
+    wait(lambda _: count() == 27, 60)
+    shot("stopped")
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not [e for e in errors if "widget" in e["message"].lower()], json.dumps(errors)
