@@ -22,6 +22,7 @@ for tall sliders these agree with 1 to eight digits.
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -34,7 +35,7 @@ Pair = tuple[Array, Array]  # V_1, V_2
 Terms = Float[Array, "k a"]
 
 
-class Roots(NamedTuple):
+class Roots(eqx.Module):
     """A = diag(r)(1 + w 1ᵀ), its eigenvalues, and their differences as sums of positive numbers."""
 
     rate: Float[Array, "2"]  # λ_m = −ln r_m
@@ -46,7 +47,8 @@ class Roots(NamedTuple):
     over_first: Float[Array, "2"]  # ρ_j − A_11
     over_second: Float[Array, "2"]  # ρ_j − A_22
     runaway: Float[Array, ""]  # (1 + G_00)/2
-    lattice: bool = True  # False: the same on a line, where κ_m, σ_j and W_m stand for 1 − r_m, 1 − ρ_j and r_m w_m
+    # False: the same on a line, where κ_m, σ_j and W_m stand for 1 − r_m, 1 − ρ_j and r_m w_m
+    lattice: bool = eqx.field(static=True, default=True)
 
 
 class Family(NamedTuple):

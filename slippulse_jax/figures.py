@@ -16,6 +16,9 @@ HEIGHT, STIFFNESS, POISSON, SITES = 25.0, 0.03, 0.3, 100
 
 STIFFNESSES = {0.03: LIGHT.vermilion, 0.01: LIGHT.blue, 0.003: LIGHT.ink}
 HEIGHTS = {10: LIGHT.vermilion, 25: LIGHT.blue, 50: LIGHT.ink}
+MARKERS = {LIGHT.vermilion: "D", LIGHT.blue: "s", LIGHT.ink: "o"}
+"""The paper's symbols."""
+
 FORMATS = ("png", "pdf", "svg")
 
 Table = dict[str, np.ndarray]
@@ -41,9 +44,8 @@ def fig2_stress() -> Table:
     slider, x = sp.Slider(HEIGHT, STIFFNESS, POISSON), np.arange(61)
     tip = np.asarray(sp.exact_front_stress(slider, x))
     before = np.asarray(sp.exact_fields(slider, 0, x).stress)
-    inner = np.linspace(0.01, 60, 600)
-    continuum = np.interp(x, inner, np.asarray(sp.theory.continuum_stress(slider, inner)))
-    frozen = np.interp(x, inner, np.asarray(sp.theory.frozen_stress(slider, inner)))
+    # at x = 0 their limit, contact 0 having broken
+    continuum, frozen = (np.asarray(f(slider, x)) for f in (sp.theory.continuum_stress, sp.theory.frozen_stress))
     return {"x": x, "nucleation": before, "front": tip, "extra": tip - before, "continuum": continuum, "frozen": frozen}
 
 
@@ -184,10 +186,14 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
     c.plot(x, tip["nucleation"], "--", color=LIGHT.blue)
     c.plot(x, tip["front"], "-", color=LIGHT.ink)
     c.plot(x, tip["extra"], ":", color=LIGHT.vermilion)
+    for level in ("continuum", "frozen"):
+        c.plot(x, tip[level], "-", color="0.55", lw=0.8, zorder=1)
+    c.text(59, 1.36, "thin: continuum, self-consistent\n(above) and with frozen slider", color="0.45", fontsize=8, ha="right")
     c.axhline(1, color="0.75", lw=0.8, zorder=0)
     c.axvline(26, color="0.75", lw=0.8, zorder=0)
     c.text(27, 0.03, "$\\Lambda=26\\,\\lambda_c$", fontsize=9)
     c.text(28, 1.06, "at the passing front", color=LIGHT.ink)
+    b.text(59, 1.42, "$H/\\lambda_c=25$, $k/K=0.03$, $\\nu=0.3$", fontsize=9, ha="right")
     c.text(1.2, 0.62, "at nucleation", color=LIGHT.blue)
     c.text(40, 0.17, "extra $\\Delta\\sigma_c$", color=LIGHT.vermilion)
     c.set(xlabel="$x/\\lambda_c$", ylabel="interface stress ($\\sigma_s$)", xlim=(0, 60), ylim=(0, 1.5))
@@ -195,6 +201,8 @@ def _draw_fig2(data: dict[str, Table]) -> Any:
 
 
 def _draw_fig3(data: dict[str, Table]) -> Any:
+    from matplotlib.legend_handler import HandlerTuple
+
     figure, (a, b) = _axes(2, 5.6)
     for ax, table, group, along, colours in (
         (a, data["fig3a"], "stiffness", "height", STIFFNESSES),
@@ -204,7 +212,7 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
             here = np.isclose(table[group], value)
             x = table[along][here]
             sparse = slice(None, None, 5 if ax is a else 4)
-            ax.plot(x[sparse], table["contacts"][here][sparse], "o", color=colour, ms=4.5, mfc="white", zorder=5)
+            ax.plot(x[sparse], table["contacts"][here][sparse], MARKERS[colour], color=colour, ms=4.5, mfc="white", zorder=5)
             for end, marker in (("free", "x"), ("clamped", "+")):
                 ax.plot(x[sparse], table[f"{end}_L{SITES}"][here][sparse], marker, color=colour, ms=5, mew=0.9, zorder=6)
             for level, style, width in (
@@ -219,20 +227,23 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
         ax.set(ylabel="$\\Lambda/\\lambda_c$", ylim=(0, 88))
     a.set(xlabel="$H/\\lambda_c$", xlim=(0, 74))
     b.set(xlabel="$k/K$", xscale="log", xlim=(9e-4, 0.28))
+    a.text(73, 2, "$\\nu=0.3$", fontsize=9, ha="right")
     kinds = [
-        a.plot([], [], style, color="0.3", mfc="white", ms=5, lw=width)[0]
-        for style, width in (("o", 1), ("x", 1), ("+", 1), ("-", 1.4), (":", 1.4), ("-.", 0.8), ("--", 0.8))
+        a.plot([], [], style, color="0.3", ms=5, lw=width)[0]
+        for style, width in (("x", 1), ("+", 1), ("-", 1.4), (":", 1.4), ("-.", 0.8), ("--", 0.8))
     ]
+    symbols = tuple(a.plot([], [], m, color=colour, mfc="white", ms=4.5)[0] for colour, m in MARKERS.items())
     labels = [
         "lattice, semi-infinite",
-        "lattice, $L=100\\,\\lambda_c$, free end",
+        "lattice, $L=100\\,\\lambda_c$, free end (none: runs through)",
         "the same, clamped end",
         "Eq. (58), corrected",
         "Eq. (25)",
         "continuum, self-consistent",
         "continuum, frozen slider",
     ]
-    a.legend(kinds, labels, frameon=False, fontsize=8)
+    together = {tuple: HandlerTuple(ndivide=None)}
+    a.legend([symbols, *kinds], labels, frameon=False, fontsize=8, handler_map=together)
     return figure
 
 

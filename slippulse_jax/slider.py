@@ -247,14 +247,21 @@ def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) ->
         raise ValueError(f"{name} = {value[tuple(index)]:g}{where}{more}: {requirement}")
 
 
+def of_one_type(slider: Slider, *others: Any) -> list[Array]:
+    """The fields of `slider` and `others`, of one floating type, and of one rank but for scalars; not broadcast."""
+    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
+    rank, dtype = max(x.ndim for x in values), jnp.result_type(float, *values)
+    return [x.astype(dtype).reshape((1,) * (rank - x.ndim) * (x.ndim > 0) + x.shape) for x in values]
+
+
 def broadcast(slider: Slider, *others: Any) -> list[Array]:
     """The fields of `slider` and `others`, of one shape and one floating type."""
-    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
-    dtype = jnp.result_type(float, *values)
-    shape = jnp.broadcast_shapes(*(x.shape for x in values))
-    return [jnp.broadcast_to(x.astype(dtype), shape) for x in values]
+    return list(jnp.broadcast_arrays(*of_one_type(slider, *others)))
 
 
 def each_slider(function: Any, slider: Slider, *others: Any) -> Any:
-    """``function(slider, *others)``, written for one slider and scalars, over all that broadcast together."""
-    return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*broadcast(slider, *others))
+    """``function(slider, *others)``, written for one slider and scalars, over all that broadcast together.
+
+    What depends on the slider alone is worked out once for each slider: `jnp.vectorize` maps only the axes an argument has.
+    """
+    return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*of_one_type(slider, *others))

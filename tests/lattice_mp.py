@@ -167,3 +167,39 @@ class Line:
         points += [s - x for x in steps if s - x > (points[-1] if points else 0)] + [s]
         first = (1 + self.q / (k + k**2)) * mp.exp(grown(s) - k * s)
         return first + mp.quad(source, points)
+
+    def edge_and_tail(self):
+        """t(0), t'(0)/t(0) and 𝒜 of t → 𝒜e^{−κ_2 s}, from t' = −κt + ½(1−β)κ(1 + even e^{−2κs})t + drive e^{−κ_2 s}."""
+        k, k2, KT, half = self.kappa, self.k[1], self.KT, (1 - self.beta) * self.kappa / 2
+        p = self.beta * k**2 / (k**2 - k2**2)
+        drive = p / (p + (KT - p * (k2 + k**2)) / (k + k**2)) * (k - k2)
+        first = 1 + self.q / (k + k**2)
+        return first, drive / first - k + half * (1 + (1 - k) / (1 + k)), drive / (k - k2 - half)
+
+    def fitted_length(self):
+        """Eq. (58) by labels cra57a–cra58, without any Ψ or A of the Appendix; nan where there is none."""
+        first, slope, far = self.edge_and_tail()
+        k2, target, over = self.k[1], mp.log(far / first), max(slope, 0)
+
+        def mismatch(x):
+            """Label cra57c, in x = ln(κ_3 − max(γ, 0))."""
+            k3 = mp.exp(x) + over
+            return (1 + k2 / k3) * mp.log((k2 + k3) / (k3 - slope)) - target
+
+        low, high = mp.log(self.kappa) - 30, mp.log(self.kappa) + 30
+        if not mismatch(low) > 0 > mismatch(high):
+            return mp.nan
+        k3 = mp.exp(bisected(mismatch, low, high)) + over
+        alpha, C = 1 + k2 / k3, (k2 + slope) / (k3 - slope)
+        B = (1 + C) ** alpha * first
+        # By = (y + C)^α beyond the edge, y = e^{κ_3 s} = 1, where the left side is the larger
+        far_enough = 10 * mp.log(2) / k2 * k3
+        return bisected(lambda x: mp.log(B) + x - alpha * mp.log(mp.exp(x) + C), mp.mpf(0), far_enough) / k3
+
+
+def bisected(function, low, high):
+    """Where `function` falls through zero."""
+    while high - low > mp.eps * 8 * max(abs(low), abs(high)):
+        middle = (low + high) / 2
+        low, high = (middle, high) if function(middle) > 0 else (low, middle)
+    return (low + high) / 2

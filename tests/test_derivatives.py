@@ -16,6 +16,10 @@ def length(theta):
     return precursor_length(Slider(theta[0], theta[1], theta[2]))
 
 
+def length_of_each(theta):
+    return precursor_length(Slider(*theta.T))
+
+
 def complex_step_gradient(theta, count):
     """Exact derivative of the interpolated crossing of a front that breaks `count` contacts."""
     gradient = np.zeros(3)
@@ -39,35 +43,44 @@ def points():
     return theta[chosen], ended.contacts_broken[chosen]
 
 
-def test_gradient_at_200_points(points):
+@pytest.fixture(scope="module")
+def gradients(points):
+    return np.asarray(jax.vmap(jax.grad(length))(points[0]))
+
+
+def test_gradient_at_200_points(points, gradients):
     theta, counts = points
-    got = np.asarray(jax.vmap(jax.grad(length))(theta))
     for i, count in enumerate(counts):
         expected = complex_step_gradient(theta[i], int(count))
-        worst = np.abs(got[i] - expected) * theta[i] / np.abs(expected * theta[i]).max()
+        worst = np.abs(gradients[i] - expected) * theta[i] / np.abs(expected * theta[i]).max()
         assert worst.max() <= 1e-7, theta[i]
 
 
-def test_all_modes_agree(points):
-    """jvp, jacfwd, grad, jacrev, and vmap of each, are one derivative."""
-    theta = points[0][:20]
-    reference = np.stack([jax.grad(length)(t) for t in theta])
-    for transform in (jax.jacfwd, jax.jacrev, jax.grad):
-        np.testing.assert_allclose(jax.vmap(transform(length))(theta), reference, rtol=1e-13)
+def test_all_modes_agree(points, gradients):
+    """Forward and reverse, of a batch and of one, mapped and not, are one derivative."""
+    theta = points[0]
     tangents = np.random.default_rng(0).normal(size=theta.shape)
-    _, along = jax.vmap(lambda t, d: jax.jvp(length, (t,), (d,)))(theta, tangents)
-    np.testing.assert_allclose(along, (reference * tangents).sum(axis=1), rtol=1e-10)
+    _, along = jax.jvp(length_of_each, (theta,), (tangents,))
+    np.testing.assert_allclose(along, (gradients * tangents).sum(axis=1), rtol=1e-10)
     value, gradient = jax.jit(jax.value_and_grad(length))(theta[0])
-    np.testing.assert_allclose(gradient, reference[0], rtol=1e-13)
+    np.testing.assert_allclose(gradient, gradients[0], rtol=1e-13)
     np.testing.assert_allclose(value, length(theta[0]), rtol=1e-13)
+    np.testing.assert_allclose(jax.jacfwd(length)(theta[0]), gradients[0], rtol=1e-13)
 
 
 def test_hessian_in_every_order_of_modes(points):
     theta = points[0][:6]
-    forward = np.asarray(jax.vmap(jax.jacfwd(jax.jacfwd(length)))(theta))
-    for outer, inner in ((jax.jacfwd, jax.jacrev), (jax.jacrev, jax.jacfwd), (jax.jacrev, jax.jacrev)):
-        np.testing.assert_allclose(jax.vmap(outer(inner(length)))(theta), forward, rtol=1e-9)
-    np.testing.assert_allclose(jax.vmap(jax.hessian(length))(theta), forward, rtol=1e-9)
+
+    def both(first):
+        """Second derivatives forward and in reverse over `first`, from one linearisation: hessian is forward over reverse."""
+        gradient, push = jax.linearize(jax.vmap(first), theta)
+        pull = jax.linear_transpose(push, theta)
+        every = np.broadcast_to(np.eye(3)[:, None], (3, *theta.shape))
+        return np.asarray(gradient), np.stack([push(x) for x in every], -1), np.stack([pull(x)[0] for x in every], -2)
+
+    _, forward, reverse = both(jax.jacfwd(length))
+    for other in (reverse, *both(jax.grad(length))[1:]):
+        np.testing.assert_allclose(other, forward, rtol=1e-9)
     # and against differences of complex-step gradients, which know nothing of JAX
     for t, hessian, count in zip(theta, forward, points[1][:6], strict=True):
         for i in range(3):

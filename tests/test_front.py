@@ -59,6 +59,23 @@ def test_right_end_changes_the_answer(right, count, length):
     assert round(float(front.length), 3) == length
 
 
+def test_length_of_the_chain_order_of_breaks_and_stress_behind_by_dense_solves():
+    """What was worked out before any code, at Fig. 2's parameters and beside them, by the matrix program alone."""
+    slider = 25.0, 0.03, 0.3
+    assert [plain_chain.first_precursor(*slider, 200, right)[0] for right in ("free", "clamped")] == [26, 26]
+    behind = [plain_chain.first_precursor(height, 0.03, 0.3)[3][0] for height in (25.0, 50.0)]
+    np.testing.assert_allclose(behind, [0.774, 0.987], atol=5e-4)  # in the second it all but breaks again
+    load, pinning = plain_chain.responses(*slider, sites=400, right="semi-infinite", reach=60)
+    for choose, count in ((np.min, 26), (np.max, 25)):  # of those at threshold: nearest to the edge, farthest from it
+        pinned, ready, broken = np.zeros(60), np.array([0]), []
+        while len(ready):
+            i = choose(ready)
+            broken.append(i)
+            pinned[i] = load[i] / load[0] + pinning[i] @ pinned
+            ready = np.flatnonzero(load / load[0] + pinning @ pinned - pinned >= 1)
+        assert len(broken) == len(set(broken)) == count
+
+
 def test_long_chains_agree_with_the_endless_one():
     endless = precursor_length(Slider(25, 0.03, 0.3))
     for right in ("free", "clamped"):

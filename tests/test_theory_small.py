@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from lattice_mp import Chain, Line
+from lattice_mp import Chain, Line, random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import theory
@@ -111,3 +111,30 @@ def test_continuum_at_both_levels(x):
     if np.isfinite(frozen):
         at = mp.mpf(float(frozen))
         assert abs(float((line.frozen(at) - 1) / mp.diff(line.frozen, at) / at)) < 1e-10
+
+
+def eq58_against_line(sliders):
+    """Worst relative error of Eq. (58); both sides must find a length, or none, on the same sliders."""
+    found = np.asarray(theory.length(sp.Slider(*sliders.T)))
+    expected = [Line(*x).fitted_length() for x in sliders]
+    np.testing.assert_array_equal(np.isnan(found), [mp.isnan(x) for x in expected])
+    return max(relative(x, y) for x, y in zip(found, expected, strict=True) if not mp.isnan(y))
+
+
+def test_eq58_from_the_frozen_equation_alone():
+    assert eq58_against_line(random_sliders(60, 5)) < 1e-10
+
+
+@pytest.mark.slow
+def test_eq58_over_two_thousand_sliders():
+    assert eq58_against_line(random_sliders(2000, 6)) < 1e-10
+
+
+def test_edge_and_tail_that_eq58_is_fitted_to_are_those_of_the_integrated_stress():
+    # the reference of the reference: value, slope and tail of the quadrature
+    line = Line(25, 0.03, 0.3)
+    first, slope, far = line.edge_and_tail()
+    step = mp.mpf(10) ** -12
+    assert abs(line.frozen(step) / first - 1 - slope * step) < 1e-20
+    s = 100 / line.kappa
+    assert relative(line.frozen(s) * mp.exp(line.k[1] * s), far) < 1e-15

@@ -26,7 +26,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax import double_series as series
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import Modes, lattice_modes
-from slippulse_jax.slider import Slider, broadcast, check_domain
+from slippulse_jax.slider import Slider, broadcast, check_domain, of_one_type
 from slippulse_jax.status import Status
 
 MAX_STEPS = 100
@@ -107,7 +107,8 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
     slider : Slider
         Fields that broadcast with `s`.
     s : array_like
-        Position of the front in λc. Whole numbers give the stresses of the recursion, past the arrest too.
+        Position of the front in λc. Whole numbers give the stresses of the recursion, past the arrest too. The series is solved
+        once for each slider, however many positions are asked for.
     prestress : array_like
         φ = σ_0/σ_s in (−1, 1).
 
@@ -118,7 +119,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    return _each(_stress, _is_zero(prestress), *broadcast(slider, prestress, s))
+    return _each(_stress, _is_zero(prestress), *of_one_type(slider, prestress, s))
 
 
 def _stress(no_prestress: bool, *arguments: Array) -> Array:
@@ -152,7 +153,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    return ExactFields(*_each(_fields, _is_zero(prestress), *broadcast(slider, prestress, s, site)))
+    return ExactFields(*_each(_fields, _is_zero(prestress), *of_one_type(slider, prestress, s, site)))
 
 
 def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]:
@@ -183,7 +184,11 @@ def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _each(function: Any, static: Any, *arguments: Array) -> Any:
-    """`function` of scalars, mapped over arguments of one shape; compiled once for each function and shape."""
+    """`function` of scalars, mapped over arguments that broadcast; compiled once for each function and set of shapes.
+
+    What depends on some of the arguments alone, as the series does on the slider, is worked out once for those: `jnp.vectorize`
+    maps only the axes that an argument has.
+    """
     return jnp.vectorize(lambda *scalars: function(static, *scalars))(*arguments)
 
 
@@ -212,9 +217,9 @@ def front_series(modes: Modes, prestress: Array | None) -> series.Solution:
 Plain = tuple[bool, bool]  # whether prestress, threshold slope are zero for certain
 
 
-def _excess(theta: Float[Array, "5"], s: Array, plain: Plain) -> Array:
+def _excess(theta: Float[Array, "5"], solution: series.Solution, s: Array, plain: Plain) -> Array:
     """t(s) − (1 + εs)."""
-    rise = series.rise(_solve(theta, plain[0]), s)
+    rise = series.rise(solution, s)
     return rise if plain[1] else rise - theta[4] * s
 
 
@@ -235,26 +240,28 @@ def _front(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array, Array]
 
 
 def _differentiable_crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
-    """(ℓ*, status), with the derivatives of an implicit function: dℓ* = −(∂excess/∂θ)·dθ / (∂excess/∂s)."""
+    """(ℓ*, status), with the derivatives of an implicit function: dℓ* = −d(excess) / (∂excess/∂s), d at fixed s.
+
+    The series is solved outside the rule: value and derivatives of any order share it, and its own derivatives are JAX's.
+    """
 
     @jax.custom_jvp
-    def crossing(theta: Array) -> tuple[Array, Array]:
-        return _crossing(theta, plain)
+    def crossing(theta: Array, solution: series.Solution) -> tuple[Array, Array]:
+        return _crossing(theta, solution, plain)
 
     @crossing.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
-        (theta,), (direction,) = primals, tangents
         # through `crossing` itself, so that the rule can be differentiated again
-        length, status = crossing(theta)
+        length, status = crossing(*primals)
         arrested = status == ExactStatus.ARRESTED
         at = jnp.where(arrested, length, 1)
-        _, change = jax.jvp(lambda x: _excess(x, at, plain), (theta,), (direction,))
-        slope = jax.grad(_excess, argnums=1)(theta, at, plain)
+        _, change = jax.jvp(lambda *x: _excess(*x, at, plain), primals, tangents)
+        _, slope = jax.jvp(lambda s: _excess(*primals, s, plain), (at,), (jnp.ones_like(at),))
         # a constant where nothing follows contact 0; never a number where there is no length
         elsewhere = jnp.where(status == ExactStatus.NO_DOMINO, 0, jnp.nan)
         return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))
 
-    return crossing(theta)
+    return crossing(theta, _solve(theta, plain[0]))
 
 
 class _Search(NamedTuple):
@@ -268,9 +275,8 @@ class _Search(NamedTuple):
     runs: Bool[Array, ""]
 
 
-def _crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
+def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain) -> tuple[Array, Array]:
     """The first crossing beyond 0, by Newton's method, and its status (in floating point)."""
-    solution = _solve(theta, plain[0])
     roots = solution.roots
     slope = jnp.zeros_like(theta[0]) if plain[1] else theta[4]
 

@@ -76,10 +76,10 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     def one(slider: Slider) -> Array:
         guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
 
-        def excess(x: Slider, s: Array) -> Array:
-            return series.stress(_solution(_line(x)), s) - 1
+        def excess(x: series.Solution, s: Array) -> Array:
+            return series.stress(x, s) - 1
 
-        return crossing(excess, slider, jnp.zeros_like(guess), 4 * guess + 4)
+        return crossing(excess, _solution(_line(slider)), jnp.zeros_like(guess), 4 * guess + 4)
 
     return each_slider(one, slider)
 

@@ -15,7 +15,8 @@ def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Arra
     """The x in [low, high] at which ``function(parameters, x)`` changes sign from + to −; NaN where it does not.
 
     Newton's method, with bisection wherever Newton leaves the bracket. Derivatives of every order and mode with respect
-    to `parameters`, dx = −(∂f/∂θ · dθ)/(∂f/∂x); `low` and `high` are only where to look, and carry none.
+    to `parameters` (any pytree), dx = −(∂f/∂θ · dθ)/(∂f/∂x); `low` and `high` are only where to look, and carry none.
+    What does not depend on x is best worked out before, and passed as `parameters`: the search then repeats none of it.
     """
 
     @jax.custom_jvp
@@ -45,7 +46,7 @@ def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Arra
     def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
         x = find(*primals)
         _, change = jax.jvp(lambda p: function(p, x), primals[:1], tangents[:1])
-        slope = jax.grad(function, argnums=1)(primals[0], x)
+        _, slope = jax.jvp(lambda y: function(primals[0], y), (x,), (jnp.ones_like(x),))
         return x, -change / slope
 
     return find(parameters, lax.stop_gradient(low), lax.stop_gradient(high))

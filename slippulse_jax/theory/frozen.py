@@ -96,21 +96,41 @@ def _a3_start(slider: Slider, printed: bool) -> Array:
     return (slider.kappa * psi3 + first) / (1 + slider.kappa)
 
 
-def _stress(slider: Slider, s: Array, printed: bool) -> Array:
+class _Integrated(NamedTuple):
+    """t(s) of one slider: [start·e^{−as} + Σ_n weight_n ∫_0^s e^{−a(s−y) − rate_n y} dy] e^{−g e^{−2κs}} + A_4(0)e^{−κ_2 s}."""
+
+    start: Array
+    a: Array
+    g: Array
+    kappa: Array
+    kappa_2: Array
+    rate: Float[Array, " terms"]
+    weight: Float[Array, " terms"]
+    A4_0: Array
+
+
+def _integrated(slider: Slider, printed: bool) -> _Integrated:
     """A_3(s) + A_4(s) from cra55, whose integrating factor is e^{as + gz}, z = e^{−2κs}, expanded in gz."""
     k, k2 = slider.kappa, slider.kappa_2
-    a = k * (1 + slider.beta) / 2
     g = _released(slider) * (1 - k) / (4 * (1 + k))
     source = _load(slider) * _psi2(slider) / (1 + k)
     slope_far = k * (1 + k) / 2
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
-    # e^{−as} ∫_0^s e^{(a − κ_2 − 2nκ)y} dy: the far part of Ψ_6' starts at n = 0, the near part at n = 1
+    # rate κ_2 + 2nκ: the far part of Ψ_6' starts at n = 0, the near part at n = 1
     n = np.arange(TERMS + 1)
-    held = overlap(a, k2 + 2 * n * k, s)
     power = jnp.concatenate([jnp.ones_like(k)[None], jnp.cumprod(g / n[1:TERMS])])  # gⁿ/n!
-    total = _a3_start(slider, printed) * jnp.exp(g - a * s)
-    total = total + source * (slope_far * (power @ held[:-1]) + slope_near * (power @ held[1:]))
-    return total * jnp.exp(-g * jnp.exp(-2 * k * s)) + _a4(slider, s)
+    weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
+    start = _a3_start(slider, printed) * jnp.exp(g)
+    return _Integrated(start, k * (1 + slider.beta) / 2, g, k, k2, k2 + 2 * n * k, weight, _a4(slider, jnp.zeros_like(k)))
+
+
+def _stress_of(x: _Integrated, s: Array) -> Array:
+    total = x.start * jnp.exp(-x.a * s) + x.weight @ overlap(x.a, x.rate, s)
+    return total * jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) + x.A4_0 * jnp.exp(-x.kappa_2 * s)
+
+
+def _stress(slider: Slider, s: Array, printed: bool) -> Array:
+    return _stress_of(_integrated(slider, printed), s)
 
 
 @partial(jax.jit, static_argnames="printed")
@@ -138,10 +158,10 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
     def one(slider: Slider) -> Array:
         guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
 
-        def excess(x: Slider, s: Array) -> Array:
-            return _stress(x, s, printed) - 1
+        def excess(x: _Integrated, s: Array) -> Array:
+            return _stress_of(x, s) - 1
 
-        return crossing(excess, slider, jnp.zeros_like(guess), 4 * guess + 2)
+        return crossing(excess, _integrated(slider, printed), jnp.zeros_like(guess), 4 * guess + 2)
 
     return each_slider(one, slider)
 
