@@ -6,7 +6,7 @@ import pytest
 from lattice_mp import random_sliders
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.exact import ExactStatus, exact_length
+from slippulse_jax.lattice.exact import ExactStatus, exact_front, exact_length
 from slippulse_jax.lattice.lane_series import Inputs, inputs_of
 from slippulse_jax.lattice.mode_jets import flatten, input_jets
 
@@ -40,6 +40,25 @@ def test_against_the_solution_one_by_one():
     np.testing.assert_allclose((found.gradient * scale)[arrested], (gradient * scale)[arrested], rtol=1e-8, atol=1e-9)
     flat = found.status == ExactStatus.NO_DOMINO
     assert np.all(found.gradient[flat] == 0)
+
+
+@pytest.mark.slow
+def test_twenty_thousand_lanes_against_the_solution_one_by_one():
+    lanes = random_lanes(20_000, 67)
+
+    def front(x):
+        return exact_front(sp.Slider(x[0], x[1], x[2]), prestress=x[3], threshold_slope=x[4])
+
+    one_by_one = jax.jit(lambda x: jax.lax.map(jax.vmap(front), x))(lanes.T.reshape(20, 1000, 5))
+    found, expected, status = bulk(lanes), one_by_one.length.ravel(), np.asarray(one_by_one.status).ravel()
+    np.testing.assert_array_equal(found.status, status)
+    finite = np.isfinite(expected)
+    np.testing.assert_array_equal(found.length[~finite], expected[~finite])
+    long = finite & (expected > 0.01)  # where the domino starts a length is as small, and as ill-conditioned, as one likes
+    worst = np.max(np.abs(found.length / np.where(long, expected, 1) - 1)[long])
+    print(f"worst relative difference {worst:.1e} of {long.sum()} lengths")
+    assert worst < 1e-11
+    np.testing.assert_allclose(found.length[finite & ~long], expected[finite & ~long], atol=1e-11)
 
 
 def test_gradient_against_differences():

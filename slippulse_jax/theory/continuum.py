@@ -37,6 +37,7 @@ class _Line(NamedTuple):
     start: Array  # V_m when contact 0 has broken, u_b(0) = u_s
     initial: Array  # V_m at nucleation (cra18), sum 1
     load: Array  # U0
+    excess: Array  # t(0) − 1: what contact 0, repinned at u_s, adds
 
 
 def _line(slider: Slider) -> _Line:
@@ -55,8 +56,9 @@ def _line(slider: Slider) -> _Line:
     per_load = amplitudes(jnp.ones_like(KT), KT)
     load = 1 / (per_load[0] + per_load[1])
     back = [amplitudes(-weight[n] * upper[n], weight[n] * (k[n] - slider.kappa**2)) for n in (0, 1)]
-    broken = load * per_load + amplitudes(jnp.zeros_like(KT), q)
-    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load)
+    released = amplitudes(jnp.zeros_like(KT), q)
+    broken = load * per_load + released
+    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load, released.sum())
 
 
 def _solution(line: _Line) -> series.Solution:
@@ -76,10 +78,14 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     def one(slider: Slider) -> Array:
         guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
 
-        def excess(x: series.Solution, s: Array) -> Array:
-            return series.stress(x, s) - 1
+        line = _line(slider)
 
-        return crossing(excess, _solution(_line(slider)), jnp.zeros_like(guess), 4 * guess + 4)
+        def excess(x: tuple[series.Solution, Array], s: Array) -> Array:
+            """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
+            solution, first = x
+            return first + series.rise(solution, s)
+
+        return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(guess), 4 * guess + 4)
 
     return each_slider(one, slider)
 

@@ -97,20 +97,21 @@ def _a3_start(slider: Slider, printed: bool) -> Array:
 
 
 class _Integrated(NamedTuple):
-    """t(s) of one slider: [start·e^{−as} + Σ_n weight_n ∫_0^s e^{−a(s−y) − rate_n y} dy] e^{−g e^{−2κs}} + A_4(0)e^{−κ_2 s}."""
+    """t(s) = [A_3(0) e^{g − as} + Σ_n weight_n ∫_0^s e^{−a(s−y) − rate_n y} dy] e^{−gz} + A_4(0) e^{−κ_2 s}, z = e^{−2κs}."""
 
-    start: Array
+    A3_0: Array
+    A4_0: Array
+    excess: Array  # A_0 − 1
     a: Array
     g: Array
     kappa: Array
     kappa_2: Array
     rate: Float[Array, " terms"]
     weight: Float[Array, " terms"]
-    A4_0: Array
 
 
 def _integrated(slider: Slider, printed: bool) -> _Integrated:
-    """A_3(s) + A_4(s) from cra55, whose integrating factor is e^{as + gz}, z = e^{−2κs}, expanded in gz."""
+    """A_3(s) + A_4(s) from cra55, whose integrating factor is e^{as + gz}, expanded in gz."""
     k, k2 = slider.kappa, slider.kappa_2
     g = _released(slider) * (1 - k) / (4 * (1 + k))
     source = _load(slider) * _psi2(slider) / (1 + k)
@@ -120,13 +121,22 @@ def _integrated(slider: Slider, printed: bool) -> _Integrated:
     n = np.arange(TERMS + 1)
     power = jnp.concatenate([jnp.ones_like(k)[None], jnp.cumprod(g / n[1:TERMS])])  # gⁿ/n!
     weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
-    start = _a3_start(slider, printed) * jnp.exp(g)
-    return _Integrated(start, k * (1 + slider.beta) / 2, g, k, k2, k2 + 2 * n * k, weight, _a4(slider, jnp.zeros_like(k)))
+    A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
+    # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to
+    excess = A3 + A4 - 1 if printed else jnp.asarray(slider.stiffness) / (k * (1 + k))
+    return _Integrated(A3, A4, excess, k * (1 + slider.beta) / 2, g, k, k2, k2 + 2 * n * k, weight)
 
 
 def _stress_of(x: _Integrated, s: Array) -> Array:
-    total = x.start * jnp.exp(-x.a * s) + x.weight @ overlap(x.a, x.rate, s)
+    total = x.A3_0 * jnp.exp(x.g - x.a * s) + x.weight @ overlap(x.a, x.rate, s)
     return total * jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) + x.A4_0 * jnp.exp(-x.kappa_2 * s)
+
+
+def _excess_of(x: _Integrated, s: Array) -> Array:
+    """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
+    kept = jnp.expm1(-x.a * s - x.g * jnp.expm1(-2 * x.kappa * s))
+    held = jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) * (x.weight @ overlap(x.a, x.rate, s))
+    return x.excess + x.A3_0 * kept + held + x.A4_0 * jnp.expm1(-x.kappa_2 * s)
 
 
 def _stress(slider: Slider, s: Array, printed: bool) -> Array:
@@ -158,10 +168,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
     def one(slider: Slider) -> Array:
         guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
 
-        def excess(x: _Integrated, s: Array) -> Array:
-            return _stress_of(x, s) - 1
-
-        return crossing(excess, _integrated(slider, printed), jnp.zeros_like(guess), 4 * guess + 2)
+        return crossing(_excess_of, _integrated(slider, printed), jnp.zeros_like(guess), 4 * guess + 2)
 
     return each_slider(one, slider)
 
