@@ -25,10 +25,10 @@ def fronts(*rows):
 
 
 def test_values_worked_out_before():
-    found = [theory.length_continuum(FIG2), theory.length_frozen(FIG2), theory.length(FIG2), theory.length_eq25(FIG2)]
-    np.testing.assert_allclose(found, [28.919, 26.219, 26.675, 26.680], atol=5e-4)
     np.testing.assert_allclose(theory.continuum_stress(FIG2, 0.0), 1.1163, atol=5e-5)
-    np.testing.assert_allclose(theory.appendix(FIG2).A0, 1.1161, atol=5e-5)
+    right = theory.appendix(FIG2)
+    np.testing.assert_allclose(right.A0, 1.1161, atol=5e-5)
+    np.testing.assert_allclose(right.length, 26.675, atol=5e-4)
     printed = theory.appendix(FIG2, printed=True)
     np.testing.assert_allclose(printed.A0, 0.854, atol=5e-4)
     assert np.isnan(printed.length)
@@ -273,8 +273,17 @@ def test_envelope_formula():
     assert np.max(np.abs(line - exact) / np.maximum(0.4, 0.016 * exact)) < 1
 
 
-@pytest.mark.parametrize("name", ["length", "length_eq25", "length_frozen", "length_continuum", "envelope_length"])
-def test_derivatives_and_batches(name):
+FIG2_LENGTHS = {
+    "length": 26.675,
+    "length_eq25": 26.680,
+    "length_frozen": 26.219,
+    "length_continuum": 28.919,
+    "envelope_length": 25.8,
+}
+
+
+@pytest.mark.parametrize("name", FIG2_LENGTHS)
+def test_values_derivatives_and_batches(name):
     function = getattr(theory, name)
     x = np.array([25.0, 0.03, 0.3])
     step = 1e-5 * np.diag(x)
@@ -290,7 +299,7 @@ def test_derivatives_and_batches(name):
     batch, forward, reverse = every(jnp.asarray(sliders))
     np.testing.assert_allclose(forward, reverse, rtol=1e-10)
     np.testing.assert_allclose(reverse, (batch[:3] - batch[3:6]) / (2 * np.diag(step)), rtol=2e-6, atol=1e-8)
-    np.testing.assert_allclose(batch[6], function(FIG2), rtol=1e-12)
+    np.testing.assert_allclose(batch[6], FIG2_LENGTHS[name], atol=0.4 if name == "envelope_length" else 5e-4)
 
 
 def test_asymptote():
