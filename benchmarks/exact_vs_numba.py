@@ -27,8 +27,9 @@ def main(count: int, sampled: int) -> None:
     u = np.random.default_rng(0).uniform(size=(3, count))
     points = 2 * 5e4 ** u[0], 1e-6 ** u[1], u[2] / 2
     slider, few = Slider(*points), tuple(np.ascontiguousarray(x[:: count // sampled]) for x in points)
-    cold = seconds(lambda: exact_lengths(slider))
+    began = time.perf_counter()
     found = exact_lengths(slider).length
+    cold = time.perf_counter() - began
     out = np.empty(few[0].size)
     parallel(*(x[:2] for x in few), out[:2])
     precursor_lengths(Slider(*few))
