@@ -1,7 +1,7 @@
 """Lengths by the hundred thousand: this package beside the alternatives a user has, in one run. Prints times and ratios.
 
 The same recursion in numba, serial and on all cores; a plain ``vmap``; and, for 200 of the points, one SciPy banded solve
-a break. Points: H/λc uniform 10–50, k/K log-uniform 1e-3–0.03, ν uniform 0.1–0.45. Run: python benchmarks/lengths.py.
+a break. Points: H/λc uniform 10–50, k/K log-uniform 1e-3–0.03, ν uniform 0.1–0.45. Run: python -m benchmarks.lengths.
 """
 
 import math
