@@ -252,11 +252,12 @@ def _differentiable_crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Ar
     @crossing.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
         # through `crossing` itself, so that the rule can be differentiated again
-        length, status = crossing(*primals)
+        theta, solution = primals
+        length, status = crossing(theta, solution)
         arrested = status == ExactStatus.ARRESTED
         at = jnp.where(arrested, length, 1)
-        _, change = jax.jvp(lambda *x: _excess(*x, at, plain), primals, tangents)
-        _, slope = jax.jvp(lambda s: _excess(*primals, s, plain), (at,), (jnp.ones_like(at),))
+        _, change = jax.jvp(lambda x, y: _excess(x, y, at, plain), primals, tangents)
+        _, slope = jax.jvp(lambda s: _excess(theta, solution, s, plain), (at,), (jnp.ones_like(at),))
         # a constant where nothing follows contact 0; never a number where there is no length
         elsewhere = jnp.where(status == ExactStatus.NO_DOMINO, 0, jnp.nan)
         return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))
