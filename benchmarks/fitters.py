@@ -8,7 +8,7 @@ package chooses its own starts, but for the row "its search alone", which gets t
 Reached: on the way from the estimate to the true value χ² nowhere rises by more than 3.84 above that of the true value.
 Number: the share of studies given an error bar, one of more than a factor e not counted. Holds: of those, the share whose 68 %
 bar holds the true value; for this package's intervals (which may be in pieces) too. (lmfit.conf_interval wants two parameters.)
-Run: python benchmarks/fitters.py [studies, 200 by default]
+Run: python benchmarks/fitters.py [studies, 100 by default]
 """
 
 import sys
@@ -170,8 +170,8 @@ def row(method: Callable[[Study], Answer], studies: list[Study]) -> str:
 
 
 def main() -> None:
-    """Print one table for each kind of study."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    """Print one table."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     warnings.filterwarnings("ignore", message="Covariance of the parameters")
     warnings.filterwarnings("ignore", category=UserWarning, module="lmfit")
