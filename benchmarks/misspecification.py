@@ -22,7 +22,6 @@ ERRORS = {
     "σ alone": [],
     "discrepancy": ["discrepancy"],
     "model factor 1 ± 0.1": [sp.Parameter("model_factor", prior=(1, 0.1))],
-    "discrepancy, model factor 1 ± 0.2": ["discrepancy", sp.Parameter("model_factor", prior=(1, 0.2))],
 }
 
 

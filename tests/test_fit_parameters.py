@@ -198,6 +198,7 @@ def test_a_fitted_discrepancy_does_not_hide_the_stiffness():
         )
         with_it = fit(m, ["stiffness", "discrepancy"])
         assert with_it.verdicts["stiffness"].identifiability is not Identifiability.AT_MAXIMUM
+        assert with_it.verdicts["discrepancy"].identifiability is not Identifiability.AT_BOUND  # none is needed
         (plain,), (wide,) = (one.theta_intervals["stiffness"][0.6827] for one in (fit(m), with_it))
         assert 1 < (wide.high - wide.low) / (plain.high - plain.low) < 3
 

@@ -141,6 +141,8 @@ def _at_an_end(j: int, e: Evidence, _: dict) -> Verdict | None:
     reach = 1e-6 * (q.high[j] - q.low[j])
     for end, at in (("lower", q.low[j]), ("upper", q.high[j])):
         if abs(e.best[j] - at) <= reach:
+            if j == q.discrepancy and end == "lower":
+                return Verdict(Identifiability.ONE_SIDED, "the data need none: it is bounded from above only")
             return Verdict(Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched")
     return None
 
