@@ -24,6 +24,7 @@ LINES = 8
 """Most lines of a family; an axis with more values makes a map."""
 
 
+@style.drawn
 def draw(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output: lines along one axis, one for each of at most 8 values of another, or a map over two.
 
@@ -62,7 +63,8 @@ def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -
     import matplotlib as mpl
 
     members = [column] if family is None else [column.isel({family: i}) for i in range(column.sizes[family])]
-    colours = mpl.colormaps["cividis"](np.linspace(0, 0.9, len(members)))
+    least, most = (0.3, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
+    colours = mpl.colormaps["cividis"](np.linspace(least, most, len(members)))
     for member, colour in zip(members, colours, strict=True):
         label = None if family is None else f"{float(member[family]):g}"
         ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)

@@ -6,7 +6,7 @@ drawn on; so a picture suits the page it is put on, whoever made the Axes.
 
 import functools
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -53,11 +53,15 @@ def colours(ax: Any) -> Colours:
     """The colours that can be read on an Axes: `DARK` where its background is dark, `LIGHT` elsewhere."""
     from matplotlib.colors import to_rgba
 
-    red, green, blue, alpha = to_rgba(ax.get_facecolor())
-    if alpha < 0.5:
-        red, green, blue, alpha = to_rgba(ax.figure.get_facecolor())
-    dark = alpha >= 0.5 and 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.4
-    return DARK if dark else LIGHT
+    face = ax.get_facecolor()
+    return DARK if _is_dark(face if to_rgba(face)[3] >= 0.5 else ax.figure.get_facecolor()) else LIGHT
+
+
+def _is_dark(colour: Any) -> bool:
+    from matplotlib.colors import to_rgba
+
+    red, green, blue, alpha = to_rgba(colour)
+    return alpha >= 0.5 and 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.4
 
 
 def settings(*, dark: bool = False) -> dict[str, Any]:
@@ -97,13 +101,21 @@ def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
         yield
 
 
+def _in_force() -> Any:
+    """The look, dark where the settings are; nothing where they are the look already, so that what was changed of it holds."""
+    import matplotlib as mpl
+
+    data = mpl.rcParams["axes.prop_cycle"].by_key().get("color", [])
+    return nullcontext() if tuple(data) in (LIGHT.data, DARK.data) else use(dark=_is_dark(mpl.rcParams["figure.facecolor"]))
+
+
 def axes(ax: "Axes | None" = None) -> "Axes":
-    """`ax`, or where there is none an Axes of a new pyplot figure of column width in the look."""
+    """`ax`, or where there is none an Axes of a new pyplot figure in the look, of column width unless that was changed."""
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
 
-    with use():
+    with _in_force():
         return plt.subplots()[1]
 
 
@@ -114,7 +126,7 @@ def drawn(function: Draw) -> Draw:
     def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
         if ax is not None:
             return function(*arguments, ax=ax, **options)
-        with use():
+        with _in_force():
             return function(*arguments, ax=axes(), **options)
 
     return draw  # pyright: ignore[reportReturnType]

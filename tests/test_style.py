@@ -79,6 +79,33 @@ def test_axes_are_made_where_none_are_given():
     plt.close(ax.figure)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [style.settings(dark=True), "dark_background", style.settings(), "default"],
+    ids=["dark", "mpl dark", "light", "mpl"],
+)
+def test_a_figure_made_under_any_settings_can_be_read(settings):
+    from slippulse_jax import plot
+
+    with plt.style.context(settings):
+        ax = plot.front_stress(np.array([1.0, 1.1, 0.9]), length=1.5)
+        saved = mpl.rcParams["savefig.facecolor"]
+        around = ax.figure.get_facecolor() if saved == "auto" else saved
+        words = [ax.xaxis.label, ax.yaxis.label, *ax.get_xticklabels(), *ax.get_legend().get_texts()]
+        assert min(style.contrast(text.get_color(), paper) for text in words for paper in (around, ax.get_facecolor())) > 4.5
+        assert min(style.contrast(line.get_color(), ax.get_facecolor()) for line in ax.lines) > 3
+    plt.close(ax.figure)
+
+
+def test_what_was_changed_of_the_look_holds():
+    from slippulse_jax import plot
+
+    with style.use(figure__figsize=(style.PAGE, 2)):
+        ax = plot.front_stress(np.array([1.0, 1.1, 0.9]))
+    assert tuple(ax.figure.get_size_inches()) == (style.PAGE, 2)
+    plt.close(ax.figure)
+
+
 def test_a_figure_made_by_a_drawing_function_has_the_look_throughout():
     from slippulse_jax import plot
 
