@@ -63,7 +63,7 @@ def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -
     import matplotlib as mpl
 
     members = [column] if family is None else [column.isel({family: i}) for i in range(column.sizes[family])]
-    least, most = (0.3, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
+    least, most = (0.4, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
     colours = mpl.colormaps["cividis"](np.linspace(least, most, len(members)))
     for member, colour in zip(members, colours, strict=True):
         label = None if family is None else f"{float(member[family]):g}"
@@ -71,7 +71,7 @@ def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -
     _scale(ax.set_xscale, column[along].values)
     ax.set(xlabel=LABELS[along], ylabel=_label(column))
     if family is not None:
-        ax.legend(title=LABELS[family], frameon=False)
+        ax.legend(title=LABELS[family], loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
 
 
 def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> None:
