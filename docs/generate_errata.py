@@ -14,33 +14,27 @@ from slippulse_jax import theory
 def page() -> str:
     """The page, as Markdown."""
     slider = sp.Slider(25.0, 0.03, 0.3)
-    right, wrong = theory.appendix(slider), theory.appendix(slider, printed=True)
+    right, wrong = theory.appendix(slider), theory.frozen_stress(slider, 0.0, printed=True)
     # α_2 as the bracket is printed, ½[1 − (κ² − √D/κ_T²)], beside the one that solves cra08 and cra09
     printed_alpha = (1 - (slider.kappa**2 - slider.mode_splitting / slider.kappa_T**2)) / 2
     soft = sp.Slider(6.84029016, 3.56033954e-03, 0.297661153)
     tall = sp.Slider(75_000.0, 1 / (2.6 * 75_000), 0.3)
-    # everything of one kind in one call: each shape would be compiled anew
-    height = np.array([25.0, 25, 25, 6.84029016, 25, 25, 25, 25])
-    stiffness = np.where(height == 25, 0.03, 3.56033954e-03)
-    poisson = np.where(height == 25, 0.3, 0.297661153)
-    fronts = sp.exact_front(
-        sp.Slider(height, stiffness, poisson),
-        prestress=np.array([0.4, 0.5, 0.6, 0.6085, 0, 0, 0, 0]),
-        threshold_slope=np.array([0, 0, 0, 0, -1e-3, 0, 1e-3, 1e-2]),
-    )
-    runs, soft_count, slope = fronts.length[:3], int(fronts.contacts_broken[3]), fronts.length[4:]
+    # all lengths in one call, as rows H/λc, k/K, φ, ε at ν = 0.3 but for the soft slider: each shape would be compiled anew
     q = np.geomspace(1e-3, 1, 600)
-    many = np.asarray(
-        sp.exact_length(
-            sp.Slider(
-                np.append(np.repeat([10.0, 25.0, 50.0], 600), [25.0, 75_000.0]),
-                np.append(np.tile(q, 3), [0.03, tall.stiffness]),
-                0.3,
-            )
-        )
+    peak = [(height, x, 0, 0) for height in (10.0, 25.0, 50.0) for x in q]
+    fig2 = [(25.0, 0.03, phi, 0) for phi in (0.4, 0.5, 0.6)] + [(25.0, 0.03, 0, eps) for eps in (-1e-3, 0, 1e-3, 1e-2)]
+    rows = np.array([*peak, *fig2, (tall.height, tall.stiffness, 0, 0), (soft.height, soft.stiffness, 0.6085, 0)], float)
+    poisson = np.append(np.full(len(rows) - 1, 0.3), soft.poisson)
+    fronts = sp.exact_front(sp.Slider(rows[:, 0], rows[:, 1], poisson), prestress=rows[:, 2], threshold_slope=rows[:, 3])
+    lengths = np.asarray(fronts.length)
+    runs, slope, tall_length, soft_count = (
+        lengths[1800:1803],
+        lengths[1803:1807],
+        lengths[1807],
+        int(fronts.contacts_broken[1808]),
     )
-    fig2, tall_length = many[-2:]
-    peaks = [f"{q[np.argmax(length)]:.3f}" for length in many[:-2].reshape(3, 600)]
+    fig2_length = slope[1]
+    peaks = [f"{q[np.argmax(length)]:.3f}" for length in lengths[:1800].reshape(3, 600)]
     return f"""# Errata of the paper, and where this project differs
 
 Every number on this page is computed by `docs/generate_errata.py`; a test holds the page to it. Labels are those of the
@@ -52,7 +46,7 @@ paper's LaTeX source. Parameters, unless said otherwise: Fig. 2, $H/\\lambda_c =
 |---|---|---|---|
 | below cra18 | $\\alpha_m = \\frac12[1 - (\\kappa^2 \\pm \\sqrt{{\\mathcal D}}/\\kappa_T^2)]$ | $\\frac12[1 - (\\kappa^2 \\pm \\sqrt{{\\mathcal D}})/\\kappa_T^2]$ | $\\alpha_2$: {float(printed_alpha):.2f} against {float(slider.alpha_2):.4f}, which is $1-\\kappa_2^2/\\kappa_T^2$ = {float(1 - (slider.kappa_2 / slider.kappa_T) ** 2):.4f} |
 | cra45b, cra45c | $A_{{40}}+A_{{30}} = \\frac12\\beta U\\kappa/(\\kappa+\\kappa_2)$ | without the ½ | cra45d1 and cra45d2 follow only without it; $u(0) = u_s$ at $U_0$ = {float(right.U0):.4f} |
-| cra54, cra54b | $-\\kappa(\\lambda_c\\kappa^2+\\kappa_2)/(\\kappa^2-\\kappa_2^2)$ in front of $e^{{-(\\kappa+\\kappa_2)s}}$ | $\\frac12\\kappa(1-\\lambda_c\\kappa)/(\\kappa+\\kappa_2)\\,(1/\\Psi_2-1)$ | $A_0$ = {float(wrong.A0):.3f} printed: the front could not start; {float(right.A0):.4f} corrected; {float(theory.continuum_stress(slider, 0.0)):.4f} self-consistent |
+| cra54, cra54b | $-\\kappa(\\lambda_c\\kappa^2+\\kappa_2)/(\\kappa^2-\\kappa_2^2)$ in front of $e^{{-(\\kappa+\\kappa_2)s}}$ | $\\frac12\\kappa(1-\\lambda_c\\kappa)/(\\kappa+\\kappa_2)\\,(1/\\Psi_2-1)$ | $A_0$ = {float(wrong):.3f} printed: the front could not start; {float(right.A0):.4f} corrected; {float(theory.continuum_stress(slider, 0.0)):.4f} self-consistent |
 
 The Appendix also writes $\\sigma$ for Poisson's ratio and $a$ for $\\lambda_c$. Eq. (25) is not touched by any of these.
 `tests/test_theory.py` integrates the frozen equations (cra08–cra27) directly, without any $\\Psi$ or $A$, and finds the
@@ -62,7 +56,7 @@ corrected forms. Printed forms are to be had with `printed=True`.
 
 | Claim | Found |
 |---|---|
-| Eq. (58) and Eq. (25) agree with the numerics | exact lattice {fig2:.3f} ({int(np.ceil(fig2))} contacts), self-consistent continuum {float(theory.length_continuum(slider)):.3f}, frozen continuum {float(theory.length_frozen(slider)):.3f}, Eq. (58) {float(right.length):.3f}, Eq. (25) {float(theory.length_eq25(slider)):.3f}: they agree here by errors that cancel, discreteness (down) and the frozen slider (down) |
+| Eq. (58) and Eq. (25) agree with the numerics | exact lattice {fig2_length:.3f} ({int(np.ceil(fig2_length))} contacts), self-consistent continuum {float(theory.length_continuum(slider)):.3f}, frozen continuum {float(theory.length_frozen(slider)):.3f}, Eq. (58) {float(right.length):.3f}, Eq. (25) {float(theory.length_eq25(slider)):.3f}: they agree here by errors that cancel, discreteness (down) and the frozen slider (down) |
 | Eq. (25) holds for tall sliders | at $b = 1$ and $H/\\lambda_c = 75\\,000$: lattice $\\Lambda/H$ = {tall_length / 75_000:.4f}, macroscopic law {float(theory.macroscopic_length(1.0, 0.3)):.4f}, Eq. (25) {float(theory.length_eq25(tall)) / 75_000:.4f}: it freezes the upper layer |
 | $\\Lambda$ grows with $k/K$ | it peaks at $k/K$ = {", ".join(peaks)} for $H/\\lambda_c$ = 10, 25, 50 and falls beyond |
 | $\\Lambda(\\epsilon) \\approx \\Lambda(0)(1-\\epsilon)$ | with $\\sigma_s(i) = \\sigma_{{s0}}(1+\\epsilon i)$, $\\epsilon$ = −0.001, 0, 0.001, 0.01: {", ".join(f"{float(x):.2f}" for x in slope)}; the relative change is far larger than $\\epsilon$ per contact |
