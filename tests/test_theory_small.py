@@ -122,6 +122,7 @@ def eq58_against_line(sliders):
 
 
 def test_eq58_from_the_frozen_equation_alone():
+    """Labels cra56b, cra56c, cra57a, cra57b, cra57c and cra58, at 50 digits."""
     assert eq58_against_line(random_sliders(60, 5)) < 1e-10
 
 
