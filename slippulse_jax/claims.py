@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax import theory
@@ -17,7 +18,7 @@ from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.lattice.cascade import nucleate, rupture
 from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import chain, relaxed
-from slippulse_jax.lattice.distribution import ThresholdDistribution, smooth_width, stability
+from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.lattice.dynamics import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
 from slippulse_jax.lattice.events import Steps, series
 from slippulse_jax.lattice.interface_front import runaway_prestress
@@ -220,9 +221,25 @@ def _distribution() -> Finding:
     text = (
         f"a contact at the edge, whose surroundings have K_s = {float(found.surroundings_at_edge):.2f} k, is stable by itself beyond "
         f"widths (in u_s) of {width['normal']:.3f} (normal), {width['uniform']:.3f} (uniform), {width['weibull']:.3f} (Weibull, "
-        "1/shape)"
+        "1/shape). The whole chain, whose contacts fall together, is loaded without a jump beyond "
+        f"{', '.join(f'{_whole_chain_smooth(kind):.3f}' for kind in width)}"
     )
     return Finding(text, _verdict(all(np.isfinite(w) for w in width.values())))
+
+
+def _whole_chain_smooth(kind: Kind) -> float:
+    """Width beyond which the load along the path of the first contact of 40 never falls, by bisection."""
+
+    @jax.jit
+    def falls(width: jax.Array) -> jax.Array:
+        law = force_law(ThresholdDistribution(kind, width))
+        return (jnp.diff(edge_loads(chain(fig2(), sites=40, law=law), jnp.arange(0.01, 2.5, 0.01))) <= 0).any()
+
+    low, high = 0.02, 0.5
+    for _ in range(12):
+        middle = (low + high) / 2
+        low, high = (middle, high) if falls(jnp.asarray(middle)) else (low, middle)
+    return high
 
 
 @claim("C13", "without ageing all precursors have about the same length, the stress peak creeping on between them")

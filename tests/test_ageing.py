@@ -1,5 +1,6 @@
 """Ageing: crossings against a root finder, limits, and events that grow until one spans (C14)."""
 
+import jax
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -54,6 +55,7 @@ def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
     plain = plain_series.PlainSeries((10.0, 0.03, 0.3), np.ones(30), np.zeros(30), "free", lambda a: 0.5 + 0 * a)
     chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=30, right="free")
     got = sp.series(chain, events=12, ageing=sp.Ageing(0.5, 1e12), recorded_breaks=2000, stop_when_spanning=False)
+    got = jax.tree.map(np.asarray, got)
     for e in range(12):
         assert list(got.break_site[got.break_event == e]) == plain.event()
 

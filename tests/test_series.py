@@ -38,6 +38,7 @@ def test_against_dense_program(protocol, right, ageing):
     chain = sp.chain(sp.Slider(*slider), sites=sites, right=right, threshold=theta, prestress=phi)
     aged = None if ageing is None else sp.Ageing(ageing[1], ageing[2], ageing[0])
     got = sp.series(chain, protocols[protocol], events=events, ageing=aged, recorded_breaks=4000, stop_when_spanning=False)
+    got = jax.tree.map(np.asarray, got)
     assert int(got.status) == SeriesStatus.DONE
     for e in range(events):
         order = plain.event(0.21 if protocol == "steps" else None)

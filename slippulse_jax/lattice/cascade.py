@@ -1,6 +1,6 @@
 """One rupture of any interface: the most overloaded contact breaks and repins, again and again, until none is overloaded.
 
-The breaks themselves are in `slippulse_jax.lattice.breaks`.
+How the next contact is found is in `slippulse_jax.lattice.breaks`.
 
 Accuracy. A break multiplies and adds positive numbers, so it can only pass on the relative error of the stresses and add
 its own: with ε the relative error of the response (a few units u in the last place per site over the decay length) and
@@ -11,16 +11,15 @@ what is seen is far less; the final fields are solved afresh, and `Rupture.drift
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice.blocks import all_opened
-from slippulse_jax.lattice.breaks import run, run_delayed
+from slippulse_jax.lattice.blocks import Moves, all_opened, whole
+from slippulse_jax.lattice.breaks import Broken, check_delay, run
 from slippulse_jax.lattice.chain import Chain, State
-from slippulse_jax.lattice.contacts import check_delay
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
+from slippulse_jax.lattice.kernel import as_one_kernel
 from slippulse_jax.lattice.one_by_one import lane_by_lane
 from slippulse_jax.lattice.response import Response, into_blocks, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
@@ -66,30 +65,61 @@ class Rupture(NamedTuple):
     status: Int[Array, ""]
 
 
+class Record(NamedTuple):
+    """What is kept of every break."""
+
+    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
+    released: Float[Array, " L"]  # stress each break gave up
+    breaks: Int[Array, ""]
+    energy: Float[Array, ""]  # released, in K u_s²
+    furthest: Int[Array, ""]  # rightmost site broken so far
+    overload: Float[Array, ""]  # its overload when it first broke
+
+
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
     resp = shared_response(chain)
     return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
 
 
-def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Broken:
+    """Break after break, each recorded."""
     max_breaks, delay = limits
+    size = resp.near.shape[1]
+    none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
+    start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+
+    soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
+
+    def loop(resp: Response, soft: Array, stress: Array, threshold: Array, trigger: Array) -> Broken:
+        def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
+            site = moves.sites[-1]
+            return Record(
+                order=record.order.at[record.breaks].set(site),
+                released=record.released.at[record.breaks].set(t),
+                breaks=record.breaks + 1,
+                energy=record.energy + t * (t + after) * soft[site],
+                furthest=jnp.maximum(site, record.furthest),
+                overload=jnp.where(site > record.furthest, t - threshold[site], record.overload),
+            )
+
+        limit, held = into_blocks(threshold, size, jnp.inf), into_blocks(stress, size)
+        begin = whole(held, limit), jnp.zeros_like(held)
+        return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
+
+    given = (resp, soft, stress, threshold, trigger)
+    return loop(*given) if delay else as_one_kernel(loop, *given)
+
+
+def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
     before = equilibrium(chain, state)
     good = before.status == EquilibriumStatus.SOLVED
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    size, n = resp.near.shape[1], chain.sites
-    threshold = jnp.where(safe.contact > 0, safe.threshold, jnp.inf)  # a detached contact has nothing to break
-    stress = into_blocks(jnp.where(good, before.stress, 0), size)
-    threshold = jnp.where(good, threshold, jnp.inf)
-    trigger = jnp.where(good, trigger, -1)
-    if delay:
-        limited = eqx.tree_at(lambda c: c.threshold, safe, threshold)
-        done = run_delayed(delay, max_breaks, limited, resp, stress, trigger)
-    else:
-        contact = into_blocks(safe.contact, size)
-        done = run(max_breaks, resp, stress, into_blocks(threshold, size, jnp.inf), contact, trigger)
-    record = done.record
-    stress = all_opened(resp, done.stresses).reshape(-1)[:n]
-    slip = done.slip.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
+    n = chain.sites
+    # a detached contact has nothing to break
+    threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
+    done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
+    record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
+    slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
     after = equilibrium(safe, after_state)
     ahead = jnp.minimum(record.furthest + 1, n - 1)
@@ -113,7 +143,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
         broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
         slip=slip,
         stress_drop=before.stress - after.stress,
-        energy=record.energy * safe.stiffness**2,
+        energy=record.energy,
         extent=record.furthest + 1,
         length=length_or_reason(status, length),
         drift=jnp.abs(stress - after.stress).max(),

@@ -10,7 +10,7 @@ and is since then as new). It tends to ⟨x²⟩/2⟨x⟩. A narrow P_c makes a 
 
 A contact in surroundings of stiffness K_s is stable where its own force falls less steeply than K_s can follow, k F' > −K_s.
 On the lattice K_s = k(1 − G_00)/G_00, with G_00 the response of the site to its own pinning point; neighbours that themselves
-fall are softer, so that the whole chain loses stability earlier: where its tangent stiffness stops being positive.
+fall are softer, so that the whole chain loses stability earlier: where its load comes down as the first contact is drawn on.
 """
 
 from typing import Literal, NamedTuple, get_args
@@ -25,6 +25,8 @@ from jax.scipy.special import gamma, ndtr
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.lattice.chain import Chain, State
+from slippulse_jax.lattice.equilibrium import imbalance
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.quantities import quantity_field
 from slippulse_jax.slider import Slider
@@ -186,6 +188,50 @@ def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int 
     fall = force_law(thresholds, points=points).steepest_fall
     bulk, edge = (1 - bulk) / bulk, (1 - edge) / edge
     return Stability(fall, bulk, edge, fall > -jnp.minimum(bulk, edge))
+
+
+def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array, " L"]:
+    """Load at which the contact at the left edge has each of these stretches, of a chain whose contacts have a force law.
+
+    The relaxed chain is followed by the stretch of its first contact, which goes on growing where the load would have to come
+    down. So the whole chain slides smoothly if and only if the load increases all along; where it falls, a chain under
+    a growing load jumps: an event begins.
+
+    Parameters
+    ----------
+    chain : Chain
+        With a `law`; meant for tens of sites, since the matrix is dense.
+    stretch : array, shape (L,)
+        Increasing from near zero, in u_s, in steps small beside the width of the thresholds.
+
+    Returns
+    -------
+    array, shape (L,)
+        In u_s; NaN where Newton's method did not converge.
+    """
+    n = chain.sites
+    pinning = jnp.zeros_like(chain.contact)
+
+    def forces(free: Array, stretch: Array) -> Array:
+        upper, layer = free[:n], jnp.append(stretch, free[n:])
+        left = imbalance(chain, State(pinning, upper[0]), (upper, layer))
+        return jnp.concatenate([left[0][1:], left[1]])
+
+    def step(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        free, stretch, _, count = carry
+        moved = jnp.linalg.solve(jax.jacfwd(forces)(free, stretch), -forces(free, stretch))
+        return free + moved, stretch, jnp.abs(moved).max(), count + 1
+
+    def going(carry: tuple) -> Array:
+        _, _, moved, count = carry
+        return (moved > 1e-11) & (count < 50)
+
+    def follow(free: Array, stretch: Array) -> tuple[Array, Array]:
+        start = free, stretch, jnp.full_like(stretch, jnp.inf), jnp.zeros((), jnp.int32)
+        free, _, moved, _ = lax.while_loop(going, step, start)
+        return free, jnp.where(moved <= 1e-11, free[0], jnp.nan)
+
+    return lax.scan(follow, jnp.zeros(2 * n - 1, chain.contact.dtype), jnp.asarray(stretch))[1]
 
 
 def smooth_width(slider: Slider, kind: Kind, *, points: int = 801) -> float:

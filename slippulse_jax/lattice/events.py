@@ -12,11 +12,14 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from jaxtyping import Float
 
 from slippulse_jax.lattice.ageing import Ageing
+from slippulse_jax.lattice.blocks import all_opened
+from slippulse_jax.lattice.breaks import check_delay
 from slippulse_jax.lattice.catalogue import Catalogue
 from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy, relaxed
-from slippulse_jax.lattice.contacts import check_delay, contacts_of
+from slippulse_jax.lattice.contacts import Contacts, contacts_of
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
-from slippulse_jax.lattice.loading import Loading, load_through, recorded, start
+from slippulse_jax.lattice.kernel import as_one_kernel
+from slippulse_jax.lattice.loading import Loading, Now, load_through, recorded, start
 from slippulse_jax.lattice.one_by_one import lane_by_lane
 from slippulse_jax.lattice.response import Response, into_blocks, shared_response
 
@@ -118,6 +121,7 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     events, max_breaks, room, stop, delay = shape
     ahead = int(isinstance(protocol, Spring))  # sites put before the chain's own
     by = Loading(
+        response=resp,
         contacts=contacts_of(chain, resp),
         ageing=ageing,
         velocity=jnp.asarray(protocol.velocity),
@@ -133,9 +137,14 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # all that a relaxed chain carries
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
     valid = all_numbers(chain, relaxed(chain)) & ~resp.floating & holds
-    end = load_through(by, start(by, into_blocks(prestress, resp.near.shape[1]).T, valid))
+    begin = start(by, into_blocks(prestress, resp.near.shape[1]), valid)
 
-    state = State(end.pinning.T.reshape(-1)[: chain.sites], end.numbers[0])
+    def loop(resp: Response, contacts: Contacts, begin: Now) -> Now:
+        return load_through(by._replace(response=resp, contacts=contacts), begin)
+
+    end = loop(resp, by.contacts, begin) if delay else as_one_kernel(loop, resp, by.contacts, begin)
+    pinning = by.contacts.gains[:, :, 1] * end.given
+    state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)
     solved = equilibrium(chain, state)
     columns = recorded(by, end)
     stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
@@ -143,7 +152,7 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     return Catalogue(
         **columns,
         state=State(state.pinning[ahead:], state.load),
-        drift=jnp.abs(end.stress.T.reshape(-1)[: chain.sites] - solved.stress).max(),
+        drift=jnp.abs(all_opened(resp, end.stresses).reshape(-1)[: chain.sites] - solved.stress).max(),
         energy_drift=jnp.abs(booked - stored),
         status=end.ending,
     )

@@ -17,8 +17,10 @@ below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that app
 as long after its last site.
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -193,6 +195,7 @@ def _edge_pinning(modes: Modes, interface: Interface | Profile, drive: Array, fr
     return start.window[0]
 
 
+@partial(jax.jit, static_argnames="count")
 def front_stress(
     modes: Modes, interface: Interface | Profile, count: int
 ) -> tuple[Float[Array, " count"], Float[Array, " count"]]:
@@ -206,6 +209,7 @@ def front_stress(
     return stress, interface.threshold_at(jnp.arange(count, dtype=stress.dtype))
 
 
+@partial(jax.jit, static_argnames="count")
 def pinning(modes: Modes, interface: Interface | Profile, count: int, position: Array) -> Float[Array, " count"]:
     """u_b of the first `count` sites when contacts before `position` have broken; detached ones follow the layer."""
     start, drive = nucleate(modes, interface)

@@ -9,8 +9,13 @@ afresh only at the end, to see what they have lost:
 * it gives up the energy (k t_j)²/2k_j of the broken contact's own stretch, and (k t_j)(k t_j')/2k_j on top of it as the chain
   relaxes to equilibrium, t_j' being what the contact carries then;
 * what the drive puts in beyond that is stored.
+
+Stresses are known block by block (`slippulse_jax.lattice.blocks`), and a load reaches a block as all else does, through its
+edges. For each block is kept the load before which no contact of it breaks: exact when the block was last opened, lowered by
+what has arrived since. So the next break is found by opening the few blocks in which it may be, at O(√N) an event.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -18,12 +23,15 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
+from slippulse_jax.lattice.blocks import Moves, Stresses, looked_at, most, opened, slack, whole
+from slippulse_jax.lattice.breaks import Broken, run
 from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
-from slippulse_jax.lattice.contacts import Contacts, at, fold, given_up, largest, moved, put
+from slippulse_jax.lattice.contacts import Contacts
+from slippulse_jax.lattice.response import Response
 
 
 class Numbers(NamedTuple):
-    """Of the event under way, or the last one; carried and recorded as one vector."""
+    """Of an event; recorded as one vector."""
 
     load: Array
     force_before: Array  # on the left edge, as it began
@@ -47,17 +55,31 @@ class Counts(NamedTuple):
     total: Array  # of breaks, in all events
 
 
-class Now(NamedTuple):
-    """A series under way. The last rows of the tables are for what need not be kept."""
+class Tally(NamedTuple):
+    """Of the event under way, break by break."""
 
-    stress: Float[Array, "M B"]
-    threshold: Float[Array, "M B"] | None  # at this load, where contacts age
-    born: Float[Array, "M B"] | None  # load at the last break; −inf if never
-    pinning: Float[Array, "M B"]
-    last: Int[Array, "M B"]  # event of the last break; −1 if never
-    detached: Int[Array, " n"]  # sites that have not repinned yet, the last broken last; −1 for none
-    numbers: Float[Array, "8"]
-    counts: Int[Array, "7"]
+    lost: Float[Array, "3"]  # what `Contacts.gains` says of the breaks
+    broken: Array
+    relaxed: Array
+    first: Array  # −1 before the first break
+    creeps: Array
+    left: Array
+    right: Array
+    total: Array
+    last: Int[Array, " S"]
+    log: Int[Array, "L+1 2"]
+
+
+class Now(NamedTuple):
+    """A series between two events; B blocks of M, S = BM sites. The last rows of tables are for what need not be kept."""
+
+    stresses: Stresses
+    soonest: Float[Array, " B"]  # no contact of a block breaks before this load
+    given: Float[Array, "B M"]  # stress given up by each contact so far
+    born: Float[Array, "B M"] | None  # where contacts age: load at the last break; −inf if never
+    last: Int[Array, " S"]  # event of the last break; −1 if never
+    numbers: Numbers  # of the last event
+    counts: Counts
     ending: Int[Array, ""]  # a `SeriesStatus`, or −1
     number_table: Float[Array, "E+1 8"]
     count_table: Int[Array, "E+1 7"]
@@ -67,6 +89,7 @@ class Now(NamedTuple):
 class Loading(NamedTuple):
     """What is done to the chain."""
 
+    response: Response
     contacts: Contacts
     ageing: Ageing | None
     velocity: Array
@@ -80,162 +103,160 @@ class Loading(NamedTuple):
     stop_when_spanning: bool
 
 
-def start(by: Loading, prestress: Float[Array, "M B"], valid: Array) -> Now:
+def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
     """The relaxed chain."""
-    dtype, aged = prestress.dtype, by.ageing is not None
+    zero, none = jnp.zeros((), prestress.dtype), jnp.zeros((), jnp.int32)
     return Now(
-        stress=prestress,
-        threshold=by.contacts.threshold if aged else None,
-        born=jnp.full_like(prestress, -jnp.inf) if aged else None,
-        pinning=jnp.zeros_like(prestress),
-        last=jnp.full(prestress.shape, -1, jnp.int32),
-        detached=jnp.full(by.delay, -1, jnp.int32),
-        numbers=jnp.zeros(8, dtype),
-        counts=jnp.array([-1, 0, 0, 0, -1, 0, 0], jnp.int32),
+        stresses=whole(prestress, by.contacts.threshold),
+        soonest=jnp.full_like(prestress[:, 0], -jnp.inf),
+        given=jnp.zeros_like(prestress),
+        born=jnp.full_like(prestress, -jnp.inf) if by.ageing is not None else None,
+        last=jnp.full(prestress.size, -1, jnp.int32),
+        numbers=Numbers(*(zero,) * 8),
+        counts=Counts(*(none,) * 7)._replace(number=none - 1),
         ending=jnp.where(valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
-        number_table=jnp.full((by.events + 1, 8), jnp.nan, dtype),
+        number_table=jnp.full((by.events + 1, 8), jnp.nan, prestress.dtype),
         count_table=jnp.tile(jnp.array([-1, by.ahead - 1, 0, by.ahead - 1, by.ahead - 1, 0, 0], jnp.int32), (by.events + 1, 1)),
         log=jnp.full((by.recorded + 1, 2), -1, jnp.int32),
     )
 
 
 def load_through(by: Loading, now: Now) -> Now:
-    """Break after break, through all events. Each turn finds the next contact, loading the chain if need be, and breaks it."""
-
-    def turn(now: Now) -> Now:
-        now, site, t = _next_break(by, now)
-        return _record(by, _break(by, now, site, t), site)
-
-    return lax.while_loop(lambda now: now.ending < 0, turn, now)
+    """Event after event."""
+    return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, by), now)
 
 
-def _next_break(by: Loading, now: Now) -> tuple[Now, Array, Array]:
-    """The most overloaded contact and its stress; if none is overloaded, the load is raised to the next: an event."""
-    tables, count = by.contacts, Counts(*now.counts)
-    limit = tables.threshold if now.threshold is None else now.threshold
-    site, overload = largest(now.stress - limit)
-    quiet = overload < 0
-    spanned = by.stop_when_spanning & (count.right == by.sites - 1)
-    ends = jnp.where(quiet, spanned | (count.number == by.events - 1), count.breaks >= by.max_breaks)
-    loads = quiet & ~ends
-
-    def onward() -> tuple:
-        rise, found = _rise(by, now)
-        threshold = tables.threshold
-        if by.ageing is not None:
-            threshold = threshold * by.ageing.strength(now.numbers[0] + rise - _aged(now.born), by.velocity)
-        first = largest(now.stress + tables.per_load * rise - threshold)[0]
-        t = at(now.stress, first) + at(tables.per_load, first) * rise
-        return rise, first, jnp.where(found, t, 0), found, threshold if by.ageing is not None else None
-
-    def stay() -> tuple:
-        t = jnp.where(ends, 0, at(now.stress, site))
-        return jnp.zeros_like(t), site, t, jnp.ones((), bool), now.threshold
-
-    rise, site, t, found, threshold = lax.cond(loads, onward, stay)
-    number, count = _begin(by, now, loads & found, site, rise)
-    endings = [~found, ~ends, ~quiet, spanned]
-    reasons = [SeriesStatus.NOTHING_LEFT, -1, SeriesStatus.LIMIT, SeriesStatus.SPANNED]
-    now = now._replace(
-        stress=now.stress + tables.per_load * rise,
-        threshold=threshold,
-        detached=jnp.where(quiet, -1, now.detached),  # what was detached has repinned, where it stood
-        numbers=number,
-        counts=count,
-        ending=jnp.select(endings, reasons, SeriesStatus.DONE).astype(jnp.int32),
+def _next_event(by: Loading, now: Now) -> Now:
+    """Raise the load to the next break, let the rupture run, and write it down."""
+    tables, before = by.contacts, now.numbers
+    found = _next_crossing(by, now)
+    rise, trigger = _raised(by, found)
+    load, number = before.load + rise, now.counts.number + 1
+    stresses = found.stresses._replace(inbox=found.stresses.inbox + by.response.at_load * rise)
+    broken = _rupture(by, now, stresses, load, trigger)
+    tally, begins = broken.book, jnp.isfinite(found.rise)
+    force_before = before.force_before - before.force_lost  # the force now
+    force = force_before + tables.edge_stiffness * rise
+    work = (force_before + force) / 2 * rise
+    force_lost, slip, stress_drop = tally.lost
+    numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed)
+    counts = Counts(number, tally.first, tally.creeps, tally.left, tally.right, broken.breaks, tally.total)
+    over = (broken.breaks >= by.max_breaks) & (broken.overload >= 0)
+    endings = [~begins, over, by.stop_when_spanning & (counts.right == by.sites - 1), number == by.events - 1]
+    reasons = [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED, SeriesStatus.DONE]
+    row = jnp.where(begins, number, by.events)
+    anew = jnp.isinf(broken.arrived[:, 0])
+    sooner = (jnp.where(anew[:, None], 0, broken.arrived) * tables.hastened).sum(-1) * slack(rise)
+    return Now(
+        stresses=broken.stresses,
+        soonest=jnp.where(anew, -jnp.inf, found.soonest - sooner),
+        given=broken.given,
+        born=None if now.born is None else jnp.where(broken.given > now.given, load, now.born),
+        last=tally.last,
+        numbers=numbers,
+        counts=counts,
+        ending=jnp.select(endings, reasons, -1).astype(jnp.int32),
+        number_table=lax.dynamic_update_slice_in_dim(now.number_table, jnp.stack(numbers)[None], row, 0),
+        count_table=lax.dynamic_update_slice_in_dim(now.count_table, jnp.stack(counts)[None], row, 0),
+        log=tally.log,
     )
-    return now, site, t
 
 
-def _rise(by: Loading, now: Now) -> tuple[Array, Array]:
-    """By how much to raise the load, and whether that makes a contact break."""
-    tables = by.contacts
-    if by.ageing is None:
-        pulled = tables.per_load > 0
-        missing = jnp.where(pulled, (tables.threshold - now.stress) / jnp.where(pulled, tables.per_load, 1), jnp.inf)
-    else:
-        age = now.numbers[0] - _aged(now.born)
-        missing = next_crossing(by.ageing, now.stress, tables.per_load, tables.threshold, age, by.velocity)
-    rise = jnp.maximum(fold(jnp.minimum, missing).min(), 0)
+class Crossing(NamedTuple):
+    """The search for the next contact to reach its threshold."""
+
+    stresses: Stresses
+    soonest: Float[Array, " B"]
+    looked: Array  # whether a block has been opened, shape (B,)
+    rise: Float[Array, ""]  # smallest increase of load found
+    site: Int[Array, ""]  # which contact it brings to its threshold
+
+
+def _next_crossing(by: Loading, now: Now) -> Crossing:
+    """By how much to raise the load to the next break, and of which contact; inf if there is none."""
+    tables, size, load = by.contacts, now.given.shape[1], now.numbers.load
+
+    def going(c: Crossing) -> Array:
+        lowest = jnp.where(c.looked, jnp.inf, c.soonest).min()
+        return (lowest < jnp.inf) & (lowest <= (load + c.rise) * slack(load))
+
+    def look(c: Crossing) -> Crossing:
+        block = most(jnp.where(c.looked, -jnp.inf, -c.soonest))[0]
+        stress, per_load = opened(by.response, c.stresses, block), tables.per_load[block]
+        limit, _ = _limits(by, now, now.given, load, block, now.given[block])
+        pulled = per_load > 0
+        missing = jnp.where(pulled, (limit - stress) / jnp.where(pulled, per_load, 1), jnp.inf)
+        rises = missing
+        if now.born is not None and by.ageing is not None:
+            ages = load - now.born[block]
+            rises = next_crossing(by.ageing, stress, per_load, tables.threshold[block], ages, by.velocity)
+        place, rise = most(-rises)
+        better = -rise < c.rise
+        return Crossing(
+            stresses=looked_at(by.response, c.stresses, block, (stress - limit).max()),
+            soonest=c.soonest.at[block].set(load + missing.min()),  # thresholds only grow: a bound where they do
+            looked=c.looked.at[block].set(True),
+            rise=jnp.where(better, -rise, c.rise),
+            site=jnp.where(better, block * size + place, c.site),
+        )
+
+    never, none = jnp.full_like(load, jnp.inf), jnp.zeros((), jnp.int32)
+    return lax.while_loop(going, look, Crossing(now.stresses, now.soonest, jnp.zeros(now.soonest.shape, bool), never, none))
+
+
+def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
+    """By how much the load is raised, and the contact that breaks first even if rounding leaves it short; −1 for none."""
+    rise = jnp.maximum(found.rise, 0)
+    trigger = jnp.where(jnp.isfinite(rise), found.site, -1)
     if by.step is not None:
-        rise = jnp.maximum(jnp.ceil(rise / by.step - 1e4 * jnp.finfo(rise.dtype).eps), 1) * by.step
-    found = jnp.isfinite(rise)
-    return jnp.where(found, rise, 0), found
+        close = 1e4 * jnp.finfo(rise.dtype).eps
+        whole_steps = jnp.maximum(jnp.ceil(rise / by.step - close), 1) * by.step
+        trigger = jnp.where(whole_steps > rise + close * by.step, -1, trigger)  # beyond it, the most overloaded
+        rise = whole_steps
+    return jnp.where(jnp.isfinite(found.rise), rise, 0), trigger
 
 
-def _begin(by: Loading, now: Now, begins: Array, site: Array, rise: Array) -> tuple[Array, Array]:
-    """Numbers and counts of a new event, if one begins."""
-    number, count = Numbers(*now.numbers), Counts(*now.counts)
-    force_before = number.force_before - number.force_lost  # the force now
-    force = force_before + by.contacts.edge_stiffness * rise
-    newer = at(now.last, jnp.maximum(site - 1, 0)) > at(now.last, site)
-    zero = jnp.zeros_like(rise)
-    fresh = Numbers(number.load + rise, force, (force_before + force) / 2 * rise, *(zero,) * 5)
-    one = jnp.ones_like(count.number)
-    counted = Counts(
-        number=count.number + 1,
-        first=site,
-        creeps=(newer & (site > by.ahead)).astype(jnp.int32),
-        left=one * by.sites,
-        right=-one,
-        breaks=one * 0,
-        total=count.total,
-    )
-    return jnp.where(begins, jnp.stack(fresh), now.numbers), jnp.where(begins, jnp.stack(counted), now.counts)
+def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
+    """Thresholds in a block at this load, and of its contacts that break at it."""
+    old = by.contacts.threshold[block]
+    if now.born is None or by.ageing is None:
+        return old, old
+    born = jnp.where(given > before[block], load, now.born[block])
+    return old * by.ageing.strength(load - born, by.velocity), old * by.ageing.newborn
 
 
-def _aged(x: Array | None) -> Array:
-    assert x is not None
-    return x
+def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Broken:
+    """The breaks of one event, counted."""
+    energy, number = by.contacts.energy.reshape(-1), now.counts.number + 1
+    gains = by.contacts.gains.reshape(-1, 3)
 
+    def note(tally: Tally, moves: Moves, t: Array, after: Array) -> Tally:
+        site, log, lost = moves.sites[-1], tally.log, tally.lost
+        if by.recorded:
+            entry = jnp.stack([site, number])[None]
+            log = lax.dynamic_update_slice_in_dim(log, entry, jnp.minimum(tally.total, by.recorded), 0)
+        for j in range(moves.sites.shape[0]):
+            lost = lost + gains[moves.sites[j]] * moves.given[j]
+        stretch, begins = energy[site] * t, tally.first < 0
+        newer = (site > by.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
+        return Tally(
+            lost=lost,
+            broken=tally.broken + stretch * t,
+            relaxed=tally.relaxed + stretch * after,
+            first=jnp.where(begins, site, tally.first),
+            creeps=jnp.where(begins, newer.astype(jnp.int32), tally.creeps),
+            left=jnp.minimum(tally.left, site),
+            right=jnp.maximum(tally.right, site),
+            total=tally.total + 1,
+            last=tally.last.at[site].set(number),
+            log=log,
+        )
 
-def _break(by: Loading, now: Now, site: Array, t: Array) -> Now:
-    """Break a contact that carries t; nothing if the series is over."""
-    tables = by.contacts
-    size = now.stress.shape[0]
-    b, m = site // size, site % size
-    moves = given_up(tables, now.stress, now.detached, site, t)
-    stress, pinning, lost = moved(tables, now.stress, now.pinning, moves)
-    threshold, born = now.threshold, now.born
-    if by.ageing is not None:
-        threshold = put(_aged(threshold), site, at(tables.threshold, site) * by.ageing.newborn)
-        born = put(_aged(born), site, now.numbers[0])
-    # what the broken contact's site moved by, as a stress of the contact
-    followed = tables.near[b, m, m] * t if by.delay == 0 else moves[-1][2] - t
-    energy = tables.energy[b, m] * t * jnp.stack([t, followed])
-    count = Counts(*now.counts)
-    return now._replace(
-        stress=stress,
-        threshold=threshold,
-        born=born,
-        pinning=pinning,
-        last=put(now.last, site, count.number),
-        detached=jnp.append(now.detached, site)[1:],
-        numbers=now.numbers + jnp.concatenate([jnp.zeros(3, t.dtype), lost, energy]),
-        counts=jnp.stack(
-            count._replace(
-                left=jnp.minimum(count.left, site),
-                right=jnp.maximum(count.right, site),
-                breaks=count.breaks + 1,
-                total=count.total + 1,
-            )
-        ),
-    )
-
-
-def _record(by: Loading, now: Now, site: Array) -> Now:
-    """Write down the event as it stands; its last break has the last word."""
-    over, count = now.ending >= 0, Counts(*now.counts)
-    row = jnp.where(over, by.events, count.number)
-    log = now.log
-    if by.recorded:
-        place = jnp.where(over, by.recorded, jnp.minimum(count.total - 1, by.recorded))
-        log = lax.dynamic_update_slice_in_dim(log, jnp.stack([site, count.number])[None], place, 0)
-    return now._replace(
-        number_table=lax.dynamic_update_slice_in_dim(now.number_table, now.numbers[None], row, 0),
-        count_table=lax.dynamic_update_slice_in_dim(now.count_table, now.counts[None], row, 0),
-        log=log,
-    )
+    zero, none = jnp.zeros((), load.dtype), jnp.zeros((), jnp.int32)
+    places = none - 1, none, none + by.sites, none - 1
+    tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, now.counts.total, now.last, now.log)
+    limits = partial(_limits, by, now, now.given, load)
+    return run(by.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
 
 
 def recorded(by: Loading, end: Now) -> dict[str, Array]:

@@ -12,6 +12,7 @@ With λ_s the derivative of ℓ in the stress on contact s, everything it causes
 which needs four sums over the contacts ahead: one pass from the arrest back to the edge, O(1) a contact.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -66,6 +67,11 @@ def sensitivity(
     Composes with ``jit`` and ``vmap``.
     """
     check_rule(rule)
+    return _worked_out(slider, sites, rule, threshold, prestress)
+
+
+@partial(jax.jit, static_argnames="sites")
+def _worked_out(slider: Slider, sites: int, rule: BreakRule, threshold: AnyArrayLike, prestress: AnyArrayLike) -> Sensitivity:
     modes = lattice_modes(slider)
     dtype = modes.load.dtype
     theta, phi = (jnp.broadcast_to(jnp.asarray(x, dtype), (sites,)) for x in (threshold, prestress))

@@ -1,0 +1,33 @@
+"""Loops of many small operations, compiled by XLA on a CPU into one function instead of one function an operation.
+
+XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at about 0.1 µs each, which in a loop
+over short arrays is most of the time. XLA compiles loops that touch less than a kilobyte as a whole; this asks for it beyond
+that, by the attribute XLA itself marks such loops with. It is a hint: where it is not known, nothing changes but the speed.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+
+
+def as_one_kernel(f: Callable, *given: Any) -> Any:
+    """f(*given), compiled as one function on a CPU.
+
+    f must call no library (linear algebra, sorting, random numbers) and contract no axis by a product and a sum, which XLA
+    would hand to one.
+    """
+
+    def with_witnesses(*args: Any) -> tuple:
+        # XLA has no place for an argument that such a function does not use: hand on a number of each
+        return f(*args), [x[(0,) * x.ndim] for x in jax.tree.leaves(args)]
+
+    whole = jax.jit(with_witnesses)
+
+    def on_cpu(*args: Any) -> Any:
+        tagged: Any = set_xla_metadata(whole(*args), xla_cpu_small_call="true", inlineable="false")
+        return tagged[0]
+
+    return lax.platform_dependent(*given, cpu=on_cpu, default=f)
