@@ -1,4 +1,4 @@
-"""10⁴ events at N = 2000, beside a numba event loop with the same O(N) update per break: python benchmarks/series.py."""
+"""10⁴ events at N = 2000, beside a numba event loop with the same O(N) update per break: python -m benchmarks.series."""
 
 import argparse
 import os
