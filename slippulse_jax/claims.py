@@ -216,13 +216,14 @@ def _inertia() -> Finding:
 
 @claim("C12", "a wide distribution P_c(f_s) removes the instability: smooth sliding, no precursor")
 def _distribution() -> Finding:
-    width = {kind: smooth_width(fig2(), kind) for kind in ("normal", "uniform", "weibull")}
+    kinds: tuple[Kind, ...] = ("normal", "uniform", "weibull")
+    width = {kind: smooth_width(fig2(), kind) for kind in kinds}
     found = stability(fig2(), ThresholdDistribution("normal", width["normal"]))
     text = (
         f"a contact at the edge, whose surroundings have K_s = {float(found.surroundings_at_edge):.2f} k, is stable by itself beyond "
         f"widths (in u_s) of {width['normal']:.3f} (normal), {width['uniform']:.3f} (uniform), {width['weibull']:.3f} (Weibull, "
         "1/shape). The whole chain, whose contacts fall together, is loaded without a jump beyond "
-        f"{', '.join(f'{_whole_chain_smooth(kind):.3f}' for kind in width)}"
+        f"{', '.join(f'{_whole_chain_smooth(kind):.3f}' for kind in kinds)}"
     )
     return Finding(text, _verdict(all(np.isfinite(w) for w in width.values())))
 
