@@ -8,7 +8,8 @@ import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.report import value_with_error
+from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.report import interval, value_with_error
 from slippulse_jax.inference.result import Identifiability
 from slippulse_jax.inference.search import undetermined_axes
 
@@ -221,6 +222,31 @@ def test_wrong_sigma_and_repeated_lines_are_remarked():
     notes = fit(twice).notes
     assert any("repeats another" in note or "repeat another" in note for note in notes)
     assert any("humidity" in note for note in notes)
+
+
+def test_scatter_beyond_sigma_is_remarked_and_measured():
+    """χ² of p between 0.001 and 0.05 gets a note; without σ the report prints the scatter, and rises in its unit."""
+    length = exact(np.array([15.0, 30.0, 60.0]), 0.003)
+    data = {"height": [15, 30, 60], "poisson": 0.3, "length": length * [1.03, 0.99, 1.0]}
+    result = fit(Measurements(**data, length_sigma=0.012 * length))
+    assert 1e-3 < result.p_value < 0.05
+    assert any(f"{np.sqrt(result.chi2 / 2):.2g} times as large" in note for note in result.notes)
+    free = fit(Measurements(**data))
+    assert f"σ = {np.sqrt(free.chi2 / 2):.3g} λc" in free.report()
+
+
+def test_specimens_with_tied_roots_lie_on_one_side():
+    """Each specimen has two roots of no residual: the value is the softer of each, and the report says whose k/K differ."""
+    m = Measurements(height=[20, 25], poisson=0.3, length=[18.0, 23.0], length_sigma=0.2, specimen=("A", "B"))
+    result = fit(m, [Parameter("stiffness", each="specimen")])
+    for name in ("stiffness[A]", "stiffness[B]"):
+        assert result.values[name] < 0.05
+    assert "one for each specimen" in result.report()
+
+
+def test_pieces_of_an_interval_have_exponents_of_their_own():
+    assert interval(Interval(7.487e13, 1.09475e14, False, False), 2e10, 1e9) == "(0.75 to 1.09)e14"
+    assert interval(Interval(1.92e10, 1.99e10, False, False), 1.95e10, 7e8) == "(1.920 to 1.990)e10"
 
 
 def test_dictionary_is_json_and_complete():

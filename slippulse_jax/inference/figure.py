@@ -143,7 +143,8 @@ def draw_information(result: FitResult, ax: Axes) -> None:
         ax.set_ylim(0, 1.25 * largest)
     ax.set_xlabel(LABELS[q.free[0].name])
     ax.set_ylabel(r"length over height $\ell/H$")
-    ax.legend(frameon=False, fontsize="small", loc="upper left")
+    box = ax.legend(fontsize="small", loc="upper left", title="bands: measured ± σ", title_fontsize="small", framealpha=0.9)
+    box.get_frame().set_linewidth(0)
     ax.set_title("What each length says of the stiffness", loc="left", fontsize="medium")
 
 

@@ -197,6 +197,7 @@ def _explore(
     curves: dict[int, Curve] = {}
     best, deviance = seeds[0], 2 * float(ends.value[finite].min())
     for _ in range(SEARCH_ROUNDS):
+        roots = _ordered(roots)
         followed = roots[:MOST_ROOTS]
         places = np.array([root.theta for root in followed]).reshape(-1, problem.p)
         covariances = [root.covariance for root in followed]
@@ -223,6 +224,12 @@ def _explore(
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in named if not known or value < min(known) - 1e-6]
     return roots, curves, best, deviance, lost
+
+
+def _ordered(roots: list[Found]) -> list[Found]:
+    """Best first; of those equally good to rounding the softest, lest chance put each specimen on a side of its own."""
+    least = min((root.deviance for root in roots), default=0.0)
+    return sorted(roots, key=lambda root: (max(root.deviance - least - 1e-6 * max(1.0, abs(least)), 0.0), root.theta.sum()))
 
 
 def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:

@@ -5,11 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from slippulse_jax.inference.attainable import longest_over
-from slippulse_jax.inference.identifiability import PLATEAU
+from slippulse_jax.inference.identifiability import IMPROBABLE, PLATEAU
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFEST
 from slippulse_jax.inference.resolve import softest
 from slippulse_jax.inference.result import FitResult
+
+REMARKED = 0.05  # probability of χ² below which the scatter is remarked on
 
 
 def before_fit(m: Measurements) -> Iterator[str]:
@@ -53,6 +55,12 @@ def _of_sigma(result: FitResult) -> Iterator[str]:
     elif result.scaled:
         factor = np.sqrt(result.variance_factor)
         yield f"the stated σ are taken as relative, and scaled by {factor:.3g} to the scatter about the fit"
+    if result.p_value is not None and IMPROBABLE <= result.p_value < REMARKED:
+        factor = np.sqrt(result.chi2 / result.dof)
+        yield (
+            f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
+            "sigma = 'relative' takes its size from the scatter"
+        )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
 

@@ -62,7 +62,9 @@ def _values(result: FitResult) -> list[str]:
             rows.append(f"  {'':{width}s} {verdict.identifiability.value}{reason}")
     if "stiffness" not in result.values:
         ratio = result.parameters.ratio(result.theta)
-        rows.append(f"  {'k/K':{width}s} {ratio.min():.4g} to {ratio.max():.4g}, as λc and E differ between measurements")
+        each = any("stiffness[" in name for name in result.names)
+        why = "one for each specimen" if each else "as λc and E differ between measurements"
+        rows.append(f"  {'k/K':{width}s} {ratio.min():.4g} to {ratio.max():.4g}, {why}")
     if any(result.stderr[name] is None for name in result.names):
         rows.append("  standard error unavailable, for the reason above; the value is the one of highest likelihood")
     return rows
@@ -122,7 +124,8 @@ def _roots(result: FitResult) -> list[str]:
             (f"{name} = " if several else "") + f"{value_with_error(value, root.stderrs[name])} {units[name]}".rstrip()
             for name, value in root.values.items()
         )
-        rows.append(f"    {named}  (chi-squared + {max(0.0, root.chi2 - result.chi2):.2f}{again})")
+        rise = max(0.0, root.chi2 - result.chi2) / result.variance_factor
+        rows.append(f"    {named}  (chi-squared + {rise:.2f}{again})")
     return rows
 
 
@@ -130,7 +133,8 @@ def _quality(result: FitResult) -> str:
     plain = set(result.measurements.kind) == {"length"} and result.problem.loss.name == "normal"
     name = "chi-squared" if plain and result.parameters.discrepancy is None else "deviance"
     if result.scaled:
-        return f"Fit: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom)"
+        size = f": {_scatter(result)}" if result.measurements.length_sigma is None else ""
+        return f"Fit: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
     if result.p_value is None:
         why = "one length cannot test the model" if len(result.measurements) == 1 else "it cannot be tested"
         if result.dof <= 0:
@@ -138,6 +142,14 @@ def _quality(result: FitResult) -> str:
         return f"Fit: {name} {result.chi2:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
     degrees = _plural(result.dof, "degree") + " of freedom"
     return f"Fit: {name} {result.chi2:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
+
+
+def _scatter(result: FitResult) -> str:
+    """The standard error of a length that the scatter gives; fitted as equal in λc."""
+    m, size = result.measurements, float(np.sqrt(result.variance_factor))
+    if m.correlation_length is None or np.ptp(m.correlation_length) > 0:
+        return f"σ = {size:.3g} λc"
+    return f"σ = {size * float(m.correlation_length[0]) * 1e3:.3g} mm"
 
 
 def _table(result: FitResult) -> list[str]:
@@ -216,6 +228,9 @@ def interval(piece: Interval, near: float | None = None, width: float = 0.0) -> 
     if piece.open_high:
         return f"above {format_number(piece.low)}"
     exponent = _exponent(piece.low if near is None else near)
+    own = int(np.floor(np.log10(max(abs(piece.low), abs(piece.high), 1e-300))))
+    if not -3 <= own - exponent <= 3:  # far from the value, as at the second root
+        exponent, width = _exponent(piece.high), 0.0
     low, high = piece.low / 10.0**exponent, piece.high / 10.0**exponent
     # two digits of half a width, as of a standard error, and never more than six in all
     half = (width / 10.0**exponent or high - low) / 2
