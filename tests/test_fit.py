@@ -228,9 +228,10 @@ def test_scatter_beyond_sigma_is_remarked_and_measured():
     """χ² of p between 0.001 and 0.05 gets a note; without σ the report prints the scatter, and rises in its unit."""
     length = exact(np.array([15.0, 30.0, 60.0]), 0.003)
     data = {"height": [15, 30, 60], "poisson": 0.3, "length": length * [1.03, 0.99, 1.0]}
-    result = fit(Measurements(**data, length_sigma=0.012 * length))
-    assert 1e-3 < result.p_value < 0.05
-    assert any(f"{np.sqrt(result.chi2 / 2):.2g} times as large" in note for note in result.notes)
+    loose = fit(Measurements(**data, length_sigma=0.02 * length))
+    result = fit(Measurements(**data, length_sigma=0.02 * length * np.sqrt(loose.chi2 / 8)))
+    assert result.p_value == pytest.approx(np.exp(-4), rel=1e-3)  # χ² of 8 for two degrees of freedom
+    assert any("2 times as large" in note for note in result.notes)
     free = fit(Measurements(**data))
     assert f"σ = {np.sqrt(free.chi2 / 2):.3g} λc" in free.report()
 
