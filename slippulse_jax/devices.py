@@ -16,11 +16,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def workers() -> int:
+    """Threads that work is spread over: one a core, and at least one a local device."""
+    return max(cores(), len(jax.local_devices()))
+
+
 def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
     """Call ``work(piece)`` for every piece, in double precision, the pieces dealt to the local devices in turn.
 
     Each piece runs whole, by the same compiled program, on one device: which one, and beside what, does not show in its bits
-    (a program compiled for several devices at once would round differently). Threads: one a core, and at least one a device.
+    (a program compiled for several devices at once would round differently).
     """
     dealt = list(zip(pieces, itertools.cycle(jax.local_devices())))  # noqa: B905  # the devices go round
 
@@ -32,6 +37,6 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
     if len(dealt) == 1:
         run(dealt[0])
         return
-    with ThreadPoolExecutor(max(cores(), len(jax.local_devices()))) as pool:
+    with ThreadPoolExecutor(workers()) as pool:
         for _ in pool.map(run, dealt):
             pass

@@ -28,14 +28,19 @@ def reference(tmp_path_factory):
     return store
 
 
+# a process that is killed could leave a half-written program for the others
+ALONE = {"JAX_ENABLE_COMPILATION_CACHE": "0"}
+
+
 def child(code, **environment):
     return subprocess.Popen(
         [sys.executable, "-c", "import numpy as np, jax, slippulse_jax as sp\n" + code],
-        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"} | environment,
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
     )  # fmt: skip
 
 
-def members(store, count, chunk=100):
+def members(store, count, chunk=100, **environment):
     """Processes of one job, as a launcher would start them."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -44,7 +49,8 @@ def members(store, count, chunk=100):
         child(
             f"jax.distributed.initialize('{address}', {count}, {index})\n"
             f"found = sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r}, chunk={chunk})\n"
-            "assert found.attrs['complete'] and np.isfinite(found.length).all()\n"
+            "assert found.attrs['complete'] and np.isfinite(found.length).all()\n",
+            **environment,
         )
         for index in range(count)
     ]
@@ -67,7 +73,7 @@ def test_processes_share_a_sweep(reference, tmp_path, count):
 @pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_one_process_is_killed_and_the_job_resumed(reference, tmp_path, count):
     store = tmp_path / "s"
-    *others, last = members(store, count)
+    *others, last = members(store, count, **ALONE)
     while last.poll() is None and len(list((store / "chunks").glob("*.npz"))) < 10:
         time.sleep(0.002)
     last.kill()
@@ -110,7 +116,7 @@ def test_local_devices_share_a_sweep(reference, tmp_path, count):
         f"assert jax.local_device_count() == {count}\n"
         "from slippulse_jax.lattice import batch\n"
         "from slippulse_jax.sweeps import outputs\n"
-        "batch.CHUNKS, outputs.BLOCK = (64,), 64\n"
+        "batch.CHUNK = batch.PIECE = outputs.BLOCK = 64\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r}, chunk=1000)\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r} + '1', chunk=100)\n"
     )

@@ -1,8 +1,8 @@
 """Functions of many lanes at full speed: lanes of like length together, in few fixed shapes, on every core.
 
-A lane that waits for a longer one wastes time, so lanes are sorted by expected length; and what a call of a compiled function
-costs beside the arithmetic (its dispatch, and memory that the system has to provide anew) is shared by many chunks. A piece of
-the input is ranked, gathered, computed and put back by one thread, so that no part of the work is left to one core.
+A lane that waits for a longer one wastes time, so lanes are sorted by expected length, and a call of a compiled function takes
+them chunk by chunk: a chunk stays in the cache, and what a call costs beside the arithmetic is shared by many. A piece of the
+input is ranked, gathered, computed and put back by one thread, so that no part of the work is left to one core.
 """
 
 import functools
@@ -10,20 +10,24 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from slippulse_jax.devices import spread
+from slippulse_jax.devices import spread, workers
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Columns of a chunk of lanes; no lane may depend on another."""
 
-CHUNKS = (64, 512, 2048)
-"""Lanes a chunk may have. The largest is fastest a lane; the others spare small batches its padding."""
+CHUNK, FEW = 8192, 64
+"""Lanes of a chunk; lanes of a call for so few that a chunk would be mostly padding."""
 
 PIECE = 4
-"""Largest chunks that a call takes one after another."""
+"""Chunks of a call, at most."""
+
+ENDS_AT_ONCE = np.array([2.0, 1e-6, 0.3, 0.1, 0.0])
+"""A lane to pad with: flat and soft, its front goes nowhere."""
 
 
 def over_lanes(
@@ -31,8 +35,8 @@ def over_lanes(
     statics: tuple,
     lanes: Float[np.ndarray, "fields n"],
     dtypes: Sequence[type],
-    sizes: tuple[int, ...] | None = None,
-    piece: int | None = None,
+    chunk: int | None = None,
+    few: int | None = None,
 ) -> list[np.ndarray]:
     """Columns of ``kernel(*statics)`` at every lane, in the order given; the same bits in any company.
 
@@ -42,41 +46,40 @@ def over_lanes(
         Makes the function to be compiled; called once for each `statics`.
     lanes : numpy.ndarray, shape (fields, n)
         Height, stiffness, Poisson's ratio and any others, float64.
-    sizes : tuple of int, optional
-        Lanes a chunk may have, `CHUNKS` by default.
-    piece : int, optional
-        Largest chunks a call takes one after another, `PIECE` by default. A heavy kernel is better off with 1.
+    chunk, few : int, optional
+        Lanes of a chunk, and of a call for no more than that, by default `CHUNK` and `FEW`; 0 for one program fewer to compile.
     """
-    sizes = CHUNKS if sizes is None else sizes
+    chunk, few = CHUNK if chunk is None else chunk, FEW if few is None else few
     columns = [np.empty(lanes.shape[1], dtype) for dtype in dtypes]
 
-    def run(piece: tuple[slice | np.ndarray, int]) -> None:
-        where, chunks = piece
+    def run(where: slice) -> None:
         here = lanes[:, where]
         order = np.argsort(length_rank(here), kind="stable")
         count = len(order)
-        size = next((size for size in sizes if count <= size), sizes[-1]) * chunks
-        padded = np.take(here, np.resize(order, size) if count < size else order, axis=1)
-        values = _compiled(kernel, statics, chunks)(padded)
+        chunks = -(-count // chunk)
+        padded = np.empty((len(here), few if count <= few else PIECE * chunk))
+        np.take(here, order, axis=1, out=padded[:, :count], mode="clip")
+        padded[:, count : chunks * chunk] = ENDS_AT_ONCE[: len(here), None]
+        values = (
+            _compiled(kernel, statics)(padded) if few == padded.shape[1] else _looped(kernel, statics, chunk)(padded, chunks)
+        )
         for column, value in zip(columns, values, strict=True):
             back = np.empty(count, column.dtype)
             back[order] = np.asarray(value)[:count]
             column[where] = back
 
-    spread(run, _pieces(lanes, sizes[-1], PIECE if piece is None else piece))
+    spread(run, _pieces(lanes.shape[1], PIECE * chunk))
     return columns
 
 
-def _pieces(lanes: Float[np.ndarray, "fields n"], size: int, piece: int) -> Iterator[tuple[slice | np.ndarray, int]]:
-    """Where in the batch a piece is, and its number of chunks: the last one sorted into single chunks."""
-    n = lanes.shape[1]
-    whole = n - n % (piece * size) if piece > 1 else 0
-    for start in range(0, whole, piece * size):
-        yield slice(start, start + piece * size), piece
-    if whole < n:
-        order = whole + np.argsort(length_rank(lanes[:, whole:]), kind="stable")
-        for start in reversed(range(0, n - whole, size)):
-            yield order[start : start + size], 1
+def _pieces(n: int, most: int) -> Iterator[slice]:
+    """Where in the batch the pieces lie: every worker gets as many, of lanes that are neighbours in the batch."""
+    hands = max(1, min(workers(), n // FEW))
+    rounds = -(-n // (hands * most))
+    for k in range(rounds):
+        start, stop = k * n // rounds, (k + 1) * n // rounds
+        for hand in range(hands):
+            yield slice(start + hand, stop, hands)
 
 
 def length_rank(lanes: np.ndarray) -> np.ndarray:
@@ -93,15 +96,28 @@ def length_rank(lanes: np.ndarray) -> np.ndarray:
     return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)
 
 
+# chunks run beside each other already; and the widest vectors there are serve loops as long as these
+_OPTIONS: Any = {"xla_cpu_multi_thread_eigen": False, "xla_cpu_prefer_vector_width": 512}
+
+
 @functools.cache
-def _compiled(kernel: Callable[..., Kernel], statics: tuple, chunks: int) -> Callable[[np.ndarray], tuple[Array, ...]]:
+def _compiled(kernel: Callable[..., Kernel], statics: tuple) -> Callable[[np.ndarray], tuple[Array, ...]]:
+    return jax.jit(kernel(*statics), compiler_options=_OPTIONS)
+
+
+@functools.cache
+def _looped(kernel: Callable[..., Kernel], statics: tuple, chunk: int) -> Callable[[np.ndarray, int], tuple[Array, ...]]:
+    """One program for any number of chunks: the rest of the array is not looked at."""
     one = kernel(*statics)
 
-    def several(lanes: Float[Array, "fields n"]) -> tuple[Array, ...]:
-        fields = lanes.shape[0]
-        columns = lax.map(one, lanes.reshape(fields, chunks, -1).transpose(1, 0, 2))
-        return tuple(column.reshape(-1) for column in columns)
+    def several(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
+        fields, n = lanes.shape
 
-    # chunks run beside each other already; and the widest vectors there are serve loops as long as these
-    options: Any = {"xla_cpu_multi_thread_eigen": False, "xla_cpu_prefer_vector_width": 512}
-    return jax.jit(one if chunks == 1 else several, compiler_options=options)
+        def go_on(i: Array, columns: tuple[Array, ...]) -> tuple[Array, ...]:
+            found = one(lax.dynamic_slice(lanes, (0, i * chunk), (fields, chunk)))
+            return tuple(lax.dynamic_update_slice(x, y, (i * chunk,)) for x, y in zip(columns, found, strict=True))
+
+        shapes = jax.eval_shape(one, jax.ShapeDtypeStruct((fields, chunk), lanes.dtype))
+        return lax.fori_loop(0, chunks, go_on, tuple(jnp.zeros(n, x.dtype) for x in shapes))
+
+    return jax.jit(several, compiler_options=_OPTIONS)

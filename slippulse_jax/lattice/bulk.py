@@ -16,6 +16,9 @@ from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_wit
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
+ANY, GRADIENTS = (256, 0), (4096, 0)
+"""Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with derivatives."""
+
 
 def precursor_lengths(
     slider: Slider,
@@ -67,7 +70,7 @@ def lengths(
             raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
         check_max_contacts(max_contacts)
         columns, shape = _stacked(slider.height, slider.stiffness, slider.poisson, rule.width)
-        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,))[0].reshape(shape)
+        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,), *ANY)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
         check_max_contacts(max_contacts)
@@ -93,7 +96,7 @@ def precursor_arrests(
     check_max_contacts(max_contacts)
     statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
     dtypes = np.int32, np.float64, np.int32, np.float64
-    columns = over_lanes(compiled.arrest_kernel, statics, _lanes(slider, interface), dtypes)
+    columns = over_lanes(compiled.arrest_kernel, statics, _lanes(slider, interface), dtypes, *ANY)
     return Arrest(*(column.reshape(shape_of(slider, interface)) for column in columns))
 
 
@@ -125,14 +128,12 @@ def precursor_length_gradients(
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     columns = _lanes(slider, interface)
+    dtypes = (np.float64,) * (1 + len(columns))
     if _is_simple(interface, right):
-        kernel, statics = lanes.gradient_kernel, (max_contacts,)
+        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, *GRADIENTS)
     else:
-        kernel, statics = (
-            compiled.gradient_kernel,
-            (0 if interface is None else interface.repin_delay, (right, sites, max_contacts)),
-        )
-    found = over_lanes(kernel, statics, columns, (np.float64,) * (1 + len(columns)), GRADIENT_CHUNKS, piece=1)
+        statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
+        found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, *ANY)
     return LengthGradient(*(column.reshape(shape_of(slider, interface)) for column in found))
 
 
@@ -147,15 +148,11 @@ def _simple_lengths(columns: Float[np.ndarray, "fields n"], max_contacts: int) -
     if not long.any():
         return by_recursion(columns)
     found = np.full(columns.shape[1], np.nan)
-    kernel, sizes = long_fronts.long_length_kernel, long_fronts.CHUNKS
-    found[long] = over_lanes(kernel, (max_contacts,), columns[:, long], (np.float64,), sizes)[0]
+    kernel, chunk = long_fronts.long_length_kernel, long_fronts.CHUNK
+    found[long] = over_lanes(kernel, (max_contacts,), columns[:, long], (np.float64,), chunk, 0)[0]
     rest = np.isnan(found)
     found[rest] = by_recursion(columns[:, rest])
     return found
-
-
-GRADIENT_CHUNKS = (1024,)
-"""Lanes a chunk where derivatives are computed: one size, because they take long to compile."""
 
 
 def _is_simple(interface: Interface | None, right: RightEnd) -> bool:

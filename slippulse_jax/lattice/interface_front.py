@@ -48,7 +48,7 @@ class DelayedFront(NamedTuple):
 
 def runaway_prestress(modes: Modes) -> Array:
     """φ_c = (1 + G_00)/2, in σ_s, of a semi-infinite chain (physics of the module's docstring)."""
-    return (1 + modes.weight.sum()) / 2
+    return (1 + modes.weight.sum(axis=0)) / 2
 
 
 def _window(modes: Modes, prestress: Array, drive: Array, front: DelayedFront) -> tuple[Array, Array]:

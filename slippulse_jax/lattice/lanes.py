@@ -19,23 +19,27 @@ was read off the compiled program:
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.batch import Kernel
 from slippulse_jax.lattice.interface_front import APPROACH, runaway_prestress, slowest_approach
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
 Pair = tuple[Array, Array]  # one number a mode, of lanes
 
-BLOCK, GRADIENT_BLOCK = 8, 4
-"""Breaks taken between two looks at the lanes, powers of two; fewer where derivatives lengthen what is compiled."""
+BLOCK = 8
+"""Breaks taken between two looks at the lanes."""
+
+IN_STEP = 1024
+"""Lanes that advance in step: as many as stay in the second-level cache."""
 
 
 class Constants(NamedTuple):
@@ -49,21 +53,19 @@ class Constants(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A lane when contact 0 has broken."""
+    """Lanes when contact 0 has broken."""
 
     constants: Constants
-    stress: Complex[Array, "..."]  # Z_1 + i Z_2
-    log_ratio: Pair  # ln r_m, of which only derivatives are used
+    stress: Pair  # Z_m, or (NaN, ℓ) where contact 1 holds
 
 
 class Now(NamedTuple):
     """What a turn of the loop hands on."""
 
-    stress: Complex[Array, " lanes"]
+    stress: Complex[Array, " lanes"]  # Z_1 + i Z_2
     tangents: tuple[Complex[Array, " lanes"], ...]
     decay: Complex[Array, " lanes"]  # r_1^s + i r_2^s
     position: Int[Array, ""]  # s
-    some_going: Bool[Array, ""]  # as the turn began
 
 
 def length_kernel(max_contacts: int) -> Kernel:
@@ -72,82 +74,111 @@ def length_kernel(max_contacts: int) -> Kernel:
     Of uniform, semi-infinite interfaces without repinning delay. inf where it never stops, NaN after `max_contacts` breaks.
     """
 
-    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        start = jax.vmap(_nucleate, in_axes=1)(parameters)
-        end = jax.vmap(_end, in_axes=1)(parameters)
-
+    def march(lanes: Lanes) -> tuple[Array, ...]:
         def body(now: Now) -> Now:
-            s = now.position.astype(end.dtype)
-            return _turned(
-                now, start.constants, _block(start.constants, now.stress, now.decay, s, end, max_contacts, BLOCK), (), BLOCK
-            )
+            stress = _block(lanes.start.constants, now.stress, now.decay, _site(now), lanes.end, max_contacts)
+            return _turned(now, lanes.start.constants, stress, ())
 
-        now = lax.while_loop(lambda now: _unfinished(now, max_contacts), body, _first(start, ()))
-        return (_length(now.stress),)
+        return (_length(_until_all_arrest(body, lanes, max_contacts).stress),)
+
+    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        return _in_step(march, Lanes(_nucleate(parameters), (), _end(parameters)), 1)
 
     return lengths
 
 
 def gradient_kernel(max_contacts: int) -> Kernel:
-    """ℓ of lanes as by `length_kernel`, and its derivative in every field."""
+    """ℓ of lanes as by `length_kernel`, to the same bit, and its derivative in every field."""
 
-    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        def nucleate(x: Array) -> Start:
-            return jax.vmap(_nucleate, in_axes=1)(x)
-
-        units = [jnp.zeros_like(parameters).at[i].set(1) for i in range(parameters.shape[0])]
-        start = nucleate(parameters)
-        rates: list[Start] = [jax.jvp(nucleate, (parameters,), (unit,))[1] for unit in units]
-        end = jax.vmap(_end, in_axes=1)(parameters)
+    def march(lanes: Lanes) -> tuple[Array, ...]:
+        constants = lanes.start.constants
 
         def body(now: Now) -> Now:
-            s = now.position.astype(end.dtype)
+            s = _site(now)
 
             def block(constants: Constants, stress: Array, decay: Array) -> Array:
-                return _block(constants, stress, decay, s, end, max_contacts, GRADIENT_BLOCK)
+                return _block(constants, stress, decay, s, lanes.end, max_contacts)
 
             def along(rate: Start, tangent: Array) -> Array:
-                E1, E2 = _parts(now.decay)
-                moving = lax.complex(s * rate.log_ratio[0] * E1, s * rate.log_ratio[1] * E2)
-                return jax.jvp(block, (start.constants, now.stress, now.decay), (rate.constants, tangent, moving))[1]
+                # r^s moves by s r^s d ln r
+                (E1, E2), (gap_1, gap_2), (d1, d2) = _parts(now.decay), constants.gap, rate.constants.gap
+                moving = lax.complex(-s * E1 * (d1 / (1 - gap_1)), -s * E2 * (d2 / (1 - gap_2)))
+                return jax.jvp(block, (constants, now.stress, now.decay), (rate.constants, tangent, moving))[1]
 
-            tangents = tuple(along(rate, tangent) for rate, tangent in zip(rates, now.tangents, strict=True))
-            return _turned(now, start.constants, block(start.constants, now.stress, now.decay), tangents, GRADIENT_BLOCK)
+            tangents = tuple(along(rate, tangent) for rate, tangent in zip(lanes.rates, now.tangents, strict=True))
+            return _turned(now, constants, block(constants, now.stress, now.decay), tangents)
 
-        now = lax.while_loop(lambda now: _unfinished(now, max_contacts), body, _first(start, tuple(r.stress for r in rates)))
+        now = _until_all_arrest(body, lanes, max_contacts)
         length = _length(now.stress)
         # ℓ = 0 is flat, and what is no number has no derivative
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
         return length, *(jnp.where(jnp.isfinite(length) & (length > 0), d.imag, flat) for d in now.tangents)
 
+    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        units = [jnp.zeros_like(parameters).at[i].set(1) for i in range(parameters.shape[0])]
+        rates = tuple(jax.jvp(_nucleate, (parameters,), (unit,))[1] for unit in units)
+        return _in_step(march, Lanes(_nucleate(parameters), rates, _end(parameters)), 1 + len(rates))
+
     return lengths
 
 
-def _nucleate(parameters: Float[Array, " fields"]) -> Start:
-    """A lane whose contact 0 has broken (at exactly its threshold, which rounding must not spoil)."""
-    modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
+class Lanes(NamedTuple):
+    """What is known of lanes before they set off."""
+
+    start: Start
+    rates: tuple[Start, ...]  # derivatives of `start`
+    end: Array  # `_end`
+
+
+def _in_step(march: Callable[[Lanes], tuple[Array, ...]], lanes: Lanes, columns: int) -> tuple[Array, ...]:
+    """Columns of ``march(lanes)``, `IN_STEP` lanes after `IN_STEP` lanes.
+
+    In one table, so that the loop over them has few operations: XLA hands more than eight to other threads, which takes longer
+    than they do.
+    """
+    n = lanes.end.shape[0]
+    if n <= IN_STEP:
+        return march(lanes)
+    rows, tree = jax.tree.flatten(lanes)
+    table = jnp.stack(rows)
+
+    def one(i: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
+        part = lax.dynamic_slice(table, (0, i * IN_STEP), (len(rows), IN_STEP))
+        here = march(jax.tree.unflatten(tree, list(part)))
+        return tuple(lax.dynamic_update_slice(x, y, (i * IN_STEP,)) for x, y in zip(found, here, strict=True))
+
+    return lax.fori_loop(0, n // IN_STEP, one, (jnp.zeros_like(lanes.end),) * columns)
+
+
+def _nucleate(parameters: Float[Array, "fields lanes"]) -> Start:
+    """Lanes whose contact 0 has broken (at exactly its threshold, which rounding must not spoil)."""
+    modes = _modes(parameters)
     R, one = modes.reflection, jnp.ones_like(modes.load)
     prestress, slope = (parameters[3], parameters[4]) if parameters.shape[0] > 3 else (None, None)
     constants = Constants(
         (modes.gap[0], modes.gap[1]), (modes.weight[0], modes.weight[1]), (R[0, 0], R[0, 1], R[1, 1]), prestress, slope
     )
-    drive = modes.drive if prestress is None else (1 - prestress) * modes.drive
-    g1, g2 = _gains(constants, (one, one))
-    stress = _shrink((drive[0] + g1, drive[1] + g2), constants.gap)
-    log_ratio = jnp.log1p(-modes.gap)
-    running = _excess(constants, stress, one)[1] >= 0
-    ended = lax.complex(jnp.nan * one, jnp.where(running, jnp.inf, 0) * one)
+    drive = (modes.drive[0], modes.drive[1])
+    if prestress is not None:
+        drive = (1 - prestress) * drive[0], (1 - prestress) * drive[1]
+    stress = _break(constants, drive, constants.reflection, one)
+    running = _ahead(constants, stress, one)[1] >= (1 if prestress is None else 0)
     going = running & (_end(parameters) > 1)
-    return Start(constants, jnp.where(going, lax.complex(*stress), ended), (log_ratio[0], log_ratio[1]))
+    stress = jnp.where(going, stress[0], jnp.nan), jnp.where(going, stress[1], jnp.where(running, jnp.inf, 0))
+    return Start(constants, stress)
 
 
-def _end(parameters: Float[Array, " fields"]) -> Array:
+def _modes(parameters: Float[Array, "fields lanes"]) -> Modes:
+    with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
+        return lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
+
+
+def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
     """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.interface_front`); mostly inf."""
     if parameters.shape[0] == 3:
-        return jnp.asarray(jnp.inf, parameters.dtype)
+        return jnp.full(parameters.shape[1], jnp.inf, parameters.dtype)
     parameters = lax.stop_gradient(parameters)
-    interface = Interface(parameters[3], parameters[4])
-    modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
+    interface, modes = Interface(parameters[3], parameters[4]), _modes(parameters)
     never_stops = (parameters[4] == 0) & (parameters[3] >= runaway_prestress(modes))
     enough = jnp.where(never_stops, APPROACH / slowest_approach(modes) + 10, jnp.inf)
     return jnp.ceil(jnp.minimum(enough, interface.last_site()))
@@ -162,43 +193,51 @@ def _shrink(x: Pair, gap: Pair) -> Pair:
     return x[0] - gap[0] * x[0], x[1] - gap[1] * x[1]
 
 
-def _gains(lane: Constants, decay: Pair) -> Pair:
-    """w_m + Σ_n R_mn r_m^s r_n^s."""
-    (w1, w2), (R11, R12, R22), (E1, E2) = lane.weight, lane.reflection, decay
-    return w1 + E1 * (R11 * E1 + R12 * E2), w2 + E2 * (R12 * E1 + R22 * E2)
+def _edge(lane: Constants, decay: Pair) -> tuple[Array, Array, Array]:
+    """R_mn r_m^s r_n^s, what the left edge adds to the response at site s."""
+    (R11, R12, R22), (E1, E2) = lane.reflection, decay
+    return R11 * E1 * E1, R12 * E1 * E2, R22 * E2 * E2
 
 
-def _excess(lane: Constants, Z: Pair, position: Array) -> tuple[Array, Array]:
-    """Stress on the contact ahead, and by how much it exceeds the threshold."""
+def _break(lane: Constants, Z: Pair, edge: tuple[Array, Array, Array], t: Array) -> Pair:
+    """Z_m one contact further."""
+    (w1, w2), (R11, R12, R22) = lane.weight, edge
+    return _shrink((Z[0] + (w1 + (R11 + R12)) * t, Z[1] + (w2 + (R22 + R12)) * t), lane.gap)
+
+
+def _ahead(lane: Constants, Z: Pair, position: Array) -> tuple[Array, Array]:
+    """Stress on the contact ahead, and what decides whether it breaks: that stress, or where thresholds vary its excess."""
     if lane.prestress is None or lane.slope is None:
         t = Z[0] + Z[1]
-        return t, t - 1
+        return t, t
     t = lane.prestress + (Z[0] + Z[1])
     return t, t - (1 + lane.slope * position)
 
 
-def _block(lane: Constants, stress: Array, decay: Array, s: Array, end: Array, max_contacts: int, breaks: int) -> Array:
-    """State after some breaks from position `s`: stresses, or (NaN, ℓ) once arrested."""
-    arrived, E = _parts(stress), _parts(decay)
-    Z = arrived
+def _block(lane: Constants, stress: Array, decay: Array, s: Array, end: Array, max_contacts: int) -> Array:
+    """State after `BLOCK` breaks from position `s`: stresses, or (NaN, ℓ) once arrested."""
+    arrived = Z = _parts(stress)
+    edge, (gap_1, gap_2) = _edge(lane, _parts(decay)), lane.gap
+    fading = gap_1 * (2 - gap_1), gap_1 + gap_2 - gap_1 * gap_2, gap_2 * (2 - gap_2)  # 1 − r_m r_n
+    level = 1 if lane.prestress is None else 0
     going = started = _going(stress)
-    t, over = _excess(lane, Z, s)
-    behind = ahead = over
-    broken = jnp.zeros_like(over) + s
+    t, load = _ahead(lane, Z, s)
+    behind = ahead = load
+    steps = jnp.zeros_like(load)
     runs = jnp.zeros_like(going)
-    for position in (s + k for k in range(1, breaks + 1)):
-        g1, g2 = _gains(lane, E)
-        Z, E = _shrink((Z[0] + g1 * t, Z[1] + g2 * t), lane.gap), _shrink(E, lane.gap)
-        t, after = _excess(lane, Z, position)
-        behind, ahead = jnp.where(going, over, behind), jnp.where(going, after, ahead)
-        broken = jnp.where(going, position, broken)
-        over, going = after, going & (after >= 0)
+    for k in range(BLOCK):
+        behind, steps = jnp.where(going, load, behind), jnp.where(going, k, steps)
+        Z = _break(lane, Z, edge, t)
+        edge = edge[0] - fading[0] * edge[0], edge[1] - fading[1] * edge[1], edge[2] - fading[2] * edge[2]
+        t, load = _ahead(lane, Z, s + (k + 1))
+        ahead = jnp.where(going, load, ahead)
+        going = going & (load >= level)
         if lane.prestress is not None:
-            runs = runs | (going & (position >= end))
+            runs = runs | (going & (s + (k + 1) >= end))
             going = going & ~runs
-    # t(ℓ) = 1 + εℓ on the straight line between the last contact that broke and the first that did not
-    length = jnp.where(runs, jnp.inf, broken - 1 + behind / (behind - ahead))
-    length = jnp.where(broken <= max_contacts, length, jnp.nan)
+    # t(ℓ) = 1 + εℓ on the straight line between the last contact that broke, s + steps, and the first that did not
+    length = jnp.where(runs, jnp.inf, s + steps + (behind - level) / (behind - ahead))
+    length = jnp.where(s + steps < max_contacts, length, jnp.nan)
     kept = jnp.where(started, length, arrived[1])
     return lax.complex(jnp.where(going, Z[0], jnp.nan), jnp.where(going, Z[1], kept))
 
@@ -212,18 +251,19 @@ def _length(stress: Array) -> Array:
     return jnp.where(_going(stress), jnp.nan, stress.imag)
 
 
-def _first(start: Start, tangents: tuple[Array, ...]) -> Now:
-    gap = start.constants.gap
-    decay = lax.complex(1 - gap[0], 1 - gap[1])
-    return Now(start.stress, tangents, decay, jnp.ones((), jnp.int32), jnp.array(True))
+def _until_all_arrest(body: Callable[[Now], Now], lanes: Lanes, max_contacts: int) -> Now:
+    gap = lanes.start.constants.gap
+    tangents = tuple(lax.complex(*rate.stress) for rate in lanes.rates)
+    first = Now(lax.complex(*lanes.start.stress), tangents, lax.complex(1 - gap[0], 1 - gap[1]), jnp.ones((), jnp.int32))
+    return lax.while_loop(lambda now: jnp.any(_going(now.stress)) & (now.position <= max_contacts), body, first)
 
 
-def _turned(now: Now, constants: Constants, stress: Array, tangents: tuple[Array, ...], breaks: int) -> Now:
+def _site(now: Now) -> Array:
+    return now.position.astype(now.stress.real.dtype)
+
+
+def _turned(now: Now, constants: Constants, stress: Array, tangents: tuple[Array, ...]) -> Now:
     E = _parts(now.decay)
-    for _ in range(breaks):  # as within a block, so that its number of breaks does not show in the bits
+    for _ in range(BLOCK):
         E = _shrink(E, constants.gap)
-    return Now(stress, tangents, lax.complex(*E), now.position + breaks, jnp.any(_going(now.stress)))
-
-
-def _unfinished(now: Now, max_contacts: int) -> Array:
-    return now.some_going & (now.position <= max_contacts)
+    return Now(stress, tangents, lax.complex(*E), now.position + BLOCK)

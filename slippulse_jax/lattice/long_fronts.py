@@ -16,7 +16,7 @@ from slippulse_jax.lattice.batch import Kernel
 LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
 
-CHUNKS = (128,)
+CHUNK = 128
 """Lanes a chunk: as many as leave the table of the series in the second-level cache."""
 
 
