@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -40,3 +41,18 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
     with ThreadPoolExecutor(workers()) as pool:
         for _ in pool.map(run, dealt):
             pass
+
+
+def compiled_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function`, compiled by one thread: those that meet a new program together would each compile it."""
+    first, met = threading.Lock(), threading.Event()
+
+    def call(*arguments: Any) -> Any:
+        if met.is_set():
+            return function(*arguments)
+        with first:
+            found = function(*arguments)
+            met.set()
+        return found
+
+    return call

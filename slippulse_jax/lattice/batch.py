@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.devices import spread, workers
+from slippulse_jax.devices import compiled_once, spread, workers
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Columns of a chunk of lanes; no lane may depend on another."""
@@ -51,6 +51,7 @@ def over_lanes(
     """
     chunk, few = CHUNK if chunk is None else chunk, FEW if few is None else few
     columns = [np.empty(lanes.shape[1], dtype) for dtype in dtypes]
+    at_once, in_chunks = _compiled(kernel, statics), _looped(kernel, statics, chunk)
 
     def run(where: slice) -> None:
         here = lanes[:, where]
@@ -60,9 +61,7 @@ def over_lanes(
         padded = np.empty((len(here), few if count <= few else PIECE * chunk))
         np.take(here, order, axis=1, out=padded[:, :count], mode="clip")
         padded[:, count : chunks * chunk] = ENDS_AT_ONCE[: len(here), None]
-        values = (
-            _compiled(kernel, statics)(padded) if few == padded.shape[1] else _looped(kernel, statics, chunk)(padded, chunks)
-        )
+        values = at_once(padded) if count <= few else in_chunks(padded, chunks)
         for column, value in zip(columns, values, strict=True):
             back = np.empty(count, column.dtype)
             back[order] = np.asarray(value)[:count]
@@ -101,8 +100,8 @@ _OPTIONS: Any = {"xla_cpu_multi_thread_eigen": False, "xla_cpu_prefer_vector_wid
 
 
 @functools.cache
-def _compiled(kernel: Callable[..., Kernel], statics: tuple) -> Callable[[np.ndarray], tuple[Array, ...]]:
-    return jax.jit(kernel(*statics), compiler_options=_OPTIONS)
+def _compiled(kernel: Callable[..., Kernel], statics: tuple) -> Callable[..., tuple[Array, ...]]:
+    return compiled_once(jax.jit(kernel(*statics), compiler_options=_OPTIONS))
 
 
 @functools.cache
@@ -120,4 +119,4 @@ def _looped(kernel: Callable[..., Kernel], statics: tuple, chunk: int) -> Callab
         shapes = jax.eval_shape(one, jax.ShapeDtypeStruct((fields, chunk), lanes.dtype))
         return lax.fori_loop(0, chunks, go_on, tuple(jnp.zeros(n, x.dtype) for x in shapes))
 
-    return jax.jit(several, compiler_options=_OPTIONS)
+    return compiled_once(jax.jit(several, compiler_options=_OPTIONS))

@@ -1,9 +1,7 @@
 """Exact lengths by the million: NumPy in and out, double precision, with derivatives, every lane by itself."""
 
 import functools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.devices import compiled_once, spread
 from slippulse_jax.lattice import lane_crossing, lane_derivatives, lane_series
 from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front
 from slippulse_jax.slider import Slider
@@ -122,18 +121,12 @@ def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, f
     outputs = [x for x in found if x is not None]
 
     def run(chosen: np.ndarray) -> None:
-        # settings of the thread; lanes are last in every array, so that missing axes are the leading ones
-        with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
+        with jax.numpy_rank_promotion("allow"):  # lanes are last in every array, so that missing axes are the leading ones
             values = function(np.take(lanes, np.resize(chosen, size), axis=1))
         for column, value in zip(outputs, values, strict=True):
             column[chosen] = np.asarray(value)[: len(chosen)]
 
-    chunks = [order[start : start + size] for start in range(0, len(order), size)]
-    for chunk in chunks[:1]:  # by itself: threads that meet a new program together would each compile it
-        run(chunk)
-    if len(chunks) > 1:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(run, chunks[1:]))
+    spread(run, [order[start : start + size] for start in range(0, len(order), size)])
 
 
 @functools.cache
@@ -141,7 +134,7 @@ def _compiled(prestressed: bool) -> Callable[[np.ndarray], tuple[Array, ...]]:
     def chunk(theta: Float[Array, "5 lanes"]) -> tuple[Array, ...]:
         return lane_crossing.crossing(lane_series.solve(lane_series.inputs_of(theta, prestressed)), theta)
 
-    return jax.jit(chunk)
+    return compiled_once(jax.jit(chunk))
 
 
 def _with_derivatives(order: int, theta: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -166,4 +159,4 @@ def _safeguarded() -> Callable[[np.ndarray], tuple[Array, ...]]:
         front = exact_front(Slider(theta[0], theta[1], theta[2]), prestress=theta[3], threshold_slope=theta[4])
         return front.length, front.status
 
-    return jax.jit(jax.vmap(one, in_axes=1))
+    return compiled_once(jax.jit(jax.vmap(one, in_axes=1)))

@@ -12,6 +12,7 @@ was read off the compiled program:
   array depends on. So a turn hands on one array that takes work, the two modes being the real and imaginary part of one
   complex number, and r_m^s, which takes next to none.
 - A look at the lanes costs as much as two breaks: `BLOCK` breaks are taken between two looks.
+- What the edge adds, R_mn r_m^s r_n^s, is three geometric sequences, begun anew from r_m^s in each block.
 - A front that has arrested leaves its length in the place of its stresses, (NaN, ℓ): nothing breaks under a stress that is no
   number, and nothing has to be recorded elsewhere.
 - Derivatives are tangents of a block, carried beside it for all parameters at once. Those of r_m^s, which are s r_m^s d ln r_m,
@@ -30,6 +31,7 @@ from jaxtyping import Array, Complex, Float, Int
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.batch import Kernel
 from slippulse_jax.lattice.interface_front import APPROACH, runaway_prestress, slowest_approach
+from slippulse_jax.lattice.lane_rates import mode_rates
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -115,8 +117,7 @@ def gradient_kernel(max_contacts: int) -> Kernel:
         return length, *(jnp.where(jnp.isfinite(length) & (length > 0), d.imag, flat) for d in now.tangents)
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        units = [jnp.zeros_like(parameters).at[i].set(1) for i in range(parameters.shape[0])]
-        rates = tuple(jax.jvp(_nucleate, (parameters,), (unit,))[1] for unit in units)
+        rates = _start_rates(parameters)
         return _in_step(march, Lanes(_nucleate(parameters), rates, _end(parameters)), 1 + len(rates))
 
     return lengths
@@ -152,20 +153,42 @@ def _in_step(march: Callable[[Lanes], tuple[Array, ...]], lanes: Lanes, columns:
 
 def _nucleate(parameters: Float[Array, "fields lanes"]) -> Start:
     """Lanes whose contact 0 has broken (at exactly its threshold, which rounding must not spoil)."""
-    modes = _modes(parameters)
-    R, one = modes.reflection, jnp.ones_like(modes.load)
-    prestress, slope = (parameters[3], parameters[4]) if parameters.shape[0] > 3 else (None, None)
-    constants = Constants(
-        (modes.gap[0], modes.gap[1]), (modes.weight[0], modes.weight[1]), (R[0, 0], R[0, 1], R[1, 1]), prestress, slope
-    )
-    drive = (modes.drive[0], modes.drive[1])
-    if prestress is not None:
-        drive = (1 - prestress) * drive[0], (1 - prestress) * drive[1]
-    stress = _break(constants, drive, constants.reflection, one)
-    running = _ahead(constants, stress, one)[1] >= (1 if prestress is None else 0)
+    constants, drive = _constants(parameters, _modes(parameters))
+    stress, one = _first_stress(constants, drive), jnp.ones_like(parameters[0])
+    running = _ahead(constants, stress, one)[1] >= (1 if constants.prestress is None else 0)
     going = running & (_end(parameters) > 1)
-    stress = jnp.where(going, stress[0], jnp.nan), jnp.where(going, stress[1], jnp.where(running, jnp.inf, 0))
-    return Start(constants, stress)
+    Z1, Z2 = jnp.where(going, stress[0], jnp.nan), jnp.where(going, stress[1], jnp.where(running, jnp.inf, 0))
+    return Start(constants, (Z1, Z2))
+
+
+def _constants(parameters: Float[Array, "fields lanes"], modes: Modes) -> tuple[Constants, Pair]:
+    """Constants of lanes, and the drive C_m."""
+    R = modes.reflection
+    prestress, slope = (parameters[3], parameters[4]) if parameters.shape[0] > 3 else (None, None)
+    gap, weight = (modes.gap[0], modes.gap[1]), (modes.weight[0], modes.weight[1])
+    return Constants(gap, weight, (R[0, 0], R[0, 1], R[1, 1]), prestress, slope), (modes.drive[0], modes.drive[1])
+
+
+def _first_stress(constants: Constants, drive: Pair) -> Pair:
+    """Z_m when contact 0 has broken."""
+    if constants.prestress is not None:
+        drive = (1 - constants.prestress) * drive[0], (1 - constants.prestress) * drive[1]
+    return _break(constants, drive, constants.reflection, jnp.ones_like(drive[0]))
+
+
+def _start_rates(parameters: Float[Array, "fields lanes"]) -> tuple[Start, ...]:
+    """Derivatives of `_nucleate` in every field, of lanes that go on."""
+    modes = _modes(parameters)
+    constants, drive = _constants(parameters, modes)
+    still = jax.tree.map(jnp.zeros_like, constants)
+    moves = [
+        (still._replace(gap=rate.gap, weight=rate.weight, reflection=rate.reflection), rate.drive)
+        for rate in mode_rates(Slider(parameters[0], parameters[1], parameters[2]), modes)
+    ]
+    if parameters.shape[0] > 3:
+        one, none = jnp.ones_like(parameters[0]), (jnp.zeros_like(drive[0]), jnp.zeros_like(drive[1]))
+        moves += [(still._replace(prestress=one), none), (still._replace(slope=one), none)]
+    return tuple(Start(move[0], jax.jvp(_first_stress, (constants, drive), move)[1]) for move in moves)
 
 
 def _modes(parameters: Float[Array, "fields lanes"]) -> Modes:
