@@ -1,7 +1,8 @@
 """The benchmark of lengths in bulk. Prints ratios; writes benchmarks/lengths.json, docs/benchmarks.md and a figure.
 
 ``python -m benchmarks`` runs everything; ``python -m benchmarks points heights`` some parts, the others being taken from the file.
-Needs numba and SciPy (the extra ``bench``) and, for numbers that mean something, a machine that does nothing else.
+Needs numba and SciPy (the extra ``bench``) and, for numbers that mean something, a machine that does nothing else; where it was
+not so, the page says so.
 """
 
 import json
@@ -186,7 +187,7 @@ def page(found: dict) -> str:
     lines = [
         "# Benchmarks", "",
         "Written by `python -m benchmarks`; every number of a table is from one run. "
-        f"Machine: {found['machine']}.", "",
+        f"Machine: {found['machine']}.{found.get('remark', '')}", "",
         "## 200 000 random points", "",
         "H/λc uniform in 10–50, k/K log-uniform in 10⁻³–0.03, ν uniform in 0.1–0.45, unsorted; sorting counts. "
         f"Mean length {found['points']['mean length']:.1f} λc; largest difference from numba "
@@ -265,6 +266,8 @@ def draw(found: dict) -> None:
 
 def main() -> None:
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    busy = os.getloadavg()[0] > 0.5
+    found["remark"] = " Other programs were running: trust ratios within a table, and no time by itself." if busy else ""
     for name in sys.argv[1:] or PARTS:
         found[name] = PARTS[name]()
         print(name, json.dumps(found[name], indent=1))

@@ -20,10 +20,10 @@ from slippulse_jax.devices import compiled_once, spread, workers
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Columns of a chunk of lanes; no lane may depend on another."""
 
-CHUNK, FEW = 8192, 64
+CHUNK, FEW = 1024, 64
 """Lanes of a chunk; lanes of a call for so few that a chunk would be mostly padding."""
 
-PIECE = 4
+PIECE = 32
 """Chunks of a call, at most."""
 
 ENDS_AT_ONCE = np.array([2.0, 1e-6, 0.3, 0.1, 0.0])
