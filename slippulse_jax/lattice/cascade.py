@@ -85,12 +85,12 @@ def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array
     """Break after break, each recorded."""
     max_breaks, delay = limits
     size = resp.near.shape[1]
-    none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
-    start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
-
     soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
 
     def loop(resp: Response, soft: Array, stress: Array, threshold: Array, trigger: Array) -> Broken:
+        none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
+        start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+
         def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
             site = moves.sites[-1]
             return Record(

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
-from jaxtyping import Float
 
 from slippulse_jax.lattice.ageing import Ageing
 from slippulse_jax.lattice.blocks import all_opened
@@ -137,12 +137,13 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # all that a relaxed chain carries
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
     valid = all_numbers(chain, relaxed(chain)) & ~resp.floating & holds
-    begin = start(by, into_blocks(prestress, resp.near.shape[1]), valid)
 
-    def loop(resp: Response, contacts: Contacts, begin: Now) -> Now:
-        return load_through(by._replace(response=resp, contacts=contacts), begin)
+    def loop(resp: Response, contacts: Contacts, prestress: Array, valid: Array) -> Now:
+        now = by._replace(response=resp, contacts=contacts)
+        return load_through(now, start(now, prestress, valid))
 
-    end = loop(resp, by.contacts, begin) if delay else as_one_kernel(loop, resp, by.contacts, begin)
+    given = resp, by.contacts, into_blocks(prestress, resp.near.shape[1]), valid
+    end = loop(*given) if delay else as_one_kernel(loop, *given)
     pinning = by.contacts.gains[:, :, 1] * end.given
     state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)
     solved = equilibrium(chain, state)

@@ -21,13 +21,14 @@ def as_one_kernel(f: Callable, *given: Any) -> Any:
     """
 
     def with_witnesses(*args: Any) -> tuple:
-        # XLA has no place for an argument that such a function does not use: hand on a number of each
+        # XLA aborts on an argument that such a function does not use: hand on a number of each
         return f(*args), [x[(0,) * x.ndim] for x in jax.tree.leaves(args)]
 
     whole = jax.jit(with_witnesses)
 
     def on_cpu(*args: Any) -> Any:
-        tagged: Any = set_xla_metadata(whole(*args), xla_cpu_small_call="true", inlineable="false")
+        # nor may one be a constant, which would be folded in and leave its argument unused
+        tagged: Any = set_xla_metadata(whole(*lax.optimization_barrier(args)), xla_cpu_small_call="true", inlineable="false")
         return tagged[0]
 
     return lax.platform_dependent(*given, cpu=on_cpu, default=f)
