@@ -131,7 +131,7 @@ HEADER = """# Index of the paper's equations
 
 Written by `docs/equation_index.py` from the code; a test fails where an equation has no function or no test. Labels are those
 of the paper's LaTeX source, numbers count them as they are set (the Appendix goes on from 26); the two lattice equations have
-no number, and a label only in a comment. Where the paper errs ({doc}`errata`), the function computes the corrected form.
+no number, and a label only in a comment. Where the paper errs ([errata](errata.md)), the function computes the corrected form.
 
 | number | label | what | computed by | checked by |
 |---|---|---|---|---|"""

@@ -106,7 +106,17 @@ def test_what_is_not_run_says_so():
             for kind in kinds
             if kind not in ("python", "sh", "csv", "text") and not kind.startswith(("{toctree", "{include"))
         }
-        assert other <= ({"bash", "{code-block} python"} if path.name == "clusters.md" else set()), path.name
+        assert other <= {"clusters.md": {"bash", "{code-block} python"}, "tutorial.md": {"bash"}}.get(path.name, set()), (
+            path.name
+        )
+
+
+def test_every_status_is_on_the_page_of_sweeps():
+    page = (DOCS / "sweeps.md").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"^\| (\d) \| (.+) \|$", page, flags=re.M))
+    assert {int(number) for number in listed} == {int(status) for status in sp.FrontStatus}
+    for status in sp.FrontStatus:
+        assert status.message[:7].lower() in listed[str(int(status))], status
 
 
 def test_links_between_pages_lead_somewhere():
