@@ -111,7 +111,10 @@ def test_readme_links_lead_somewhere():
     links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if not link.startswith("http")]
     assert links
     for link in links:
-        assert (ROOT / link).exists(), link
+        page, _, section = link.partition("#")
+        assert (ROOT / page).exists(), link
+        headings = re.findall(r"^#+ (.+)$", (ROOT / page).read_text(encoding="utf-8"), flags=re.M) if section else []
+        assert not section or section in [heading.lower().replace(" ", "-") for heading in headings], link
 
 
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
