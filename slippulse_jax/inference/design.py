@@ -171,7 +171,7 @@ def design(
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
     prior = Prior(knowledge.theta, knowledge.probability, knowledge.labels)
-    length, slope = _lengths(knowledge, candidates)
+    length, slope = lengths_of(candidates, knowledge.theta)
     error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
     gains = [expected_gain(prior, column, s, kind) for column, s in zip(length.T, error, strict=True)]
     # a count is a length with an error of a contact's width besides
@@ -239,12 +239,12 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
     check_domain("threshold_slope", columns["threshold_slope"], lambda x: x > -1, "must exceed -1")
 
 
-def _lengths(knowledge: Knowledge, candidates: list[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ* and dℓ*/d ln k of every sample and candidate, in λc; the slope is 0 where the front never stops."""
+def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ* and dℓ*/d ln k at every ln(stiffness) and of every candidate, in λc; the slope is 0 where the front never stops."""
     numbers = np.array([c[:5] for c in candidates])
     scale = np.array([c.correlation_length or 1.0 for c in candidates])
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
-    ratio = np.exp(knowledge.theta)[:, None] * per_unit
+    ratio = np.exp(theta)[:, None] * per_unit
     slider = Slider(numbers[:, 0] / scale, ratio, numbers[:, 2])
     found = exact_lengths(slider, prestress=numbers[:, 3], threshold_slope=numbers[:, 4], derivatives=1)
     lost = found.status == ExactStatus.NOT_CONVERGED

@@ -7,10 +7,13 @@ import numpy as np
 from slippulse_jax.style import axes, colours
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from slippulse_jax.inference.design import Candidate, Design
+    from slippulse_jax.inference.knowledge import Knowledge
 
 BIT = np.log(2)
 
@@ -51,6 +54,7 @@ def report(found: "Design") -> str:
             f"{found.information[i] / BIT:6.3f} ± {_small(found.information_error[i] / BIT)} bit "
             f"{found.d_optimal[i] / BIT:6.3f} bit {found.log_stderr[i]:11.3g}{last}"
         )
+    lines.append(_by_root(found))
     if len(found.sequence) > 1:
         lines.append("Sequence, each adding most to those before it:")
         for place, (i, gain) in enumerate(found.sequence, 1):
@@ -61,6 +65,19 @@ def report(found: "Design") -> str:
             )
     lines += [f"  {note}" for note in notes(found)]
     return "\n".join(lines)
+
+
+def _by_root(found: "Design") -> str:
+    """What the first candidate would measure under each root."""
+    k, best = found.knowledge, found.best
+    scale, name = _scale(found)
+    seen = []
+    for root, (_, value, _) in enumerate(k.roots):
+        own = (k.labels == root) & np.isfinite(found.length[:, best])
+        weight = k.probability[own]
+        length = weight @ found.length[own, best] / weight.sum() if weight.sum() > 0 else np.inf
+        seen.append(f"{length * scale[best]:.4g} {name} if {'k/λc²' if k.in_si else 'k/K'} = {value:.3g}")
+    return f"Next: {label(found.candidates[best], found.candidates)}; expect {', '.join(seen)}."
 
 
 def notes(found: "Design") -> list[str]:
@@ -143,34 +160,35 @@ def draw_information(found: "Design", ax: "Axes | None") -> "Axes":
         longer = max(found.information[i], found.d_optimal[i]) / BIT
         ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
     ax.set_yticks(y, [label(found.candidates[i], found.candidates) for i in order])
-    ax.set(xlabel="gain, bits", xlim=(0, 1.35 * most))
+    room = 1.6 if len(found.knowledge.roots) > 1 else 1.35
+    ax.set(xlabel="gain, bits", xlim=(0, room * most))
     ax.legend(frameon=False, fontsize="small", loc="lower right")
     return ax
 
 
 def draw_lengths(found: "Design", ax: "Axes | None") -> "Axes":
     """Lengths over stiffness, ℓ/H with the band of ± σ, and the density of what is known below."""
+    from slippulse_jax.inference.design import lengths_of
+
     ax = axes(ax)
     c = colours(ax)
-    stiffness = np.exp(found.knowledge.theta)
+    known = found.knowledge.theta
+    theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
+    length = lengths_of(found.candidates, theta)[0]
     shown = found.ranking[: len(c.data)]
     top = 0.0
     for i, color in zip(shown, c.data, strict=False):
         one = found.candidates[i]
         height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
-        share = np.where(np.isfinite(found.length[:, i]), found.length[:, i], np.nan) / height
-        ax.plot(stiffness, share, color=color, label=label(one, found.candidates))
-        ax.fill_between(stiffness, share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
+        share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
+        ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
+        ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
         top = max(top, np.nanmax(share, initial=0.0))
-    weights, edges = np.histogram(found.knowledge.theta, 60, weights=found.knowledge.probability)
-    ax.fill_between(
-        np.exp((edges[1:] + edges[:-1]) / 2),
-        0.25 * top * weights / weights.max(),
-        color=c.grey,
-        alpha=0.35,
-        lw=0,
-        label="known",
-    )
+    heaps = list(_densities(found.knowledge))
+    highest = max(density.max() for _, density in heaps)
+    for number, (middle, density) in enumerate(heaps):
+        height = 0.25 * top * density / highest
+        ax.fill_between(np.exp(middle), height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known")
     ax.set(
         xscale="log",
         xlabel="areal stiffness $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "stiffness $k/K$",
@@ -179,3 +197,11 @@ def draw_lengths(found: "Design", ax: "Axes | None") -> "Axes":
     )
     ax.legend(frameon=False, fontsize="small")
     return ax
+
+
+def _densities(knowledge: "Knowledge") -> "Iterator[tuple[np.ndarray, np.ndarray]]":
+    """Density of ln(stiffness) about each root, where it is more than a trifle."""
+    for root in range(len(knowledge.roots)):
+        own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
+        weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])
+        yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)

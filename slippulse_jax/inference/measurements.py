@@ -144,8 +144,11 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
     "poisson": (lambda x: -1 < x <= 0.5, "Poisson's ratio must lie in (-1, 0.5]"),
     "length": (lambda x: x > 0, "a length must be positive"),
     "length_sigma": (lambda x: x >= 0, "a standard error cannot be negative"),
-    "correlation_length": (lambda x: x > 0, "the correlation length must be positive"),
-    "young": (lambda x: x > 0, "Young's modulus must be positive"),
+    "correlation_length": (
+        lambda x: x >= 1e-10,
+        "the correlation length must be positive, and no less than an atom's size, 0.1 nm",
+    ),
+    "young": (lambda x: 0 < x <= 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's"),
     "prestress": (lambda x: 0 <= x < 1, "the prestress must lie in [0, 1), in σ_s"),
     "threshold_slope": (lambda x: x > -1, "the rise of the threshold per contact must exceed -1"),
     "displacement": (lambda x: x > 0, "a displacement at nucleation must be positive"),

@@ -69,6 +69,26 @@ _PLAIN = {
     "length_sigma": _Column("length_sigma"),
     "height_sigma": _Column("height_sigma"),
 }
+_UNITS = {
+    "m",
+    "dm",
+    "cm",
+    "mm",
+    "um",
+    "µm",
+    "nm",
+    "in",
+    "pa",
+    "kpa",
+    "mpa",
+    "gpa",
+    "psi",
+    "n_per_m",
+    "kn_per_m",
+    "n_per_mm",
+    "n",
+}
+"""What may follow a quantity in the name of a column that is meant as it: refused, not kept as a remark."""
 _TEXT = ("specimen", "provenance", "kind")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
@@ -167,6 +187,7 @@ def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
         meant = folded.get(column.casefold(), column)
         if meant != column and meant not in header:
             raise MeasurementError(f"{where}, column {column}: did you mean {meant}? Upper and lower case count in units")
+    _refuse_other_units(header, where)
     only_si = [column for column in _SI if column in header]
     only_plain = [column for column in _PLAIN if column in header]
     if only_si and only_plain:
@@ -182,6 +203,17 @@ def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
         if column in known and partner in known and partner not in header:
             raise MeasurementError(f"{where}, column {column}: there is no column {partner} that it could be the error of")
     return {column: meaning for column, meaning in known.items() if column in header}
+
+
+def _refuse_other_units(header: list[str], where: str) -> None:
+    """A known quantity in a unit that is not read, or without one, must not pass for a column of remarks."""
+    meant = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
+    for column in set(header) - {*_SI, *_PLAIN, *_BOTH}:
+        for stem, known in meant.items():
+            if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
+                plain = known.removesuffix("_mm")
+                other = f", or {plain} in λc" if plain in _PLAIN else ""
+                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}? Other units are not converted")
 
 
 def _value_column(column: str) -> str:
