@@ -4,7 +4,7 @@ The numba loop breaks the most overloaded contact and adds its response to all s
 sent out from the broken site in both directions. It is given them and the stresses ready made, while the package's time
 includes its response (worked out once where lanes share a chain), both equilibria and the record of the rupture.
 
-    python benchmarks/cascade.py
+    python -m benchmarks.cascade
 """
 
 import time

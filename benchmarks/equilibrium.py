@@ -1,6 +1,6 @@
 """Equilibrium of a chain against scipy.linalg.solve_banded on the same matrix, in one run.
 
-python benchmarks/equilibrium.py
+python -m benchmarks.equilibrium
 """
 
 import time

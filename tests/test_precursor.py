@@ -82,7 +82,7 @@ def test_lengths_do_not_depend_on_the_batch(monkeypatch):
     np.testing.assert_array_equal(
         precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
     )
-    monkeypatch.setattr(batch, "CHUNKS", (64,))
+    monkeypatch.setattr(batch, "CHUNK", 64)
     np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
     singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])
     np.testing.assert_allclose(whole[:20], singly, rtol=1e-12)

@@ -83,7 +83,6 @@ def command(
         from slippulse_jax.inference.design_report import design_figure
 
         save_figure(design_figure(found), figure)
-        click.echo(f"figure written to {figure}", err=True)
 
 
 def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:

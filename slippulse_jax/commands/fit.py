@@ -101,7 +101,6 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     for name, draw in pictures.items():
         if options[name] is not None:
             save_figure(draw(), options[name])
-            click.echo(f"figure written to {options[name]}", err=True)
     if not result.converged:
         ctx.exit(NOT_CONVERGED)
 

@@ -71,9 +71,10 @@ def figure_path(ctx: click.Context, parameter: click.Parameter, value: str | Non
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format its suffix names, in one step."""
+    """Write a figure in the format its suffix names, in one step, and say so."""
     from slippulse_jax.files import write_atomically
 
     content = io.BytesIO()
     figure.savefig(content, format=path.suffix.lstrip(".").lower(), dpi=200)
     write_atomically(path, content.getvalue())
+    click.echo(f"figure written to {path}", err=True)

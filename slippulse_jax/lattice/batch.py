@@ -30,7 +30,7 @@ PIECE = 32
 def over_lanes(
     kernel: Callable[..., Kernel],
     statics: tuple,
-    lanes: Float[np.ndarray, "fields n"],
+    lanes: Sequence[Float[np.ndarray, " n"]] | Float[np.ndarray, "fields n"],
     dtypes: Sequence[type],
     chunk: int | None = None,
     few: int | None = None,
@@ -41,30 +41,32 @@ def over_lanes(
     ----------
     kernel : callable
         Makes the function to be compiled; called once for each `statics`.
-    lanes : numpy.ndarray, shape (fields, n)
-        Height, stiffness, Poisson's ratio and any others, float64.
+    lanes : sequence of numpy.ndarray, shape (n,)
+        Height, stiffness, Poisson's ratio and any others, float64. Large temporary arrays are avoided: the system provides
+        their memory anew at every call, which costs as much as the arithmetic on them.
     chunk, few : int, optional
         Lanes of a chunk, and of a call for no more than that, by default `CHUNK` and `FEW`; 0 for one program fewer to compile.
     """
     chunk, few = CHUNK if chunk is None else chunk, FEW if few is None else few
-    columns = [np.empty(lanes.shape[1], dtype) for dtype in dtypes]
+    columns = [np.empty(len(lanes[0]), dtype) for dtype in dtypes]
     at_once, in_chunks = _compiled(kernel, statics), _looped(kernel, statics, chunk)
 
     def run(where: slice) -> None:
-        here = lanes[:, where]
+        here = [field[where] for field in lanes]
         order = np.argsort(length_rank(here), kind="stable")
         count = len(order)
         chunks = -(-count // chunk)
         padded = np.empty((len(here), few if count <= few else PIECE * chunk))
-        np.take(here, order, axis=1, out=padded[:, :count], mode="clip")
-        padded[:, count : chunks * chunk] = here[:, order[:1]]  # the shortest: nobody waits for it
+        for field, row in zip(here, padded, strict=True):
+            np.take(field, order, out=row[:count], mode="clip")
+        padded[:, count : chunks * chunk] = padded[:, :1]  # the shortest: nobody waits for it
         values = at_once(padded) if count <= few else in_chunks(padded, chunks)
         for column, value in zip(columns, values, strict=True):
             back = np.empty(count, column.dtype)
             back[order] = np.asarray(value)[:count]
             column[where] = back
 
-    spread(run, _pieces(lanes.shape[1], PIECE * chunk))
+    spread(run, _pieces(len(lanes[0]), PIECE * chunk))
     return columns
 
 
@@ -78,9 +80,9 @@ def _pieces(n: int, most: int) -> Iterator[slice]:
             yield slice(start + hand, stop, hands)
 
 
-def length_rank(lanes: np.ndarray) -> np.ndarray:
+def length_rank(lanes: Sequence[np.ndarray]) -> np.ndarray:
     """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
-    height, stiffness, poisson = lanes[:3].astype(np.float32)
+    height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
     shape = 2 * (1 + poisson)
     b = shape * stiffness * height
     x = b / (2 + b)

@@ -20,6 +20,10 @@ ANY, GRADIENTS = (256, 0), (4096, 0)
 """Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with derivatives."""
 
 
+Columns = list[Float[np.ndarray, " n"]]
+"""The numbers of every lane, one array each."""
+
+
 def precursor_lengths(
     slider: Slider,
     *,
@@ -48,7 +52,7 @@ def precursor_lengths(
         float64, of the shape of the batch; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
     found = lengths(slider, interface=interface, rule=rule, right=right, sites=sites, max_contacts=max_contacts)
-    if np.isnan(found).any():
+    if np.isnan(np.min(found, initial=0)):  # nothing as large as the batch is made
         # in double precision every slider that can be made is one, and what has no length was given up
         report_without_length(np.where(np.isnan(found), FrontStatus.LIMIT, 0), max_contacts, raises=False)
     return found
@@ -69,7 +73,7 @@ def lengths(
         if right != "semi-infinite" or interface is not None:
             raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
         check_max_contacts(max_contacts)
-        columns, shape = _stacked(slider.height, slider.stiffness, slider.poisson, rule.width)
+        columns, shape = _columns(slider.height, slider.stiffness, slider.poisson, rule.width)
         return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,), *ANY)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
@@ -137,21 +141,21 @@ def precursor_length_gradients(
     return LengthGradient(*(column.reshape(shape_of(slider, interface)) for column in found))
 
 
-def _simple_lengths(columns: Float[np.ndarray, "fields n"], max_contacts: int) -> Float[np.ndarray, " n"]:
+def _simple_lengths(columns: Columns, max_contacts: int) -> Float[np.ndarray, " n"]:
     """By the recursion, or on relaxed interfaces by the series where a front is expected to be long and the series settles."""
 
-    def by_recursion(columns: np.ndarray) -> np.ndarray:
+    def by_recursion(columns: Columns) -> np.ndarray:
         return over_lanes(lanes.length_kernel, (max_contacts,), columns, (np.float64,))[0]
 
     relaxed = len(columns) == 3 and max_contacts > long_fronts.LONG
-    long = long_fronts.are_long(columns) if relaxed else np.zeros(columns.shape[1], bool)
-    if not long.any():
+    long = long_fronts.which_are_long(columns) if relaxed else np.zeros(0, int)
+    if not len(long):
         return by_recursion(columns)
-    found = np.full(columns.shape[1], np.nan)
+    found = np.full(len(columns[0]), np.nan)
     kernel, chunk = long_fronts.long_length_kernel, long_fronts.CHUNK
-    found[long] = over_lanes(kernel, (max_contacts,), columns[:, long], (np.float64,), chunk, 0)[0]
+    found[long] = over_lanes(kernel, (max_contacts,), [x[long] for x in columns], (np.float64,), chunk, 0)[0]
     rest = np.isnan(found)
-    found[rest] = by_recursion(columns[:, rest])
+    found[rest] = by_recursion([x[rest] for x in columns])
     return found
 
 
@@ -160,12 +164,12 @@ def _is_simple(interface: Interface | None, right: RightEnd) -> bool:
     return right == "semi-infinite" and (interface is None or interface.repin_delay == 0)
 
 
-def _lanes(slider: Slider, interface: Interface | None) -> Float[np.ndarray, "fields n"]:
-    return _stacked(*fields(slider, interface))[0]
+def _lanes(slider: Slider, interface: Interface | None) -> Columns:
+    return _columns(*fields(slider, interface))[0]
 
 
-def _stacked(*numbers: object) -> tuple[Float[np.ndarray, "fields n"], tuple[int, ...]]:
+def _columns(*numbers: object) -> tuple[Columns, tuple[int, ...]]:
     if any(isinstance(x, Tracer) for x in numbers):
         raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use precursor_length there")
     values = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
-    return np.stack([x.ravel() for x in values]), values[0].shape
+    return [x.ravel() for x in values], values[0].shape

@@ -5,10 +5,12 @@ microseconds a lane. ℓ joins the stresses at whole contacts by a straight line
 contacts around ℓ*.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice import lane_crossing, lane_series
 from slippulse_jax.lattice.batch import Kernel
@@ -20,17 +22,19 @@ CHUNK = 128
 """Lanes a chunk: as many as leave the table of the series in the second-level cache."""
 
 
-def are_long(lanes: Float[np.ndarray, "fields n"]) -> Bool[np.ndarray, " n"]:
-    """Whether the series is to be used, by a rule that looks at a lane's own numbers and rounds the same way everywhere.
+def which_are_long(lanes: Sequence[Float[np.ndarray, " n"]]) -> Int[np.ndarray, " m"]:
+    """Lanes for which the series is used, by a rule that looks at a lane's own numbers and rounds the same way everywhere.
 
     The leading term of Eq. (25), ln[2/(1+β)]/κ_2, with ln(1 + x) ≈ 2x/(2 + x): correctly rounded operations only.
     """
-    height, stiffness, poisson = lanes[:3]
+    # no front is expected to be longer than √3 · ⅔ = 1.155 times the height
+    tall = np.flatnonzero(lanes[0] >= LONG / 1.2)
+    height, stiffness, poisson = (field[tall] for field in lanes[:3])
     shape = 2 * (1 + poisson)
     b = shape * stiffness * height
     x = b / (2 + b)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        return 2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b)) >= LONG
+        return tall[2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b)) >= LONG]
 
 
 def long_length_kernel(max_contacts: int) -> Kernel:

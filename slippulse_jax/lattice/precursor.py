@@ -204,7 +204,7 @@ def first_precursor(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    _check_one(slider, "first_precursor takes one slider")
+    _check_one(slider, "first_precursor takes one slider (lengths of many: precursor_lengths)")
     if interface is not None and interface.shape != ():
         raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
     _warn_single_precision(slider)

@@ -1,6 +1,6 @@
 """How often the intervals of a fit hold the truth, and how often degenerate studies are refused a number.
 
-Prints two tables. Run: python benchmarks/coverage.py [studies, 500 by default] [part …] [--seed N], a part being identifiable,
+Prints two tables. Run: python -m benchmarks.fit_coverage [studies, 500 by default] [part …] [--seed N], a part being identifiable,
 near-plateau (with :1, :3 or :8 for so many specimens alone) or degenerate.
 
 With one specimen whose length some stiffness gives, the rise of D at the true value is the square of the one error drawn, in σ:
