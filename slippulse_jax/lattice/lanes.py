@@ -17,6 +17,8 @@ was read off the compiled program:
   number, and nothing has to be recorded elsewhere.
 - Derivatives are tangents of a block, carried beside it for all parameters at once. Those of r_m^s, which are s r_m^s d ln r_m,
   need not be carried.
+- On relaxed interfaces all of it is compiled as one function (`slippulse_jax.lattice.kernel`): XLA would hand operations of the
+  loop to other threads, which have chunks of their own to do.
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
 """
 
@@ -31,6 +33,7 @@ from jaxtyping import Array, Complex, Float, Int
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.batch import Kernel
 from slippulse_jax.lattice.interface_front import APPROACH, runaway_prestress, slowest_approach
+from slippulse_jax.lattice.kernel import as_one_kernel
 from slippulse_jax.lattice.lane_rates import mode_rates
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
@@ -86,11 +89,15 @@ def length_kernel(max_contacts: int) -> Kernel:
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         return _in_step(march, Lanes(_nucleate(parameters), (), _end(parameters)), 1)
 
-    return lengths
+    def as_one(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        # the sums by which a prestress is found to be beyond run-away are more than such a function may hold
+        return as_one_kernel(lengths, parameters) if parameters.shape[0] == 3 else lengths(parameters)
+
+    return as_one
 
 
 def gradient_kernel(max_contacts: int) -> Kernel:
-    """ℓ of lanes as by `length_kernel`, to the same bit, and its derivative in every field."""
+    """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field."""
 
     def march(lanes: Lanes) -> tuple[Array, ...]:
         constants = lanes.start.constants
