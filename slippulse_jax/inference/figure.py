@@ -138,12 +138,15 @@ def draw_information(result: FitResult, ax: Axes) -> None:
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
     if largest > 0:
-        # from where a precursor is worth a hundredth of the longest; room above for the legend
+        # from where a precursor is worth a hundredth of the longest
         ax.set_xlim(stiffness[np.max(visible, axis=0) > 0.01 * largest][0], stiffness[-1])
-        ax.set_ylim(0, 1.25 * largest)
+        ax.set_ylim(0, 1.1 * largest)
     ax.set_xlabel(LABELS[q.free[0].name])
     ax.set_ylabel(r"length over height $\ell/H$")
-    box = ax.legend(fontsize="small", loc="upper left", title="bands: measured ± σ", title_fontsize="small", framealpha=0.9)
+    # below the curves, to the right of where they rise
+    columns = 1 if len(shown) < 4 else 2
+    title = "bands: measured ± σ"
+    box = ax.legend(fontsize="x-small", loc="lower right", ncols=columns, title=title, title_fontsize="x-small", framealpha=0.9)
     box.get_frame().set_linewidth(0)
     ax.set_title("What each length says of the stiffness", loc="left", fontsize="medium")
 
