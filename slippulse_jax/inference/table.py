@@ -21,7 +21,8 @@ Without a column of σ the errors are taken as equal, and their size from the sc
     measured
 ``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
 
-Other columns are kept and named in the report, and have no effect. Lines that start with ``#`` are comments.
+Other columns are kept and named in the report, and have no effect; but one named as a quantity of these in another unit, or in
+none, is refused. Lines that start with ``#`` are comments.
 """
 
 import csv
@@ -208,7 +209,7 @@ def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
 def _refuse_other_units(header: list[str], where: str) -> None:
     """A known quantity in a unit that is not read, or without one, must not pass for a column of remarks."""
     meant = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
-    for column in set(header) - {*_SI, *_PLAIN, *_BOTH}:
+    for column in [column for column in header if column not in {*_SI, *_PLAIN, *_BOTH}]:
         for stem, known in meant.items():
             if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
                 plain = known.removesuffix("_mm")
