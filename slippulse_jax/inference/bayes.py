@@ -113,8 +113,8 @@ def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chai
     if result.problem.loss.name == "huber" or result.scaled:
         raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
     try:
-        from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
-        from numpyro.infer import MCMC, NUTS
+        from numpyro.diagnostics import effective_sample_size, split_gelman_rubin  # pyright: ignore[reportMissingImports]
+        from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
         raise ModuleNotFoundError("the posterior needs numpyro: pip install 'slippulse_jax[bayes]'") from None
     low, high = result.parameters.low, result.parameters.high
