@@ -22,7 +22,6 @@ def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
     points = random_lanes(1000, 0)
     whole = by_recursion(points)
     monkeypatch.setattr(batch, "CHUNK", 128)
-    monkeypatch.setattr(lanes, "IN_STEP", 64)
     np.testing.assert_array_equal(by_recursion(points), whole)
     np.testing.assert_array_equal(by_recursion(points[:, ::-1])[::-1], whole)
     np.testing.assert_array_equal(by_recursion(points[:, 3:4]), whole[3:4])

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-
-pytest.importorskip("ipywidgets", reason="ipywidgets is not installed")
 from slippulse_jax import explorer
 
 

@@ -27,10 +27,17 @@ def breaks():
     return int(event(CHAIN).breaks)
 
 
+def asked_for():
+    """Whether a rupture's program asks XLA for one function."""
+    return "xla_cpu_small_call" in jax.jit(lambda: event(CHAIN).breaks).lower().as_text()
+
+
 def test_with_and_without(breaks, monkeypatch):
     assert breaks > 10
+    assert asked_for() == jax.lib.__version__.startswith(kernel.TRIED)
     monkeypatch.setattr(kernel, "TRIED", ("none",))
     jax.clear_caches()
+    assert not asked_for()
     assert int(event(CHAIN).breaks) == breaks
     jax.clear_caches()
 

@@ -17,10 +17,10 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float
 
 from slippulse_jax.inference.forward import displacement_at, force_at
-from slippulse_jax.inference.identifiability import LEVELS
 from slippulse_jax.inference.likelihood import SHARPEST, STUDENT_DOF
 from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.samples import Samples
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.slider import Slider
 
@@ -29,7 +29,7 @@ GOOD_ESS = 400.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(Samples):
     """Samples of the posterior and what tells whether to believe them."""
 
     names: tuple[str, ...]
@@ -45,18 +45,6 @@ class Posterior:
         """R-hat ≤ 1.01, at least 400 effective samples, and no divergence."""
         return max(self.rhat.values()) <= GOOD_RHAT and min(self.ess.values()) >= GOOD_ESS and not self.divergences
 
-    def _of(self, name: str) -> np.ndarray:
-        return self.values[:, :, self.names.index(name)].ravel()
-
-    def stderr(self, name: str) -> float:
-        """Standard deviation of a parameter."""
-        return float(self._of(name).std(ddof=1))
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Central interval of a parameter."""
-        low, high = np.quantile(self._of(name), [(1 - level) / 2, (1 + level) / 2])
-        return float(low), float(high)
-
     def to_dict(self) -> dict[str, Any]:
         """Summary as plain Python values."""
         chains, samples, _ = self.values.shape
@@ -66,9 +54,8 @@ class Posterior:
             "seed": self.seed,
             "divergences": self.divergences,
             "converged": self.converged,
-            "mean": {name: float(self._of(name).mean()) for name in self.names},
-            "stderr": {name: self.stderr(name) for name in self.names},
-            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+            "mean": {name: float(self.of(name).mean()) for name in self.names},
+            **self.summary(),
             "rhat": self.rhat,
             "ess": self.ess,
         }
@@ -76,12 +63,7 @@ class Posterior:
     def __str__(self) -> str:
         chains, samples, _ = self.values.shape
         rows = [f"posterior by NUTS, {chains} chains of {samples} (seed {self.seed}; {self.divergences} divergences)"]
-        for name in self.names:
-            low, high = self.interval(name)
-            rows.append(
-                f"  {name}: mean {self._of(name).mean():.5g}, standard deviation {self.stderr(name):.3g}, "
-                f"95% {low:.5g} to {high:.5g}; R-hat {self.rhat[name]:.3f}, ESS {self.ess[name]:.0f}"
-            )
+        rows += [f"{self.line(name)}; R-hat {self.rhat[name]:.3f}, ESS {self.ess[name]:.0f}" for name in self.names]
         if not self.converged:
             rows.append(
                 f"  not to be used: R-hat above {GOOD_RHAT}, fewer than {GOOD_ESS:.0f} effective samples, or divergences "

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from slippulse_jax.inference.identifiability import LEVELS
 from slippulse_jax.inference.likelihood import STUDENT_DOF
 from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.optimise import Outcome, minimise
 from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.samples import Samples
 
 KINDS = ("parametric", "case")
 MOST_STARTS = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Bootstrap:
+class Bootstrap(Samples):
     """Refits of `kind`; one row a replicate that converged."""
 
     kind: str
@@ -28,16 +28,6 @@ class Bootstrap:
     lost: int  # replicates whose refit did not converge
     at_bound: dict[str, float]  # share of the refits that end at a limit of each parameter
 
-    def stderr(self, name: str) -> float:
-        """Standard deviation of a parameter over the refits."""
-        return float(self.values[:, self.names.index(name)].std(ddof=1))
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Percentile interval of a parameter."""
-        tail = (1 - level) / 2
-        low, high = np.quantile(self.values[:, self.names.index(name)], [tail, 1 - tail])
-        return float(low), float(high)
-
     def to_dict(self) -> dict[str, Any]:
         """Summary as plain Python values."""
         return {
@@ -45,19 +35,13 @@ class Bootstrap:
             "count": len(self.theta),
             "seed": self.seed,
             "lost": self.lost,
-            "stderr": {name: self.stderr(name) for name in self.names},
-            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+            **self.summary(),
             "at_bound": self.at_bound,
         }
 
     def __str__(self) -> str:
         rows = [f"{self.kind} bootstrap, {len(self.theta)} refits (seed {self.seed}; {self.lost} did not converge)"]
-        for name in self.names:
-            low, high = self.interval(name)
-            rows.append(
-                f"  {name}: mean {self.values[:, self.names.index(name)].mean():.5g}, standard deviation "
-                f"{self.stderr(name):.3g}, 95% {low:.5g} to {high:.5g}; {self.at_bound[name]:.1%} at a limit"
-            )
+        rows += [f"{self.line(name)}; {self.at_bound[name]:.1%} at a limit" for name in self.names]
         return "\n".join(rows)
 
 

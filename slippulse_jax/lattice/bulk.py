@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import compiled, lanes, long_fronts
-from slippulse_jax.lattice.batch import over_lanes
+from slippulse_jax.lattice.batch import CHUNK, over_lanes
 from slippulse_jax.lattice.compiled import fields, shape_of
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
@@ -16,7 +16,7 @@ from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_wit
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
-ANY, GRADIENTS = (256, 0), (4096, 0)
+ANY, GRADIENTS = (256, 0), (CHUNK, 0)
 """Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with derivatives."""
 
 

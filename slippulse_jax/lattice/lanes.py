@@ -43,9 +43,6 @@ Pair = tuple[Array, Array]  # one number a mode, of lanes
 BLOCK = 8
 """Breaks taken between two looks at the lanes."""
 
-IN_STEP = 1024
-"""Lanes that advance in step: as many as stay in the second-level cache."""
-
 
 class Constants(NamedTuple):
     """Constants of a lane."""
@@ -79,15 +76,14 @@ def length_kernel(max_contacts: int) -> Kernel:
     Of uniform, semi-infinite interfaces without repinning delay. inf where it never stops, NaN after `max_contacts` breaks.
     """
 
-    def march(lanes: Lanes) -> tuple[Array, ...]:
+    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        lanes = Lanes(_nucleate(parameters), (), _end(parameters))
+
         def body(now: Now) -> Now:
             stress = _block(lanes.start.constants, now.stress, now.decay, _site(now), lanes.end, max_contacts)
             return _turned(now, lanes.start.constants, stress, ())
 
         return (_length(_until_all_arrest(body, lanes, max_contacts).stress),)
-
-    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        return _in_step(march, Lanes(_nucleate(parameters), (), _end(parameters)), 1)
 
     def as_one(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         # the sums by which a prestress is found to be beyond run-away are more than such a function may hold
@@ -99,7 +95,8 @@ def length_kernel(max_contacts: int) -> Kernel:
 def gradient_kernel(max_contacts: int) -> Kernel:
     """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field."""
 
-    def march(lanes: Lanes) -> tuple[Array, ...]:
+    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        lanes = Lanes(_nucleate(parameters), _start_rates(parameters), _end(parameters))
         constants = lanes.start.constants
 
         def body(now: Now) -> Now:
@@ -123,10 +120,6 @@ def gradient_kernel(max_contacts: int) -> Kernel:
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
         return length, *(jnp.where(jnp.isfinite(length) & (length > 0), d.imag, flat) for d in now.tangents)
 
-    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        rates = _start_rates(parameters)
-        return _in_step(march, Lanes(_nucleate(parameters), rates, _end(parameters)), 1 + len(rates))
-
     return lengths
 
 
@@ -136,26 +129,6 @@ class Lanes(NamedTuple):
     start: Start
     rates: tuple[Start, ...]  # derivatives of `start`
     end: Array  # `_end`
-
-
-def _in_step(march: Callable[[Lanes], tuple[Array, ...]], lanes: Lanes, columns: int) -> tuple[Array, ...]:
-    """Columns of ``march(lanes)``, `IN_STEP` lanes after `IN_STEP` lanes.
-
-    In one table, so that the loop over them has few operations: XLA hands more than eight to other threads, which takes longer
-    than they do.
-    """
-    n = lanes.end.shape[0]
-    if n <= IN_STEP:
-        return march(lanes)
-    rows, tree = jax.tree.flatten(lanes)
-    table = jnp.stack(rows)
-
-    def one(i: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
-        part = lax.dynamic_slice(table, (0, i * IN_STEP), (len(rows), IN_STEP))
-        here = march(jax.tree.unflatten(tree, list(part)))
-        return tuple(lax.dynamic_update_slice(x, y, (i * IN_STEP,)) for x, y in zip(found, here, strict=True))
-
-    return lax.fori_loop(0, n // IN_STEP, one, (jnp.zeros_like(lanes.end),) * columns)
 
 
 def _nucleate(parameters: Float[Array, "fields lanes"]) -> Start:
