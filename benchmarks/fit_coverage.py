@@ -1,7 +1,8 @@
 """How often the intervals of a fit hold the truth, and how often degenerate studies are refused a number.
 
-Prints two tables. Run: python -m benchmarks.fit_coverage [studies, 500 by default] [part …] [--seed N], a part being identifiable,
-near-plateau (with :1, :3 or :8 for so many specimens alone) or degenerate.
+Prints two tables, every share with its own sampling error. Run: python -m benchmarks.fit_coverage [studies, 500 by default]
+[part …] [--seed N] [--profile-only], a part being identifiable, near-plateau (with :1, :3 or :8 for so many specimens alone) or
+degenerate.
 
 With one specimen whose length some stiffness gives, the rise of D at the true value is the square of the one error drawn, in σ:
 the 68 % interval holds the truth if and only if that error is below σ. The share of such errors is printed as `errors within`.
@@ -10,6 +11,7 @@ the 68 % interval holds the truth if and only if that error is below σ. The sha
 import argparse
 import sys
 import time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +24,25 @@ from slippulse_jax.inference.profile import Interval
 
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")
+
+
+class Share(NamedTuple):
+    """So many of so many."""
+
+    hits: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        return self.hits / max(self.of, 1)
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of a binomial share."""
+        return float(np.sqrt(self.value * (1 - self.value) / max(self.of, 1)))
+
+    def __str__(self) -> str:
+        return f"{100 * self.value:.1f} ± {100 * self.error:.1f}"
 
 
 def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
@@ -51,8 +72,8 @@ def study(rng: np.random.Generator, specimens: int, regime: str) -> tuple[Measur
     ), truth
 
 
-def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: bool = True) -> dict[str, list[float]]:
-    """Share of studies whose intervals hold the truth: profile, calibrated (if `careful`), and from the covariance."""
+def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: bool = True) -> dict[str, list[Share]]:
+    """Of how many studies the intervals hold the truth: profile, calibrated (if `careful`), and from the covariance."""
     rng = np.random.default_rng([REGIMES.index(regime), specimens, seed])
     names = ("errors within", "profile", "calibrated", "covariance", "covariance, where a standard error is given")
     hits = {name: [0, 0] for name in names if (careful or name != "calibrated") and (specimens == 1 or name != "errors within")}
@@ -75,8 +96,8 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
             inside = error is not None and abs(np.log(plain.value / truth)) <= reach * error
             hits["covariance"][i] += inside
             hits["covariance, where a standard error is given"][i] += inside and told
-    shares = {name: [hit / (max(given, 1) if "given" in name else studies) for hit in pair] for name, pair in hits.items()}
-    shares["standard error given"] = [given / studies]
+    shares = {name: [Share(hit, given if "given" in name else studies) for hit in pair] for name, pair in hits.items()}
+    shares["standard error given"] = [Share(given, studies)]
     return shares
 
 
@@ -127,12 +148,14 @@ def main() -> None:
     studies, parts = given.studies, given.parts
     for part in [part for part in parts if part != "degenerate"]:
         regime, _, only = part.partition(":")
-        print(f"| regime | specimens | interval | 68 % | 95 % |  ({studies} studies each)\n|---|---|---|---|---|")
+        print(
+            f"| regime | specimens | interval | 68 % | 95 % |  ({studies} studies each, seed {given.seed})\n|---|---|---|---|---|"
+        )
         for specimens in [int(only)] if only else [1, 3, 8]:
             began = time.perf_counter()
             found = coverage(studies, specimens, regime, seed=given.seed, careful=not given.profile_only)
             for name, shares in found.items():
-                print(f"| {regime} | {specimens} | {name} | " + " | ".join(f"{100 * x:.1f}" for x in shares) + " |", flush=True)
+                print(f"| {regime} | {specimens} | {name} | " + " | ".join(map(str, shares)) + " |", flush=True)
             print(f"({time.perf_counter() - began:.0f} s)", file=sys.stderr)
     if "degenerate" in parts:
         print("\n| degenerate study | refused a number |\n|---|---|")

@@ -40,5 +40,5 @@ def test_degenerate_studies_get_no_number(kind):
 def test_coverage(regime, specimens):
     found = coverage(500, specimens, regime, seed=specimens)
     for name in ("profile", "calibrated"):
-        assert within(found[name][0], 0.6827, 500), (name, found)
-        assert within(found[name][1], 0.95, 500), (name, found)
+        assert within(found[name][0].value, 0.6827, 500), (name, found)
+        assert within(found[name][1].value, 0.95, 500), (name, found)
