@@ -2,10 +2,13 @@
 
 Counts of broken contacts less a half, of the chain with inertia and of a second precursor on contacts that age (and of the model
 itself, as a check), at five heights and four stiffnesses, with 2 % of noise; σ² is that of the noise and 1/12 for the count. Prints
-the bias of k/K, the share of estimates over five times the truth (at the second root), and the coverage of the intervals.
+the bias of k/K, the share of estimates over five times the truth (at the second root), and the coverage of the intervals, in %
+and with their sampling errors.
 Run: python -m benchmarks.misspecification [studies for each stiffness, 8 by default] [source …: itself, inertia, ageing]
+[--errors "error model" …]
 """
 
+import argparse
 import sys
 import time
 
@@ -13,6 +16,7 @@ import jax
 import numpy as np
 
 import slippulse_jax as sp
+from benchmarks.fit_coverage import Share
 
 HEIGHTS = np.array([12.0, 18.0, 25.0, 35.0, 50.0])
 STIFFNESS = np.geomspace(2e-3, 1e-2, 4)
@@ -52,7 +56,7 @@ SOURCES = {"itself": itself, "inertia": inertial, "ageing": ageing}
 def coverage(lengths: np.ndarray, extra: list, studies: int) -> str:
     """Median bias of k/K, share of estimates beyond the peak, coverage at both levels; `lengths` is (stiffness, height)."""
     rng = np.random.default_rng(5)
-    bias, hits = [], np.zeros(2)
+    bias, hits = [], np.zeros(2, dtype=int)
     for truth, length in zip(STIFFNESS, lengths, strict=True):
         for _ in range(studies):
             noisy = length * (1 + SIGMA * rng.standard_normal(len(length)))
@@ -61,24 +65,30 @@ def coverage(lengths: np.ndarray, extra: list, studies: int) -> str:
             result = sp.fit(m, ["stiffness", *extra])
             bias.append(np.log(result.value / truth))
             hits += [any(p.low <= truth <= p.high for p in pieces) for pieces in result.intervals["stiffness"].values()]
-    shares = [100 * np.mean(np.array(bias) > np.log(5)), *(100 * hits / len(bias))]
-    return f"{100 * np.expm1(np.median(bias)):+.0f} % | " + " | ".join(f"{x:.0f} %" for x in shares)
+    beyond = int(np.sum(np.array(bias) > np.log(5)))
+    shares = [str(Share(int(hit), len(bias))) for hit in (beyond, *hits)]
+    return f"{100 * np.expm1(np.median(bias)):+.0f} % | " + " | ".join(shares)
 
 
 def main() -> None:
     """Print one table."""
-    studies = int(sys.argv[1]) if len(sys.argv) > 1 else 8
+    asked = argparse.ArgumentParser(description="Quasi-static fits of lengths that another model made.")
+    asked.add_argument("studies", nargs="?", type=int, default=8, help="for each of the four stiffnesses")
+    asked.add_argument("sources", nargs="*", default=list(SOURCES))
+    asked.add_argument("--errors", nargs="+", default=list(ERRORS), choices=list(ERRORS))
+    given = asked.parse_args()
+    print(f"({given.studies * len(STIFFNESS)} studies a row)\n")
     print("| data from | error model | median bias of k/K | beyond the peak | 68 % | 95 % |\n|---|---|---|---|---|---|")
-    for name in sys.argv[2:] or SOURCES:
+    for name in given.sources:
         began = time.perf_counter()
         with jax.enable_x64(True):
             lengths = np.array([[SOURCES[name](sp.Slider(h, k, 0.3)) for h in HEIGHTS] for k in STIFFNESS])
             true = sp.exact_lengths(sp.Slider(HEIGHTS, STIFFNESS[:, None], 0.3)).length
         ratio = np.array2string((lengths / true).mean(axis=0), precision=2)
         print(f"({name}: length over the model's {ratio} by height; {time.perf_counter() - began:.0f} s)", file=sys.stderr)
-        for label, extra in ERRORS.items():
+        for label in given.errors:
             began = time.perf_counter()
-            print(f"| {name} | {label} | {coverage(lengths, extra, studies)} |", flush=True)
+            print(f"| {name} | {label} | {coverage(lengths, ERRORS[label], given.studies)} |", flush=True)
             print(f"({time.perf_counter() - began:.0f} s)", file=sys.stderr)
 
 

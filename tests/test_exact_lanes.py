@@ -61,6 +61,17 @@ def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     np.testing.assert_allclose(found.length[finite & ~long], expected[finite & ~long], atol=1e-11)
 
 
+def test_fronts_all_but_level_beside_the_threshold_are_found():
+    """Next to run-away a soft front crosses so flatly that rounding of t moves the crossing, and the steps never get small."""
+    height = [51.955197273506506, 36.38510809314106, 31.7249989366804, 44.78519018877841]
+    stiffness = [2.737858085746002e-07, 2.0499727354926148e-07, 7.938515354735507e-07, 1.3929989226398567e-07]
+    found = sp.exact_lengths(sp.Slider(np.array(height), np.array(stiffness), 0.3), prestress=0.5)
+    assert (found.status == ExactStatus.ARRESTED).all()
+    # the series at 60 digits
+    expected = [0.899831747494954, 0.0102213419252539, 0.55588669863918, 0.130069399533327]
+    np.testing.assert_allclose(found.length, expected, atol=1e-3)
+
+
 def test_gradient_against_differences():
     lanes = random_lanes(24, 64)
     lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], 0

@@ -5,17 +5,17 @@ the model is evaluated for the lanes still at work, in one batch a step.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from slippulse_jax.inference.objective import Evaluation
 from slippulse_jax.status import Status
 
-METHODS = ("lm", "lbfgs", "adam")
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""
 GAUSS_NEWTON_STEPS = 12  # before the whole second derivative is asked for
+HALVINGS = 30  # of a step of optax's that gains nothing
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
@@ -81,7 +81,7 @@ def minimise(
     lane : array of int, shape (B,), optional
         Replicate of each start.
     method : {"lm", "lbfgs", "adam"}
-        Levenberg–Marquardt by default; the others are optax's.
+        Levenberg–Marquardt by default; the others are optax's (docs/fitting.md compares them).
     max_steps : int
         Steps allowed each start; optax's Adam gets twenty times as many.
     """
@@ -95,17 +95,13 @@ def minimise(
         value = objective(start, lane).value
         ends = np.where(np.isfinite(value), Outcome.CONVERGED, Outcome.NO_LENGTH)
         return Minimum(start, value, ends, np.zeros(len(start), dtype=int))
-    run = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}[method]
-    return run(Starts(objective, start, low, high, held, lane), max_steps)
+    return METHODS[method](Starts(objective, start, low, high, held, lane), max_steps)
 
 
 def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
     """Damped steps; each lane has its own damping, and its own largest metric so far as the measure of a step (Moré)."""
     objective, theta, low, high, held, lane = given
-    at = objective(theta, lane, 1)
-    assert at.gradient is not None
-    assert at.metric is not None
-    value, gradient, metric = at.value.copy(), at.gradient.copy(), at.metric.copy()
+    value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
     outcome = np.where(np.isfinite(value), Outcome.NOT_CONVERGED, Outcome.NO_LENGTH)
     steps = np.zeros(len(theta), dtype=int)
@@ -150,9 +146,28 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
     return Minimum(theta, value, outcome, steps)
 
 
+def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Value, gradient and metric, in arrays to be written to."""
+    at = objective(theta, lane, 1)
+    assert at.gradient is not None
+    assert at.metric is not None
+    return at.value.copy(), at.gradient.copy(), at.metric.copy()
+
+
 def _second(at: Evaluation) -> np.ndarray:
     assert at.curvature is not None
     return at.curvature
+
+
+def _stuck(given: Starts, theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Coordinates that are held, or pushed against a side of the box."""
+    return given.held | (theta <= given.low) & (gradient > 0) | (theta >= given.high) & (gradient < 0)
+
+
+def _unit(given: Starts, metric: np.ndarray) -> np.ndarray:
+    """A length along each coordinate: its own standard error, or a sixtieth of the box where nothing responds."""
+    diagonal = np.einsum("bpp->bp", metric)
+    return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (given.high - given.low) / 60)
 
 
 def _without(g: np.ndarray, m: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,82 +199,95 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 def _adam(given: Starts, max_steps: int) -> Minimum:
     """optax.adam in units of a sixtieth of the box, its rate falling to nothing by a cosine."""
+    import jax
     import optax
 
     rounds = 20 * max_steps
     unit = (given.high - given.low) / 60
     optimiser = optax.adam(optax.cosine_decay_schedule(1.0, rounds))
+    update = jax.jit(optimiser.update)
 
-    def propose(theta: np.ndarray, gradient: np.ndarray, state):
-        updates, state = optimiser.update(gradient, state)
-        return theta + np.asarray(updates), state
+    def propose(theta: np.ndarray, gradient: np.ndarray, _: np.ndarray, state: Any):
+        updates, state = update(gradient * unit, state)
+        return theta + np.asarray(updates) * unit, state
 
-    return _descend(given, rounds, optimiser.init, propose, unit, careful=False)
+    return descend(given, rounds, optimiser.init, propose, careful=False)
 
 
 def _lbfgs(given: Starts, max_steps: int) -> Minimum:
-    """optax.scale_by_lbfgs a lane (vmapped), with a step halved until it gains; in units of the first metric."""
+    """optax.scale_by_lbfgs of every lane (vmapped), a step halved until it gains; in units of the first metric."""
     import jax
     import optax
 
     optimiser = optax.scale_by_lbfgs(memory_size=10)
-    first = given.objective(given.theta, given.lane, 1)
-    assert first.metric is not None
-    diagonal = np.einsum("bpp->bp", first.metric)
-    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (given.high - given.low) / 60)
-
-    def init(z: np.ndarray):
-        return jax.vmap(optimiser.init)(z)
-
+    _, _, first = _first_order(given.objective, given.theta, given.lane)
+    unit = _unit(given, first)
     update = jax.jit(jax.vmap(optimiser.update))
 
-    def propose(z: np.ndarray, gradient: np.ndarray, state):
-        updates, state = update(gradient, state, z)
-        return z - np.asarray(updates), state
+    def propose(theta: np.ndarray, gradient: np.ndarray, _: np.ndarray, state: Any):
+        updates, state = update(gradient * unit, state, theta / unit)
+        return theta - np.asarray(updates) * unit, state
 
-    return _descend(given, max_steps, init, propose, unit, careful=True)
+    return descend(given, max_steps, jax.vmap(optimiser.init), propose, careful=True)
 
 
-def _descend(
-    given: Starts,
-    rounds: int,
-    init: Callable,
-    propose: Callable,
-    unit: np.ndarray,
-    *,
-    careful: bool,
-) -> Minimum:
-    """Steps of an optax optimiser on z = θ/unit, clipped to the box; `careful` ones are halved until they gain."""
+def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, careful: bool) -> Minimum:
+    """Steps of an optax optimiser, clipped to the box; `careful` ones lead downhill, and are halved until they gain.
+
+    Parameters
+    ----------
+    given : Starts
+    rounds : int
+        Steps at most.
+    init : callable
+        State of the optimiser for points (B, p).
+    propose : callable
+        From points (B, p), gradient and metric there (0 in coordinates that cannot move), and the state: where to go, and
+        the next state.
+    careful : bool
+        Whether the value must never rise.
+    """
     import jax
 
-    objective, theta, low, high, held, lane = given
-    at = objective(theta, lane, 1)
-    best, lowest = theta.copy(), at.value.copy()
+    objective, theta, low, high, _, lane = given
+    value, gradient, metric = _first_order(objective, theta, lane)
+    best, lowest = theta.copy(), value.copy()
     steps = np.zeros(len(theta), dtype=int)
+    work = np.nonzero(np.isfinite(value))[0]
     with jax.enable_x64(True):
-        state = init(theta / unit)
+        state = init(theta)
         for _ in range(rounds):
-            assert at.gradient is not None
-            z = theta / unit
-            target, state = propose(z, np.where(held, 0, at.gradient * unit), state)
-            trial = np.where(held, theta, np.clip(target * unit, low, high))
-            for _ in range(30 if careful else 0):
-                worse = ~(objective(trial, lane).value <= at.value)
-                if not worse.any():
+            stuck = _stuck(given, theta, gradient)
+            g, m = _without(gradient, metric, stuck)
+            target, state = propose(theta, g, m, state)
+            trial = np.where(stuck, theta, np.clip(target, low, high))
+            if careful:
+                # steps bent by a side of the box, or by memory of places that curve downward, can point uphill
+                uphill = ((trial - theta) * g).sum(axis=1) >= 0
+                trial[uphill] = np.clip(theta - g * _unit(given, metric) ** 2, low, high)[uphill]
+            moves = np.any(np.abs(trial - theta) > 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
+            work = work[moves[work]]
+            steps[work] += 1
+            look = work
+            for _ in range(HALVINGS if careful else 1):
+                if not len(look):
                     break
-                trial = np.where(worse[:, None], (trial + theta) / 2, trial)
-            settled = np.all(np.abs(trial - theta) <= 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
-            steps += ~settled
-            theta = trial
-            at = objective(theta, lane, 1)
-            gained = at.value < lowest
-            best[gained], lowest[gained] = theta[gained], at.value[gained]
-            if settled.all():
+                tried, *slopes = _first_order(objective, trial[look], lane[look])
+                accept = tried <= value[look] if careful else np.ones(len(look), dtype=bool)
+                took = look[accept]
+                theta[took], value[took] = trial[took], tried[accept]
+                gradient[took], metric[took] = (x[accept] for x in slopes)
+                look = look[~accept]
+                trial[look] = (trial[look] + theta[look]) / 2
+            work = np.setdiff1d(work, look)  # no step however small gains there
+            if not len(work):
                 break
+            gained = value < lowest
+            best[gained], lowest[gained] = theta[gained], value[gained]
     at = objective(best, lane, 2)
     assert at.gradient is not None
     assert at.metric is not None
-    stuck = held | (best <= low) & (at.gradient > 0) | (best >= high) & (at.gradient < 0)
+    stuck = _stuck(given, best, at.gradient)
     g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
     size = np.einsum("bpp->bp", m)
     decrement = -(g * _step(g, m, size, np.full(len(g), 1e-12))).sum(axis=1)
@@ -270,3 +298,7 @@ def _descend(
         Outcome.NOT_CONVERGED,
     )
     return Minimum(best, lowest, ends, steps)
+
+
+METHODS: dict[str, Callable[[Starts, int], Minimum]] = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
+"""By the name that `fit` takes."""

@@ -29,6 +29,9 @@ from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider, broadcast, check_domain, of_one_type
 from slippulse_jax.status import Status
 
+STALLED = 1e-7
+"""Relative size of a step that should make the next one far smaller."""
+
 MAX_STEPS = 100
 """Newton or bisection steps before a crossing is given up (length NaN); five to eight are usual."""
 
@@ -320,7 +323,10 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
                 gone = (rate >= slope) & (bend >= 0) | (s * roots.root_rate[1] > 60)
                 runs = over & ((slope < 0) | (plateau >= 1) & (slope <= 0)) & gone
             after = jnp.where(inside, newton, fallback)
-            return _Search(after, low, high, jnp.abs(after - s), search.steps + 1, runs)
+            step = jnp.abs(after - s)
+            # a stress all but level beside the threshold is met no better than its rounding allows: steps cease to shrink
+            stalled = (search.step <= STALLED * s) & (step >= 0.9 * search.step)
+            return _Search(after, low, high, jnp.where(stalled, 0, step), search.steps + 1, runs)
 
         zero, inf = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
         first = _Search(start, zero, inf, inf, jnp.zeros((), jnp.int32), at_edge <= 0)

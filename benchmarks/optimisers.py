@@ -1,0 +1,190 @@
+"""The optimisers of `fit` on the same studies: Levenberg–Marquardt, optax's L-BFGS and Adam, optax's sgd on the natural gradient.
+
+Three uses of each, on studies of one, two and four parameters, of lengths with 2 % errors or of counts of whole contacts:
+
+- starts: 32 points drawn evenly over the range searched, one descent from each, nothing else;
+- search: the starts that a fit chooses (the valleys of a scan, each in its bracket, or the best of 512 Sobol points);
+- fit: all of `fit`, whose profiles are Levenberg and Marquardt's under every method, and send the search where they go deeper.
+
+Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged. Lengths:
+values of ℓ* computed for one start, search or fit, those of the derivatives included (median). Milliseconds: the same.
+Run: python -m benchmarks.optimisers [studies, 20 by default] [beginning of a problem's name …]
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.fit_coverage import SIGMA, stiffness_at
+from slippulse_jax import Measurements, Parameter, fit
+from slippulse_jax.inference import forward
+from slippulse_jax.inference.likelihood import Loss
+from slippulse_jax.inference.objective import make_problem
+from slippulse_jax.inference.optimise import METHODS, Minimum, Outcome, Starts, descend, minimise
+from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.search import search
+
+STARTS, STEPS, CLOSE = 32, 60, 1e-3
+
+Free = list[str | Parameter]
+
+
+def natural(given: Starts, max_steps: int) -> Minimum:
+    """optax.sgd on the natural gradient, M⁻¹g with the metric M of Gauss and Newton: rate 1, halved until it gains."""
+    import optax
+
+    optimiser = optax.sgd(1.0)
+    reach = given.high - given.low
+
+    def propose(theta: np.ndarray, gradient: np.ndarray, metric: np.ndarray, state: Any):
+        invertible = metric + np.eye(theta.shape[1]) * (1e-6 / reach**2)[:, None, :]
+        updates, state = optimiser.update(np.linalg.solve(invertible, gradient[:, :, None])[:, :, 0], state)
+        return theta + np.asarray(updates), state
+
+    return descend(given, max_steps, optimiser.init, propose, careful=True)
+
+
+OPTIMISERS: dict[str, Callable[[Starts, int], Minimum]] = {**METHODS, "natural": natural}
+
+
+class Kind(NamedTuple):
+    """Studies of one kind."""
+
+    heights: int
+    share: tuple[float, float]  # of the longest length
+    free: Free
+    prestress: float = 0.0
+    whole: bool = False
+
+
+PHI, POISSON = Parameter("prestress", bounds=(0.0, 0.5)), Parameter("poisson", prior=(0.3, 0.02))
+FACTOR = Parameter("model_factor", prior=(1.0, 0.05))
+KINDS = {
+    "one": Kind(3, (0.4, 0.8), ["stiffness"]),
+    "one, near the peak": Kind(3, (0.9, 0.995), ["stiffness"]),
+    "two: with φ": Kind(5, (0.4, 0.8), ["stiffness", PHI], prestress=0.15),
+    "two: prior on ν, near the peak": Kind(3, (0.9, 0.995), ["stiffness", POISSON]),
+    "four: with φ, priors on ν and a factor": Kind(5, (0.4, 0.8), ["stiffness", PHI, POISSON, FACTOR], prestress=0.15),
+}
+KINDS |= {f"{name}, counts": kind._replace(whole=True) for name, kind in KINDS.items()}
+
+
+def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
+    """Heights of 15–60 λc, at a stiffness where the longest of them is this share of its longest."""
+    height = np.sort(rng.uniform(15, 60, kind.heights))
+    truth = stiffness_at(float(np.median(height)), rng.uniform(*kind.share))
+    y = np.column_stack(
+        [np.log(height), np.full(len(height), np.log(truth)), 0.3 + 0 * height, kind.prestress + 0 * height, 0 * height]
+    )
+    length = forward.lengths(y, 0).value
+    sigma = SIGMA * length
+    measured = length + sigma * rng.standard_normal(len(height))
+    if kind.whole:
+        measured = np.maximum(np.ceil(measured), 1)
+    return Measurements(
+        height=height,
+        poisson=0.3,
+        length=measured,
+        length_sigma=sigma,
+        kind=["whole" if kind.whole else "length"] * len(height),
+    )
+
+
+class Tally:
+    """Lengths computed since the last look."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        original = forward.solve_lanes
+
+        def counted(lanes: np.ndarray, *more: Any) -> Any:
+            self.count += lanes.shape[1]
+            return original(lanes, *more)
+
+        forward.solve_lanes = counted
+
+    def take(self) -> int:
+        count, self.count = self.count, 0
+        return count
+
+
+class Run(NamedTuple):
+    """One use of one method on one study."""
+
+    lowest: np.ndarray  # D at each end, one or many
+    converged: np.ndarray  # whether each said so
+    lengths: int
+    seconds: float
+
+
+def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> list[Run]:
+    """By starts, by search, by fit."""
+    parameters = resolve(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
+    problem = make_problem(m, parameters, Loss("normal"), m.sigma)
+    points = np.random.default_rng(seed).uniform(parameters.low, parameters.high, (STARTS, problem.p))
+
+    def by_starts() -> tuple[np.ndarray, np.ndarray]:
+        end = minimise(problem, points, parameters.low, parameters.high, method=method, max_steps=STEPS)
+        return 2 * end.value, end.outcome == Outcome.CONVERGED
+
+    def by_search() -> tuple[np.ndarray, np.ndarray]:
+        found, _ = search(problem, method=method, max_steps=STEPS, seed=0)
+        return np.array([min((one.deviance for one in found), default=np.inf)]), np.array([bool(found)])
+
+    def by_fit() -> tuple[np.ndarray, np.ndarray]:
+        result = fit(m, kind.free, method=method, max_steps=STEPS)
+        return np.array([result.deviance]), np.array([result.converged])
+
+    out = []
+    for use in (by_starts, by_search, by_fit):
+        tally.take()
+        began = time.perf_counter()
+        lowest, converged = use()
+        out.append(Run(lowest, converged, tally.take(), time.perf_counter() - began))
+    return out
+
+
+def table(name: str, kind: Kind, studies: int, tally: Tally) -> None:
+    """Rows of one problem."""
+    found: dict[str, list[list[Run]]] = {method: [] for method in OPTIMISERS}
+    for number in range(studies):
+        m = draw(np.random.default_rng([number, len(kind.free), kind.whole]), kind)
+        for method in OPTIMISERS:
+            found[method].append(runs(m, kind, method, number, tally))
+    least = [min(run.lowest.min() for each in found.values() for run in each[number]) for number in range(studies)]
+    for method, each in found.items():
+        cells = []
+        for use in range(3):
+            pairs = [(study[use], low) for study, low in zip(each, least, strict=True)]
+            reached = np.concatenate([run.lowest <= low + CLOSE for run, low in pairs])
+            said = np.concatenate([run.converged for run, _ in pairs])
+            count = np.median([run.lengths / len(run.lowest) for run, _ in pairs])
+            spent = 1e3 * np.median([run.seconds / len(run.lowest) for run, _ in pairs])
+            cells.append(f"{100 * np.mean(reached):.0f} | {100 * np.mean(reached & said):.0f} | {count:.0f} | {spent:.0f}")
+        print(f"| {name} | {method} | " + " | ".join(cells) + " |", flush=True)
+
+
+def main() -> None:
+    """Print one table."""
+    asked = argparse.ArgumentParser(description="The optimisers of a fit on the same studies.")
+    asked.add_argument("studies", nargs="?", type=int, default=20)
+    asked.add_argument("problems", nargs="*", default=list(KINDS), help="beginnings of their names")
+    given = asked.parse_args()
+    METHODS.update(OPTIMISERS)  # so that `fit` knows them all
+    tally = Tally()
+    print(f"({given.studies} studies each)\n")
+    columns = " | ".join(f"{use}: reached, % | and said so, % | lengths | ms" for use in ("a start", "search", "fit"))
+    print(f"| fitted | method | {columns} |\n|" + "---|" * 14)
+    for name, kind in KINDS.items():
+        if any(name.startswith(one) for one in given.problems):
+            began = time.perf_counter()
+            table(name, kind, given.studies, tally)
+            print(f"({name}: {time.perf_counter() - began:.0f} s)", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
