@@ -40,6 +40,9 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     """
     if not order:
         return Prediction(_values(y), None)
+    # a profile comes to the same inputs from several starts
+    y, own = np.unique(y, axis=0, return_inverse=True)
+    own = own.ravel()
     shifted = [y]
     steps = np.tile(STEPS, (len(y), 1))
     steps[:, 4] *= np.exp(-y[:, 0])
@@ -61,7 +64,7 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
         with np.errstate(invalid="ignore"):
             first[:, column] = (np.where(ends[0], up, value) - np.where(ends[1], down, value)) / apart
     first[~np.isfinite(value)] = 0
-    return Prediction(value, first)
+    return Prediction(value[own], first[own])
 
 
 STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6)

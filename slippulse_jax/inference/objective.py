@@ -49,6 +49,7 @@ class Problem:
     loss: Loss
     prior_mean: np.ndarray  # (R, p), one for each replicate
     prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
+    held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
 
     @property
     def p(self) -> int:
@@ -81,12 +82,14 @@ class Problem:
         diagonal = np.einsum("bpp->bp", at.metric)
         reach = self.parameters.high - self.parameters.low
         step = np.clip(1e-4 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1e-7 * reach, 1e-3 * reach)
-        shifts = step[:, None, :] * np.eye(p)
+        free = np.arange(p) if self.held is None else np.nonzero(~self.held)[0]
+        shifts = step[:, None, :] * np.eye(p)[free]
         around = np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1)
-        slope = self(around.reshape(-1, p), np.repeat(lane, 2 * p), 1).gradient
+        slope = self(around.reshape(-1, p), np.repeat(lane, around.shape[1]), 1).gradient
         assert slope is not None
-        up, down = np.split(slope.reshape(b, 2 * p, p), 2, axis=1)
-        second = (up - down) / (2 * step[:, :, None])
+        up, down = np.split(slope.reshape(around.shape), 2, axis=1)
+        second = np.zeros((b, p, p))
+        second[:, free] = (up - down) / (2 * step[:, free, None])
         return (second + np.swapaxes(second, 1, 2)) / 2
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
@@ -97,7 +100,7 @@ class Problem:
         d = self.parameters.discrepancy
         log_discrepancy = None if d is None else theta[:, d]
         for block in self.blocks:
-            mu, first = predictions(block, theta, order)
+            mu, first = predictions(block, theta, order, self.held)
             cost = terms(mu, block.data, lane, self.loss, log_discrepancy)
             value = value + cost.value.sum(axis=1)
             if first is None:
@@ -141,11 +144,12 @@ class Problem:
         return dataclasses.replace(self, blocks=blocks, prior_mean=means)
 
 
-def predictions(block: _Block, theta: np.ndarray, order: int) -> Prediction:
-    """μ of every datum, (B, n), and its derivatives in θ, (B, n, p)."""
+def predictions(block: _Block, theta: np.ndarray, order: int, held: np.ndarray | None = None) -> Prediction:
+    """μ of every datum, (B, n), and its derivatives in θ but for those `held`, (B, n, p)."""
     y = block.base + np.moveaxis(block.slope @ theta.T, -1, 0)
     lanes, rows = y.shape[:2]
-    columns = np.nonzero(block.slope.any(axis=(0, 2)))[0].tolist()
+    moving = block.slope if held is None else block.slope[:, :, ~held]
+    columns = np.nonzero(moving.any(axis=(0, 2)))[0].tolist()
     model = PREDICTED[block.observable](y.reshape(-1, y.shape[2]), min(order, 1), columns)
     own = block.rows
     scale = np.exp(block.scale_base + theta @ block.scale_slope.T)

@@ -74,7 +74,8 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
-    found = minimise(problem, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held)
+    holding = dataclasses.replace(problem, held=held)
+    found = minimise(holding, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held)
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
     rows = np.arange(count)
