@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.fields import RecoveredProfile as RecoveredProfile
     from slippulse_jax.inference.fields import recover_profile as recover_profile
     from slippulse_jax.inference.fit import fit as fit
+    from slippulse_jax.inference.gauges import Gauges as Gauges
     from slippulse_jax.inference.knowledge import Knowledge as Knowledge
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
@@ -73,6 +74,7 @@ _HOME = {
     "FitResult": "inference.result",
     "FrontNotArrested": "lattice.precursor",
     "FrontStatus": "lattice.front",
+    "Gauges": "inference.gauges",
     "HardBreak": "rules",
     "Interface": "interface",
     "Knowledge": "inference.knowledge",

@@ -21,6 +21,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 
 @click.command()
 @click.argument("csv", metavar="LENGTHS.CSV")
+@click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, to fit too.")
 @click.option("--free", multiple=True, metavar="NAME", help="What to fit; repeat for several. Default: stiffness.")
 @click.option(
     "--bounds",
@@ -52,6 +53,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
 @click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
 @click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
+@click.option("--gauge-figure", callback=figure_path, metavar="FILE", help="Draw slip and stress along the interface and fit.")
 @as_json
 @click.pass_context
 def command(ctx: click.Context, csv: str, **options: Any) -> None:
@@ -60,7 +62,10 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     LENGTHS.CSV has one precursor a line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
     length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
     among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), prestress, force and
-    displacement at nucleation, specimen, provenance.
+    displacement at nucleation, specimen, provenance, label.
+
+    GAUGES.CSV has one reading a line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
+    stress_sigma_MPa. Then fit strength too: --free stiffness --free strength.
 
     A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
     max_steps. Options are added to it.
@@ -73,9 +78,11 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.table import read_measurements
 
+    if options["gauge_figure"] and not options["gauges"]:
+        raise click.UsageError("--gauge-figure needs --gauges")
     try:
         request = read_request(options["request"]) if options["request"] else {}
-        measurements = read_measurements(csv)
+        measurements = read_measurements(csv, gauges=options["gauges"])
         asked = from_request(_asked(request, options))
         for warning in before_fit(measurements):
             click.echo(f"before fitting: {warning}", err=True)
@@ -96,6 +103,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     pictures = {
         "figure": result.plot,
         "profiles": result.plot_profiles,
+        "gauge_figure": result.plot_gauges,
         "corner": lambda: result.plot_corner(samples),
     }
     for name, draw in pictures.items():

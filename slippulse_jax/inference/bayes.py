@@ -22,6 +22,7 @@ from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.samples import Samples
 from slippulse_jax.lattice.exact import exact_length
+from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.slider import Slider
 
 GOOD_RHAT = 1.01
@@ -143,7 +144,7 @@ def _potential(result: FitResult) -> Callable[[Array], Array]:
 
 
 def log_density(problem: Problem) -> Callable[[Float[Array, " p"]], Float[Array, ""]]:
-    """ln(likelihood × prior) of one θ as a JAX function, the objective's numbers; for ``jit``, ``grad`` and samplers."""
+    """ln(likelihood × prior) of one θ as a JAX function, the objective's numbers; forward mode only where gauges were read."""
     blocks = [_log_likelihood(problem, block) for block in problem.blocks]
 
     def density(theta: Array) -> Array:
@@ -157,8 +158,17 @@ def _log_likelihood(problem: Problem, block: Any) -> Callable[[Array], Array]:
     data, d = block.data, problem.parameters.discrepancy
     value = data.value[0]
     n, w, b = (np.nonzero(data.kind == kind)[0] for kind in ("length", "whole", "at_least"))
-    plain = not block.base[:, 3:].any() and not block.slope[:, 3:].any()
-    model = {"length": partial(_length, plain), "displacement": displacement_at, "force": force_at}[block.observable]
+    plain = not block.base[:, 3:5].any() and not block.slope[:, 3:5].any()
+    of_length = partial(_length, plain)
+    # fields of a front that runs four times as far as the farthest gauge or count are not looked at
+    sites = 64 + (4 * int(max(np.exp(block.base[:, 5]).max(), block.base[:, 7].max())) if block.base.shape[1] > 5 else 0)
+    model = {
+        "length": of_length,
+        "displacement": displacement_at,
+        "force": force_at,
+        "slip": lambda y: _reading(of_length, sites, y).slip,
+        "stress": lambda y: _reading(of_length, sites, y).stress,
+    }[block.observable]
 
     def likelihood(theta: Array) -> Array:
         y = block.base + block.slope @ theta
@@ -195,3 +205,14 @@ def _log_between(a: Array, b: Array) -> Array:
 def _length(plain: bool, y: Array) -> Array:
     slider = Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2])
     return exact_length(slider) if plain else exact_length(slider, prestress=y[3], threshold_slope=y[4])
+
+
+def _reading(of_length: Callable[[Array], Array], count: int, y: Array) -> Readings:
+    """At one gauge, by a straight line between the contacts on both sides."""
+    # contact 0 has broken even where no domino starts
+    stopped = jnp.where(y[7] > 0, y[7], jnp.maximum(of_length(y[:5]) + y[6], 1))
+    place = jnp.exp(y[5])
+    left = jnp.floor(place).astype(jnp.int32)
+    found = readings(Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2]), y[3], stopped, count)
+    known = (stopped < count) & (place + 1 < count)
+    return Readings(*(jnp.where(known, x[left] + (place - left) * (x[left + 1] - x[left]), jnp.inf) for x in found))

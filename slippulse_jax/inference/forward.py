@@ -4,7 +4,7 @@ The length is ℓ*, the exact solution's crossing (`slippulse_jax.exact_lengths`
 the domino starts, and costs microseconds a lane. What is measured at nucleation is closed in the two lattice modes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -38,13 +38,23 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     RuntimeError
         If the exact solution did not converge somewhere; never seen.
     """
-    if not order:
-        return Prediction(_values(y), None)
+    return by_differences(values_of_length, y, columns if order else ())
+
+
+STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6, 1e-4, 1e-4, 0)
+"""Of the differences in y, ln x/λc and the contacts beyond ℓ*; that of ε, which acts multiplied by ℓ*, over H/λc."""
+
+
+def by_differences(
+    values: Callable[[np.ndarray], np.ndarray], y: Float[np.ndarray, "L c"], columns: Sequence[int]
+) -> Prediction:
+    """Values of a model at y and their slopes in `columns`, by central differences, all in one call."""
+    if not len(columns):
+        return Prediction(values(y), None)
     # a profile comes to the same inputs from several starts
-    y, own = np.unique(y, axis=0, return_inverse=True)
-    own = own.ravel()
+    y, own = distinct_rows(y)
     shifted = [y]
-    steps = np.tile(STEPS, (len(y), 1))
+    steps = np.tile(STEPS[: y.shape[1]], (len(y), 1))
     steps[:, 4] *= np.exp(-y[:, 0])
     for column in columns:
         for sign in (1, -1):
@@ -53,12 +63,12 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
             # ν = 1/2 is the end of the domain
             moved[:, 2] = np.minimum(moved[:, 2], 0.5)
             shifted.append(moved)
-    value, *around = _values(np.concatenate(shifted)).reshape(len(shifted), -1)
+    value, *around = values(np.concatenate(shifted)).reshape(len(shifted), -1)
     first = np.zeros(y.shape)
     for i, column in enumerate(columns):
         up, down = around[2 * i : 2 * i + 2]
         apart = shifted[2 * i + 1][:, column] - shifted[2 * i + 2][:, column]
-        # beside the run-away one side has no length
+        # beside the run-away one side has no value
         ends = np.isfinite(up), np.isfinite(down)
         apart = np.where(ends[0] & ends[1], apart, steps[:, column])
         with np.errstate(invalid="ignore"):
@@ -67,11 +77,8 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     return Prediction(value[own], first[own])
 
 
-STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6)
-"""Of the differences in y; that of ε, which acts multiplied by ℓ*, over H/λc."""
-
-
-def _values(y: np.ndarray) -> np.ndarray:
+def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
+    """ℓ* of every lane, in λc; raises as `lengths` does."""
     lanes = y.T.copy()
     lanes[:2] = np.exp(lanes[:2])
     found = solve_lanes(lanes)
@@ -93,9 +100,6 @@ def forces(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ran
     """Driving force at nucleation over that on one contact at its threshold, f_s: all that the contacts carry."""
     del columns
     return _at_nucleation(1, y, order)
-
-
-PREDICTED = {"length": lengths, "displacement": displacements, "force": forces}
 
 
 def displacement_at(y: Array) -> Array:

@@ -2,9 +2,12 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.gauges import Gauges
 
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 KINDS = ("length", "whole", "at_least")
@@ -24,8 +27,8 @@ class Measurements:
     height, poisson, length : array_like, shape (n,)
         H/λc, ν, and the measured length in λc. Scalars are repeated.
     length_sigma : array_like, shape (n,), optional
-        Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest. Without it the errors
-        are taken as equal and their size from the scatter.
+        Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest, and meant where there is
+        nothing else. Without it the errors are taken as equal and their size from the scatter.
     correlation_length : array_like, shape (n,), optional
         λc in m; given for data in SI.
     young : array_like, shape (n,), optional
@@ -41,6 +44,10 @@ class Measurements:
     force, force_sigma : array_like, shape (n,), optional
         Driving force at nucleation per width of the block, in N/m; NaN where it was not measured.
     specimen, provenance : sequence of str, optional
+    label : sequence of str, optional
+        Name of each precursor, by which tables of further observations refer to it.
+    gauges : Gauges, optional
+        Readings of slip and stress along the interface after arrest; need `correlation_length` and `young`.
     lines : array_like of int, optional
         Line of each measurement in the file it came from.
     source : str
@@ -73,6 +80,8 @@ class Measurements:
     force_sigma: np.ndarray | None = None
     specimen: tuple[str, ...] = ()
     provenance: tuple[str, ...] = ()
+    label: tuple[str, ...] = ()
+    gauges: "Gauges | None" = None
     lines: tuple[int, ...] = ()
     source: str = "measurements"
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
@@ -85,14 +94,17 @@ class Measurements:
         for name, column in zip(given, columns, strict=True):
             object.__setattr__(self, name, np.array(column))
         n = len(self)
-        for name in ("kind", "specimen", "provenance", "lines"):
+        for name in ("kind", "specimen", "provenance", "label", "lines"):
             values = tuple(getattr(self, name))
             if values and len(values) != n:
                 raise MeasurementError(f"{self.source}: {name} has {len(values)} entries for {n} lengths")
             object.__setattr__(self, name, values)
         if not self.kind:
             object.__setattr__(self, "kind", ("length",) * n)
+        if self.length_sigma is None and "length" not in self.kind:
+            object.__setattr__(self, "length_sigma", np.zeros(n))  # counts need no σ
         self._check_companions()
+        self._check_gauges()
         for i in range(n):
             check_domain({name: float(getattr(self, name)[i]) for name in given}, self.kind[i], self.place(i), {})
 
@@ -108,6 +120,17 @@ class Measurements:
                 raise MeasurementError(f"{self.source}: {name} is given without {name}_sigma")
             if self.young is None:
                 raise MeasurementError(f"{self.source}: {name} needs correlation_length and young: it is in SI")
+
+    def _check_gauges(self) -> None:
+        if self.gauges is None:
+            return
+        if self.young is None:
+            raise MeasurementError(f"{self.gauges.source}: gauges are in SI: the lengths need correlation_length and young too")
+        for i, row in enumerate(self.gauges.row):
+            if not 0 <= row < len(self):
+                raise MeasurementError(f"{self.gauges.place(i)}: row = {row}: there are {len(self)} measurements")
+            if self.kind[row] == "at_least":
+                raise MeasurementError(f"{self.gauges.place(i)}: that front did not stop, so nothing was read after its arrest")
 
     def __len__(self) -> int:
         return len(self.height)
@@ -135,7 +158,7 @@ class Measurements:
 NUMERIC = tuple(
     field.name
     for field in dataclasses.fields(Measurements)
-    if field.name not in ("kind", "specimen", "provenance", "lines", "source", "other")
+    if field.name not in ("kind", "specimen", "provenance", "label", "gauges", "lines", "source", "other")
 )
 
 # quantity -> (test, requirement)

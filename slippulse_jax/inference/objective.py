@@ -9,10 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from slippulse_jax.inference.forward import PREDICTED, Prediction
+from slippulse_jax.inference.forward import Prediction, displacements, forces, lengths
+from slippulse_jax.inference.forward_gauges import slips, stresses
+from slippulse_jax.inference.gauges import READINGS, Gauges
 from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import ParameterSet
+
+PREDICTED = {"length": lengths, "displacement": displacements, "force": forces, "slip": slips, "stress": stresses}
+"""The model of every observable."""
 
 ELEMENTS = 2_000_000  # of the largest array held at once; more points than that are taken in turns
 
@@ -32,8 +37,8 @@ class _Block(NamedTuple):
     observable: str
     measurement: np.ndarray  # (n,), which measurement each datum belongs to
     rows: np.ndarray  # (n,), which of the distinct model inputs each datum has
-    base: np.ndarray  # (m, 5), those inputs
-    slope: np.ndarray  # (m, 5, p)
+    base: np.ndarray  # (m, c), those inputs: y, and of gauges three more
+    slope: np.ndarray  # (m, c, p)
     scale_base: np.ndarray  # (n,)
     scale_slope: np.ndarray  # (n, p)
     offset: np.ndarray  # (n, p)
@@ -165,14 +170,16 @@ def predictions(block: _Block, theta: np.ndarray, order: int, held: np.ndarray |
 
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
     """The objective of these measurements; `sigma` is the standard error of each length, in λc."""
-    blocks = [_block(m, parameters, "length", np.ones(len(m), bool), m.length, sigma, np.array(m.kind))]
+    every = np.arange(len(m))
+    blocks = [_block(parameters, "length", every, m.length, sigma, np.array(m.kind))]
     for observable in ("displacement", "force"):
         values = getattr(m, observable)
         if values is None or not np.isfinite(values).any():
             continue
-        there = np.isfinite(values)
-        error = getattr(m, f"{observable}_sigma")
-        blocks.append(_block(m, parameters, observable, there, values, error, np.full(len(m), "length")))
+        rows = np.nonzero(np.isfinite(values))[0]
+        blocks.append(_block(parameters, observable, rows, values[rows], getattr(m, f"{observable}_sigma")[rows]))
+    if m.gauges is not None:
+        blocks += [_gauge_block(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])
     return Problem(
         parameters=parameters,
@@ -184,28 +191,52 @@ def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: n
 
 
 def _block(
-    m: Measurements, q: ParameterSet, observable: str, there: np.ndarray, value: np.ndarray, sigma: np.ndarray, kind: np.ndarray
+    q: ParameterSet,
+    observable: str,
+    rows: np.ndarray,
+    value: np.ndarray,
+    sigma: np.ndarray,
+    kind: np.ndarray | None = None,
+    inputs: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> _Block:
-    """Data of one observable, each distinct input of the model once."""
-    n = int(there.sum())
-    key = np.concatenate([q.base, q.slope.reshape(len(m), -1)], axis=1)[there]
+    """Data of one observable, each distinct input of the model once; `inputs` are base and slope, y's own by default."""
+    n = len(rows)
+    base, slope = (q.base[rows], q.slope[rows]) if inputs is None else inputs
+    key = np.concatenate([base, slope.reshape(n, -1)], axis=1)
     _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
     of_length = observable == "length"
     data = Data(
-        kind=kind[there],
-        value=value[there][None],
-        sigma=sigma[there],
+        kind=np.full(n, "length") if kind is None else kind,
+        value=value[None],
+        sigma=sigma,
         weight=np.ones((1, n)),
         has_discrepancy=np.full(n, of_length),
     )
     return _Block(
         observable=observable,
-        measurement=np.nonzero(there)[0],
+        measurement=rows,
         rows=own.ravel(),
-        base=q.base[there][first],
-        slope=q.slope[there][first],
-        scale_base=q.scale_base[observable][there],
-        scale_slope=q.scale_slope[observable][there],
-        offset=q.offset[there] if of_length else np.zeros((n, len(q.free))),
+        base=base[first],
+        slope=slope[first],
+        scale_base=q.scale_base[observable][rows],
+        scale_slope=q.scale_slope[observable][rows],
+        offset=q.offset[rows] if of_length else np.zeros((n, len(q.free))),
         data=data,
     )
+
+
+def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> _Block:
+    """Readings of one kind; y goes on with ln x/λc, contacts broken beyond ℓ*, and how many broke where that was counted."""
+    there = gauges.there(name)
+    rows = gauges.row[there]
+    assert m.correlation_length is not None
+    # a gauge at the very edge is one a billionth of λc from it
+    place = np.log(np.maximum(gauges.position[there] / m.correlation_length[rows], 1e-9))
+    counted = np.where(np.array(m.kind)[rows] == "whole", m.length[rows], 0.0)
+    # x/λc shrinks as λc grows, which the logarithm of the length's scale does
+    by_theta = -q.scale_slope["position"][rows]
+    base = np.column_stack([q.base[rows], place - q.scale_base["position"][rows], np.zeros(len(rows)), counted])
+    further = [by_theta, q.arrest[rows], np.zeros_like(by_theta)]
+    slope = np.concatenate([q.slope[rows], np.stack(further, axis=1)], axis=1)
+    sigma = getattr(gauges, f"{name}_sigma")[there]
+    return _block(q, name, rows, getattr(gauges, name)[there], sigma, inputs=(base, slope))

@@ -14,7 +14,7 @@ import numpy as np
 STIFFEST = 1.0
 """Largest k/K looked at: a contact stiffer than the block of bulk it is attached to is outside the model."""
 INPUTS = ("log_height", "log_stiffness", "poisson", "prestress", "threshold_slope")
-SCALES = ("length", "displacement", "force")
+SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0  # standard deviations of a prior that are searched where no bounds are given
 
 
@@ -96,6 +96,7 @@ class ParameterSet:
     scale_base: dict[str, np.ndarray]  # ln(unit of measurement per unit of the model), (n,) for each of SCALES
     scale_slope: dict[str, np.ndarray]  # (n, p)
     offset: np.ndarray  # (n, p), added to a length in λc
+    arrest: np.ndarray  # (n, p), added to ℓ* for the contacts broken when gauges were read
     discrepancy: int | None  # which θ is the logarithm of the model's own relative error
 
     @property
@@ -146,19 +147,22 @@ class _Kind(NamedTuple):
 
 PARAMETERS: dict[str, _Kind] = {
     "stiffness": _Kind("k/K", ("", ""), True, 1, 1, {}, None),
-    "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, 1, 1, {"displacement": -1}, None),
+    "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, 1, 1, {"displacement": -1, "slip": -1}, None),
     "areal_stiffness_over_young": _Kind("(k/λc²)/E", ("1/m", "1/m"), True, 1, 1, {}, None),
     "height": _Kind("H", ("λc", "m"), True, 0, 1, {}, "height"),
-    "correlation_length": _Kind("λc", ("", "m"), True, None, 1, {"length": 1, "force": 1}, "correlation_length"),
+    "correlation_length": _Kind("λc", ("", "m"), True, None, 1, {"length": 1, "force": 1, "position": 1}, "correlation_length"),
     "young": _Kind("E", ("", "Pa"), True, 1, -1, {}, "young"),
     "poisson": _Kind("ν", ("", ""), False, 2, 1, {}, "poisson"),
     "prestress": _Kind("φ", ("σ_s", "σ_s"), False, 3, 1, {}, "prestress"),
     "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, 4, 1, {}, "threshold_slope"),
-    "strength": _Kind("σ_s", ("", "Pa"), True, None, 1, {"displacement": 1, "force": 1}, None),
+    "strength": _Kind("σ_s", ("", "Pa"), True, None, 1, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, None),
     "offset": _Kind("offset", ("λc", "m"), False, None, 1, {}, None),
     "model_factor": _Kind("model factor", ("", ""), True, None, 1, {"length": 1}, None),
+    "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, None, 1, {}, None),
     "discrepancy": _Kind("discrepancy", ("", ""), True, None, 1, {}, None),
 }
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data allow."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
+ARREST = (0.5, 12**-0.5)
+"""Mean and deviation of what lies between ℓ* and the whole number of contacts that break, ceil(ℓ*): anything from 0 to 1."""
 NEEDS_SI = ("correlation_length", "young", "strength")

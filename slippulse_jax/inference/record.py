@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from slippulse_jax.inference import gauges
 from slippulse_jax.inference.measurements import NUMERIC, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
@@ -53,6 +54,13 @@ def to_dict(result: FitResult) -> dict[str, Any]:
         "p_value": result.p_value,
         "sigma_scaled_by": math.sqrt(result.variance_factor) if result.scaled else None,
         "measurements": [_measurement(result, i) for i in range(len(result.measurements))],
+        "further": [
+            {"observable": one.observable, "place": place, "measured": value, "sigma": sigma, "fitted": _finite(fitted)}
+            for one in result.further
+            for place, value, sigma, fitted in zip(
+                one.places, one.value.tolist(), one.sigma.tolist(), one.fitted.tolist(), strict=True
+            )
+        ],
         "notes": result.notes,
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),
@@ -160,6 +168,10 @@ def data_hash(measurements: Measurements) -> str:
         digest.update(name.encode() + b"=")
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
     digest.update(",".join(measurements.kind).encode())
+    if measurements.gauges is not None:
+        for name in gauges.NUMERIC:
+            column = getattr(measurements.gauges, name)
+            digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
     return digest.hexdigest()
 
 

@@ -30,6 +30,7 @@ def report(result: FitResult) -> str:
         _quality(result),
         "",
         *_table(result),
+        *_further(result),
     ]
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
@@ -185,6 +186,21 @@ def _table(result: FitResult) -> list[str]:
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     return ["  " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+
+
+def _further(result: FitResult) -> list[str]:
+    """What was measured beside the lengths: how many, how well they are met, and the worst."""
+    if not result.further:
+        return []
+    rows = ["", "Measured beside the lengths"]
+    for one in result.further:
+        off = one.residuals / np.sqrt(result.variance_factor)
+        worst = int(np.argmax(np.abs(off)))
+        rows.append(
+            f"  {one.observable:12s} {_plural(len(off), 'datum').replace('datums', 'data')}, chi-squared {(off**2).sum():.3g}; "
+            f"worst at {one.places[worst]}: (fit-meas)/σ = {off[worst]:+.2f}"
+        )
+    return rows
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:

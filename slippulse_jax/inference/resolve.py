@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import (
+    ARREST,
     INPUTS,
     NEEDS_SI,
     PARAMETERS,
@@ -58,6 +60,7 @@ def resolve(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
         if name in fitted:
             raise ValueError(f"{name} is asked for, and the measurements state its error: give it a prior, or leave it out")
         builder.add_uncertain(name, sigma)
+    builder.add_arrests()
     return builder.build()
 
 
@@ -71,23 +74,40 @@ def _normalise(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Param
     for one in chosen:
         if names.count(one.name) > 1:
             raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
-        if one.name in STIFFNESSES and one.name != stiffness:
-            raise ValueError(f"parameter {one.name}: these measurements can give {stiffness}")
-        if one.name in NEEDS_SI and m.correlation_length is None:
-            raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
-        if one.name == "young" and m.young is None:
-            raise ValueError("parameter young: the measurements state no young_GPa to start from")
-        if one.each == "specimen" and not m.specimen:
-            raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
-        if one.name == "model_factor" and one.prior is None and one.value is None:
-            raise ValueError(
-                "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot tell it from stiffness"
-            )
+        _check_meaning(m, one, stiffness)
     if stiffness not in names:
         raise ValueError(f"{stiffness} is neither fitted nor held: name it, or give Parameter({stiffness!r}, value=…)")
+    if "strength" not in names and (carrier := _carries_strength(m)):
+        raise ValueError(
+            f"the measurements state a {carrier}, which scales with σ_s: fit strength too, or hold it at its value in Pa"
+        )
     if not any(one.value is None for one in chosen):
         raise ValueError("nothing is fitted: every parameter is held")
     return chosen
+
+
+def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
+    """Refuse a parameter that these measurements give no meaning."""
+    if one.name == "arrest":
+        raise ValueError("parameter arrest: it is fitted wherever gauges were read, and need not be asked for")
+    if one.name in STIFFNESSES and one.name != stiffness:
+        raise ValueError(f"parameter {one.name}: these measurements can give {stiffness}")
+    if one.name in NEEDS_SI and m.correlation_length is None:
+        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
+    if one.name == "young" and m.young is None:
+        raise ValueError("parameter young: the measurements state no young_GPa to start from")
+    if one.each == "specimen" and not m.specimen:
+        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
+    if one.name == "model_factor" and one.prior is None and one.value is None:
+        raise ValueError("parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot tell it from stiffness")
+
+
+def _carries_strength(m: Measurements) -> str:
+    """What was measured that scales with σ_s; empty if nothing was."""
+    for name in ("displacement", "force"):
+        if np.isfinite(m.or_zero(name)).any() and getattr(m, name) is not None:
+            return name
+    return "reading of a gauge" if m.gauges is not None else ""
 
 
 def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:
@@ -102,6 +122,15 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
             if np.ptp(getattr(m, stated)[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
     return groups
+
+
+class _Effect(NamedTuple):
+    """What a unit of θ adds to y, to the scales, to the length, and to the contacts broken when gauges were read."""
+
+    inputs: np.ndarray
+    scales: dict[str, np.ndarray]
+    offset: np.ndarray
+    arrest: np.ndarray
 
 
 class _Builder:
@@ -122,13 +151,12 @@ class _Builder:
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
         self.log_lc = log_lc
         self.base = np.stack([np.log(m.height), log_lc - log_young, *(self.stated[k] for k in INPUTS[2:])], axis=1)
-        self.scale_base = {"length": np.zeros(n), "displacement": np.zeros(n), "force": log_lc.copy()}
+        self.scale_base = {scale: np.zeros(n) for scale in SCALES} | {"force": log_lc.copy()}
         self.free: list[Free] = []
-        self.columns: list[tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]] = []
+        self.columns: list[_Effect] = []
         self.held: dict[str, float] = {}
 
-    def _effect(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """What a unit of θ adds to y, to the scales and to the length."""
+    def _effect(self, name: str, rows: np.ndarray) -> _Effect:
         kind, on = PARAMETERS[name], rows.astype(float)
         inputs = np.zeros((len(rows), len(INPUTS)))
         if kind.input is not None:
@@ -139,7 +167,7 @@ class _Builder:
         offset = np.zeros(len(rows))
         if name == "offset":
             offset = on if self.m.correlation_length is None else on / self.m.correlation_length
-        return inputs, scales, offset
+        return _Effect(inputs, scales, offset, on * (name == "arrest"))
 
     def _reference(self, name: str) -> np.ndarray:
         """θ at which the parameter adds nothing, for every row: what is stated with the measurements."""
@@ -151,10 +179,10 @@ class _Builder:
         return np.log(column) if PARAMETERS[name].log else column
 
     def _shift(self, name: str, rows: np.ndarray, theta: float | np.ndarray) -> None:
-        inputs, scales, offset = self._effect(name, rows)
-        self.base += inputs * np.broadcast_to(theta, rows.shape)[:, None]
+        effect = self._effect(name, rows)
+        self.base += effect.inputs * np.broadcast_to(theta, rows.shape)[:, None]
         for scale in SCALES:
-            self.scale_base[scale] = self.scale_base[scale] + scales[scale] * theta
+            self.scale_base[scale] = self.scale_base[scale] + effect.scales[scale] * theta
 
     def hold(self, parameter: Parameter) -> None:
         """Put a parameter at its value."""
@@ -198,9 +226,20 @@ class _Builder:
                 rows = np.array([one == key for one in keys])
                 self.add(Parameter(name, prior=(float(value), float(error))), _input_label(name, key), rows, nuisance=True)
 
+    def add_arrests(self) -> None:
+        """A θ for every precursor that gauges were read after and whose contacts were not counted."""
+        if self.m.gauges is None:
+            return
+        for i in dict.fromkeys(self.m.gauges.row):
+            if self.m.kind[i] != "whole":
+                rows = np.arange(len(self.m)) == i
+                self.add(
+                    Parameter("arrest", prior=ARREST), f"arrest[{self.m.label[i] if self.m.label else i}]", rows, nuisance=True
+                )
+
     def build(self) -> ParameterSet:
         """The finished map, its limits checked against the domain of the model."""
-        slope = _columns([inputs for inputs, _, _ in self.columns])
+        slope = _columns([one.inputs for one in self.columns])
         names = [one.name for one in self.free]
         result = ParameterSet(
             free=tuple(self.free),
@@ -208,8 +247,9 @@ class _Builder:
             base=self.base,
             slope=slope,
             scale_base=self.scale_base,
-            scale_slope={scale: _columns([scales[scale] for _, scales, _ in self.columns]) for scale in SCALES},
-            offset=_columns([offset for _, _, offset in self.columns]),
+            scale_slope={scale: _columns([one.scales[scale] for one in self.columns]) for scale in SCALES},
+            offset=_columns([one.offset for one in self.columns]),
+            arrest=_columns([one.arrest for one in self.columns]),
             discrepancy=names.index("discrepancy") if "discrepancy" in names else None,
         )
         _check_domain(result)

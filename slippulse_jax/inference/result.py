@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.gauges import READINGS
 from slippulse_jax.inference.identifiability import Identifiability, Verdict, directions, gravest
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Problem
@@ -50,6 +51,22 @@ class Fitted:
     length: np.ndarray  # in λc
     contacts_broken: np.ndarray
     status: np.ndarray  # `FrontStatus`
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Further:
+    """One further observable at the best fit, one entry a datum; in SI."""
+
+    observable: str
+    value: np.ndarray
+    sigma: np.ndarray
+    fitted: np.ndarray
+    places: list[str]  # where each was measured, for messages
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(fitted − measured)/σ."""
+        return (self.fitted - self.value) / self.sigma
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -237,6 +254,18 @@ class FitResult:
         counted = np.where(np.isfinite(length), np.maximum(np.ceil(np.where(np.isfinite(length), length, 0)), 1), -1)
         return Fitted(length, counted.astype(int), _recursion_status(self.parameters.inputs(self.theta)))
 
+    @functools.cached_property
+    def further(self) -> list[Further]:
+        """What was measured beside the lengths, and the model there."""
+        m, found = self.measurements, []
+        for block in self.problem.blocks[1:]:
+            places = [m.place(i) for i in block.measurement.tolist()]
+            if m.gauges is not None and block.observable in READINGS:
+                places = [m.gauges.place(i) for i in np.nonzero(m.gauges.there(block.observable))[0].tolist()]
+            fitted = self.problem.predict(self.theta, block.observable)[0]
+            found.append(Further(block.observable, block.data.value[0], block.data.sigma, fitted, places))
+        return found
+
     @property
     def chi2(self) -> float:
         """Least deviance; χ² (with that of the priors) for plain lengths."""
@@ -308,6 +337,12 @@ class FitResult:
         from slippulse_jax.inference.figure import draw_profiles
 
         return draw_profiles(self)
+
+    def plot_gauges(self) -> "Figure":
+        """Figure of slip and stress along the interface, as the gauges read them and as fitted."""
+        from slippulse_jax.inference.gauge_figure import draw_gauges
+
+        return draw_gauges(self)
 
     def plot_corner(self, samples: np.ndarray | None = None) -> "Figure":
         """Figure of the allowed region of every pair of parameters, over `samples` of θ if given."""

@@ -20,20 +20,22 @@ Without a column of σ the errors are taken as equal, and their size from the sc
     edge displacement, and driving force over the width of the block, at nucleation; SI with ``young_GPa``, blank where not
     measured
 ``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
+``label``
+    a name for the precursor, by which the table of gauges refers to it (`slippulse_jax.inference.gauges`)
 
 Other columns are kept and named in the report, and have no effect; but one named as a quantity of these in another unit, or in
 none, is refused. Lines that start with ``#`` are comments.
 """
 
-import csv
-import io
 import os
 from collections import Counter
-from pathlib import Path
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from slippulse_jax.inference.csv_text import number, read_text, rows
+from slippulse_jax.inference.gauges import read_gauges
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, MeasurementError, Measurements, check_domain
 
 
@@ -90,20 +92,22 @@ _UNITS = {
     "n",
 }
 """What may follow a quantity in the name of a column that is meant as it: refused, not kept as a remark."""
-_TEXT = ("specimen", "provenance", "kind")
+_TEXT = ("specimen", "provenance", "kind", "label")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
     "(a table without σ is read too)"
 )
 
 
-def read_measurements(path: str | os.PathLike[str]) -> Measurements:
+def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
     """Read a CSV file of measured first precursors (its columns are in the documentation of this module).
 
     Parameters
     ----------
     path : path
         UTF-8 text; comma, semicolon or tab between the columns, a point as decimal mark.
+    gauges : path, optional
+        A second file: readings along the interface after arrest (`slippulse_jax.inference.gauges`).
 
     Returns
     -------
@@ -115,30 +119,25 @@ def read_measurements(path: str | os.PathLike[str]) -> Measurements:
         If the file cannot be read, a column is missing or there twice, or a value is missing, not a number, or outside its
         domain: the message names file, line and column.
     """
-    name = os.fspath(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise MeasurementError(f"{name}: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise MeasurementError(f"{name}: not UTF-8 text (byte {error.start}); save it as CSV UTF-8") from None
-    if "\0" in text:
-        raise MeasurementError(f"{name}: holds NUL bytes: not a text file; save it as CSV UTF-8")
-    return _parse(text, name)
+    lengths = _parse(read_text(path), os.fspath(path))
+    if gauges is None:
+        return lengths
+    read = read_gauges(gauges, lengths.label)
+    return replace(lengths, gauges=read)
 
 
 def _parse(text: str, name: str) -> Measurements:
-    rows = _rows(text, name)
-    if not rows:
+    table_rows = rows(text, name)
+    if not table_rows:
         raise MeasurementError(f"{name}: empty: expected a header line with {_FORMS}")
-    header_line, header = rows[0]
+    header_line, header = table_rows[0]
     header = [cell.strip() for cell in header]
     columns = _known_columns(header, f"{name}, line {header_line}")
-    if len(rows) == 1:
+    if len(table_rows) == 1:
         raise MeasurementError(f"{name}: a header and no measurements")
     table: dict[str, list[float]] = {column.quantity: [] for column in columns.values()}
     texts: dict[str, list[str]] = {column: [] for column in header if column not in columns}
-    for line, cells in rows[1:]:
+    for line, cells in table_rows[1:]:
         where = f"{name}, line {line}"
         if len(cells) != len(header):
             raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
@@ -149,33 +148,17 @@ def _parse(text: str, name: str) -> Measurements:
             raise MeasurementError(f"{where}, column provenance: {row['provenance']!r}: one of {', '.join(PROVENANCES)}")
         for column, cells_so_far in texts.items():
             cells_so_far.append(row[column])
+    quantities: dict[str, Any] = {quantity: np.array(values) for quantity, values in table.items()}
     return Measurements(
-        **{quantity: np.array(values) for quantity, values in table.items()},
+        **quantities,
         kind=tuple(text or "length" for text in texts.pop("kind", ())),
         specimen=tuple(texts.pop("specimen", ())),
         provenance=tuple(texts.pop("provenance", ())),
-        lines=tuple(line for line, _ in rows[1:]),
+        label=tuple(texts.pop("label", ())),
+        lines=tuple(line for line, _ in table_rows[1:]),
         source=name,
         other=texts,
     )
-
-
-def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
-    """Line number and cells of every line that is neither blank nor a comment."""
-    # a quoted cell may run over several lines: comments are blanked, not removed, so that line numbers stay true
-    kept = "\n".join("" if line.lstrip().startswith("#") else line for line in text.splitlines())
-    first = next((line for line in kept.splitlines() if line.strip()), "")
-    delimiter = max(",;\t", key=first.count)
-    rows, line = [], 1
-    reader = csv.reader(io.StringIO(kept), delimiter=delimiter, strict=True)
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append((line, cells))
-            line = reader.line_num + 1
-    except csv.Error as error:
-        raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
-    return rows
 
 
 def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
@@ -233,7 +216,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
         elif not row[column] and meaning.quantity == "length_sigma" and kind != "length":
             raw[column] = 0.0
         else:
-            raw[column] = _number(row[column], place)
+            raw[column] = number(row[column], place)
     # a correlation length of 0 is refused for itself, not for the division by it
     correlation_length = raw.get("correlation_length_um", 1.0) * 1e-6 or np.nan
     quantities, shown = {}, {}
@@ -248,13 +231,3 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
     # the correlation length comes first: it is what a wrong height or length may be due to
     check_domain(dict(sorted(quantities.items(), key=lambda item: item[0] != "correlation_length")), kind, where, shown)
     return quantities
-
-
-def _number(text: str, where: str) -> float:
-    if not text:
-        raise MeasurementError(f"{where}: missing value")
-    try:
-        return float(text)
-    except ValueError:
-        hint = "; write a decimal point" if text.count(",") == 1 and text.replace(",", "").isdigit() else ""
-        raise MeasurementError(f"{where}: {text!r} is not a number{hint}") from None

@@ -1,0 +1,152 @@
+"""Readings of gauges along the interface after measured precursors have stopped, and the CSV file they come in.
+
+One reading a line, with the units in the column names: ``label`` (of the precursor, as in the table of lengths),
+``position_mm`` from the pushed edge, and ``slip_um`` with ``slip_sigma_um``, or ``stress_MPa`` with ``stress_sigma_MPa``, or
+both; blank where one was not measured. Lines that start with ``#`` are comments.
+"""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from slippulse_jax.inference.csv_text import number, read_text, rows
+from slippulse_jax.inference.measurements import MeasurementError
+
+UNITS = {"position_mm": 1e-3, "slip_um": 1e-6, "slip_sigma_um": 1e-6, "stress_MPa": 1e6, "stress_sigma_MPa": 1e6}
+READINGS = ("slip", "stress")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Gauges:
+    """Readings along the interface, one entry a reading.
+
+    Parameters
+    ----------
+    row : array_like of int, shape (r,)
+        Which measurement's precursor had just stopped.
+    position : array_like, shape (r,)
+        Distance from the pushed edge, in m.
+    slip, slip_sigma : array_like, shape (r,), optional
+        How far the slider's side of the interface moved while the front ran, in m; NaN where not measured.
+    stress, stress_sigma : array_like, shape (r,), optional
+        Shear stress on the contacts after arrest, prestress included, in Pa; NaN where not measured.
+    lines : sequence of int, optional
+        Line of each reading in the file it came from.
+    source : str
+        Name of that file.
+
+    Raises
+    ------
+    MeasurementError
+        If a value is not finite, a standard error is missing or not positive, or nothing was read.
+    """
+
+    row: np.ndarray
+    position: np.ndarray
+    slip: np.ndarray | None = None
+    slip_sigma: np.ndarray | None = None
+    stress: np.ndarray | None = None
+    stress_sigma: np.ndarray | None = None
+    lines: tuple[int, ...] = ()
+    source: str = "gauges"
+
+    def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in NUMERIC if getattr(self, name) is not None}
+        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in given.values()))
+        if columns[0].ndim != 1 or columns[0].size == 0:
+            raise MeasurementError(f"{self.source}: readings must be non-empty one-dimensional columns")
+        for name, column in zip(given, columns, strict=True):
+            object.__setattr__(self, name, np.array(column))
+        object.__setattr__(self, "row", self.row.astype(int))
+        for name in READINGS:
+            if getattr(self, name) is not None and getattr(self, f"{name}_sigma") is None:
+                raise MeasurementError(f"{self.source}: {name} is given without {name}_sigma")
+        for i in range(len(self)):
+            self._check(i)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def place(self, i: int) -> str:
+        """Where reading i came from, for messages."""
+        return f"{self.source}, line {self.lines[i]}" if self.lines else f"{self.source}, reading {i}"
+
+    def there(self, name: str) -> np.ndarray:
+        """Which readings have a value of `name`, bool, shape (r,)."""
+        values = getattr(self, name)
+        return np.zeros(len(self), bool) if values is None else np.isfinite(values)
+
+    def _check(self, i: int) -> None:
+        if not (np.isfinite(self.position[i]) and self.position[i] >= 0):
+            raise MeasurementError(f"{self.place(i)}: position = {self.position[i]:g} m: must be finite and not negative")
+        read = [name for name in READINGS if self.there(name)[i]]
+        if not read:
+            raise MeasurementError(f"{self.place(i)}: neither slip nor stress was read")
+        for name in read:
+            sigma = getattr(self, f"{name}_sigma")[i]
+            if not (np.isfinite(sigma) and sigma > 0):
+                raise MeasurementError(f"{self.place(i)}: {name}_sigma = {sigma:g}: the standard error must be positive")
+
+
+NUMERIC = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigma")
+
+
+def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
+    """Read a CSV file of gauges (its columns are in the documentation of this module).
+
+    Parameters
+    ----------
+    path : path
+    labels : sequence of str
+        Labels of the measured precursors.
+
+    Raises
+    ------
+    MeasurementError
+        Naming file, line and column.
+    """
+    name = os.fspath(path)
+    table = rows(read_text(path), name)
+    if len(table) < 2:
+        raise MeasurementError(f"{name}: a header and one reading at least are needed")
+    (line, header), *body = table
+    header = [cell.strip() for cell in header]
+    wanted = ("label", *UNITS)
+    unknown = [column for column in header if column not in wanted]
+    missing = [column for column in ("label", "position_mm") if column not in header]
+    if unknown or missing or len(set(header)) < len(header):
+        raise MeasurementError(
+            f"{name}, line {line}: columns {', '.join(header)}; expected label, position_mm, and slip_um with slip_sigma_um or "
+            "stress_MPa with stress_sigma_MPa, each once"
+        )
+    columns: dict[str, list[float]] = {column: [] for column in header if column != "label"}
+    row = []
+    for line, cells in body:
+        where = f"{name}, line {line}"
+        if len(cells) != len(header):
+            raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
+        by_name = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+        row.append(row_of(by_name["label"], labels, where))
+        for column, values in columns.items():
+            text = by_name[column]
+            blank = not text and column != "position_mm"
+            values.append(np.nan if blank else number(text, f"{where}, column {column}") * UNITS[column])
+    quantities = {column.rpartition("_")[0]: np.array(values) for column, values in columns.items()}
+    return Gauges(np.array(row), **quantities, lines=tuple(line for line, _ in body), source=name)
+
+
+def row_of(label: str, labels: Sequence[str], where: str) -> int:
+    """Which measurement is labelled so.
+
+    Raises
+    ------
+    MeasurementError
+        If none or several are.
+    """
+    count = list(labels).count(label)
+    if count != 1:
+        found = "no measurement has" if count == 0 else f"{count} measurements have"
+        raise MeasurementError(f"{where}, column label: {found} the label {label!r}; each needs its own, in a column label")
+    return list(labels).index(label)
