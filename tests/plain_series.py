@@ -84,12 +84,22 @@ class PlainSeries:
                 if (over >= 0).any():
                     first = int(over.argmax())
                     break
-        order, site = [], first
+        order, site, self.overload = [], first, {}
         while site is not None:
             u = self.fields(self.load)[1]
+            self.overload[site] = (u - self.u_b + self.phi - self.thresholds(self.load))[site]  # as it broke last
             self.u_b[site] = u[site] + self.phi[site]
             self.born[site] = self.load
             order.append(site)
             over = self.stress(self.load) - self.thresholds(self.load)
             site = int(over.argmax()) if over.max() >= 0 else None
         return order
+
+    def length(self, order):
+        """Of the event just over: where the stress over threshold, straight from the rightmost contact on, passes zero."""
+        right = max(order)
+        if right == self.n - 1:
+            return np.inf
+        behind = max(self.overload[right], 0)
+        ahead = (self.stress(self.load) - self.thresholds(self.load))[right + 1]
+        return right + behind / (behind - ahead)

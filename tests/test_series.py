@@ -47,6 +47,7 @@ def test_against_dense_program(protocol, right, ageing):
         assert abs(got.force_after[e] - plain.push()) < 1e-9
         if right == "free":  # what is booked as work less losses, event by event, is in the springs
             assert abs(got.stored[e] - plain.energy()) < 1e-9
+        np.testing.assert_allclose(got.length[e], plain.length(order), rtol=1e-9, atol=1e-9)
         assert (got.site[e], got.leftmost[e], got.extent[e]) == (order[0], min(order), max(order) + 1)
     assert abs(got.state.pinning - plain.u_b).max() < 1e-9
     assert got.drift < 1e-12
@@ -84,6 +85,33 @@ def test_first_event_is_the_first_precursor():
     got = sp.series(sp.chain(sp.Slider(*FIG2), sites=150), events=1)
     assert (int(got.breaks[0]), int(got.extent[0]), int(got.kind[0])) == (26, 26, EventClass.EDGE)
     assert round(float(got.load[0]), 4) == 3.1985
+    assert abs(got.length[0] - sp.precursor_length(sp.Slider(*FIG2))) < 1e-10
+
+
+def test_a_series_ends_at_a_load():
+    """With the first event at or beyond it; the events before it are the same."""
+    chain = sp.chain(sp.Slider(*FIG2), sites=150)
+    whole, cut = sp.series(chain, events=60), sp.series(chain, events=60, until=4.2)
+    count = int(cut.number)
+    assert cut.status == SeriesStatus.DONE
+    assert cut.load[count - 2] < 4.2 <= cut.load[count - 1]
+    assert np.array_equal(cut.load[:count], whole.load[:count])
+    assert np.isnan(cut.load[count:]).all()
+    assert int(sp.series(chain, events=60, until=100.0).number) == 60
+
+
+def test_how_far_fronts_have_come_hardly_depends_on_the_step():
+    """At loads from 3.5 to 6 u_s, in steps of 0.05 to 1 u_s, within 3 λc of the adiabatic series; over that range it doubles."""
+    chain = sp.chain(sp.Slider(*FIG2), sites=200)
+    loads = np.arange(4.0, 6.5, 1)
+    slowly = sp.series(chain, events=400, until=6.5).reach(loads)
+    assert slowly[-1] > 1.7 * slowly[0]
+    for step in (0.05, 0.1, 0.25, 0.5, 1.0):
+        stepped = sp.series(chain, sp.Steps(step), events=400, until=6.5)
+        assert np.abs(stepped.reach(loads) - slowly).max() < 3
+    assert slowly[0] == pytest.approx(36.9, abs=0.1)
+    assert sp.series(chain, events=400, until=4.0).reach([3.0, 100.0]) == pytest.approx([0, np.nan], nan_ok=True)
+    assert sp.series(chain, sp.Steps(1.0), events=400, until=100.0).reach(50.0) == np.inf
 
 
 def test_the_protocol_decides_what_the_precursors_look_like():

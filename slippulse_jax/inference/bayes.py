@@ -160,8 +160,7 @@ def _log_likelihood(problem: Problem, block: Any) -> Callable[[Array], Array]:
     n, w, b = (np.nonzero(data.kind == kind)[0] for kind in ("length", "whole", "at_least"))
     plain = not block.base[:, 3:5].any() and not block.slope[:, 3:5].any()
     of_length = partial(_length, plain)
-    # fields of a front that runs four times as far as the farthest gauge or count are not looked at
-    sites = 64 + (4 * int(max(np.exp(block.base[:, 5]).max(), block.base[:, 7].max())) if block.base.shape[1] > 5 else 0)
+    sites = _sites(problem, block) if block.base.shape[1] > 5 else 0
     model = {
         "length": of_length,
         "displacement": displacement_at,
@@ -205,6 +204,13 @@ def _log_between(a: Array, b: Array) -> Array:
 def _length(plain: bool, y: Array) -> Array:
     slider = Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2])
     return exact_length(slider) if plain else exact_length(slider, prestress=y[3], threshold_slope=y[4])
+
+
+def _sites(problem: Problem, block: Any) -> int:
+    """Contacts that fields are looked at: eight times what the gauges and counts reach in the middle of the range searched."""
+    middle = (problem.parameters.low + problem.parameters.high) / 2
+    y = block.base + block.slope @ middle
+    return 64 + 8 * int(max(np.exp(y[:, 5]).max(), y[:, 7].max()))
 
 
 def _reading(of_length: Callable[[Array], Array], count: int, y: Array) -> Readings:

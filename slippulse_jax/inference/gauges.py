@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slippulse_jax.inference.csv_text import number, read_text, rows
+from slippulse_jax.inference.csv_text import labelled_table
 from slippulse_jax.inference.measurements import MeasurementError
 
 UNITS = {"position_mm": 1e-3, "slip_um": 1e-6, "slip_sigma_um": 1e-6, "stress_MPa": 1e6, "stress_sigma_MPa": 1e6}
@@ -107,46 +107,5 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
     MeasurementError
         Naming file, line and column.
     """
-    name = os.fspath(path)
-    table = rows(read_text(path), name)
-    if len(table) < 2:
-        raise MeasurementError(f"{name}: a header and one reading at least are needed")
-    (line, header), *body = table
-    header = [cell.strip() for cell in header]
-    wanted = ("label", *UNITS)
-    unknown = [column for column in header if column not in wanted]
-    missing = [column for column in ("label", "position_mm") if column not in header]
-    if unknown or missing or len(set(header)) < len(header):
-        raise MeasurementError(
-            f"{name}, line {line}: columns {', '.join(header)}; expected label, position_mm, and slip_um with slip_sigma_um or "
-            "stress_MPa with stress_sigma_MPa, each once"
-        )
-    columns: dict[str, list[float]] = {column: [] for column in header if column != "label"}
-    row = []
-    for line, cells in body:
-        where = f"{name}, line {line}"
-        if len(cells) != len(header):
-            raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
-        by_name = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-        row.append(row_of(by_name["label"], labels, where))
-        for column, values in columns.items():
-            text = by_name[column]
-            blank = not text and column != "position_mm"
-            values.append(np.nan if blank else number(text, f"{where}, column {column}") * UNITS[column])
-    quantities = {column.rpartition("_")[0]: np.array(values) for column, values in columns.items()}
-    return Gauges(np.array(row), **quantities, lines=tuple(line for line, _ in body), source=name)
-
-
-def row_of(label: str, labels: Sequence[str], where: str) -> int:
-    """Which measurement is labelled so.
-
-    Raises
-    ------
-    MeasurementError
-        If none or several are.
-    """
-    count = list(labels).count(label)
-    if count != 1:
-        found = "no measurement has" if count == 0 else f"{count} measurements have"
-        raise MeasurementError(f"{where}, column label: {found} the label {label!r}; each needs its own, in a column label")
-    return list(labels).index(label)
+    table = labelled_table(path, labels, UNITS, required=("position_mm",))
+    return Gauges(table.row, **table.columns, lines=table.lines, source=os.fspath(path))

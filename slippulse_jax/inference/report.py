@@ -206,7 +206,7 @@ def _further(result: FitResult) -> list[str]:
 def _measured(kind: str, length: float, sigma: float) -> str:
     error = f" ± {sigma:.2g}" if sigma > 0 else ""
     if kind == "whole":
-        return f"{length:.5g} contacts{error}"
+        return f"{length:.5g} counted{error}"
     return f"{'> ' if kind == 'at_least' else ''}{length:.5g}{error}"
 
 

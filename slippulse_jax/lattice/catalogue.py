@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.chain import State
@@ -16,7 +16,7 @@ from slippulse_jax.status import Status
 class SeriesStatus(Status):
     """How a series ended."""
 
-    DONE = 0, "done: as many events as were asked for"
+    DONE = 0, "done: as many events, or as much load, as was asked for"
     SPANNED = 1, "ended by an event that broke the last contact of the chain"
     NOTHING_LEFT = 2, "ended early: no load brings a further contact to its threshold"
     LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks of one event"
@@ -44,6 +44,7 @@ class Catalogue(NamedTuple):
     site: Int[Array, " E"]  # that broke first
     leftmost: Int[Array, " E"]
     extent: Int[Array, " E"]  # sites from the left edge to the rightmost broken one, which is among them
+    length: Float[Array, " E"]  # the same by the straight line of `precursor_length`; inf where the last contact broke
     breaks: Int[Array, " E"]
     slip: Float[Array, " E"]  # sum over contacts of how far pinning points moved
     stress_drop: Float[Array, " E"]  # sum over contacts of stress before − after
@@ -60,6 +61,38 @@ class Catalogue(NamedTuple):
     energy_drift: Float[Array, ""]  # `stored` at the end against the springs of the chain, solved afresh
     status: Int[Array, ""]  # a SeriesStatus
 
+    def reach(self, load: ArrayLike) -> np.ndarray:
+        """How far from the left edge fronts have come by a load, in λc.
+
+        Straight lines join the events that came farther than all before them. How many events it takes depends on how finely
+        the edge is moved; how far they have come by a load hardly does (``docs/series.md``).
+
+        Parameters
+        ----------
+        load : array_like
+            In u_s.
+
+        Returns
+        -------
+        numpy.ndarray
+            0 before the first event, inf from the load at which the last contact breaks, NaN beyond the last event that came
+            farther than all before it.
+
+        Raises
+        ------
+        ValueError
+            If the catalogue is a batch.
+        """
+        events = table(self)
+        farther = events["length"] > np.maximum.accumulate(np.append(0, events["length"]))[:-1]
+        at, length = events["load"][farther], events["length"][farther]
+        asked, stopped = np.asarray(load, np.float64), np.isfinite(length)
+        if not stopped.any():
+            found = np.zeros(asked.shape)
+        else:
+            found = np.interp(asked, at[stopped], length[stopped], left=0.0, right=np.nan)
+        return np.where(asked >= at[~stopped].min(initial=np.inf), np.inf, found)
+
 
 COLUMNS = {
     "load": ("u_s", "displacement of the left edge, or of the driver, at the event"),
@@ -68,6 +101,7 @@ COLUMNS = {
     "site": ("1", "contact that broke first, from 0 at the left edge"),
     "leftmost": ("1", "leftmost broken contact"),
     "extent": ("lambda_c", "distance from the left edge to beyond the rightmost broken contact"),
+    "length": ("lambda_c", "the same between contacts: where the stress ahead falls to the threshold"),
     "breaks": ("1", "number of breaks"),
     "slip": ("u_s", "sum over contacts of how far their pinning points moved"),
     "stress_drop": ("sigma_s", "sum over contacts of stress before minus after"),

@@ -54,6 +54,7 @@ def series(
     events: int,
     ageing: Ageing | None = None,
     repin_delay: int = 0,
+    until: Float[AnyArrayLike, ""] | None = None,
     stop_when_spanning: bool = True,
     max_breaks: int | None = None,
     recorded_breaks: int = 0,
@@ -72,6 +73,8 @@ def series(
     repin_delay : int
         n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
         or when the event ends. For a front that breaks one contact after another, the delay in sites of `Interface`.
+    until : array_like, shape (), optional
+        Load with which the series ends: the first event at or beyond it is the last.
     stop_when_spanning : bool
         End with the first event that breaks the last contact; of a semi-infinite chain nothing is resolved beyond.
     max_breaks : int, optional
@@ -104,20 +107,22 @@ def series(
             raise ValueError(f"{type(protocol).__name__}.{name} = {value}: must be positive")
     max_breaks = 50 * chain.sites if max_breaks is None else max_breaks
     shape = (events, max_breaks, recorded_breaks, stop_when_spanning, repin_delay)
-    return _hard_series(shape, chain, protocol, ageing)
+    return _hard_series(shape, chain, protocol, ageing, None if until is None else jnp.asarray(until, chain.contact.dtype))
 
 
 Shape = tuple[int, int, int, bool, int]
 """Events, most breaks of one, breaks recorded, whether to stop at the first that spans, repinning delay."""
 
 
-def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None) -> Catalogue:
+def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None) -> Catalogue:
     chain = driven(chain, protocol.stiffness) if isinstance(protocol, Spring) else chain
     resp = shared_response(chain)
-    return lane_by_lane(lambda *given: _one_series(shape, *given), resp, chain, protocol, ageing)
+    return lane_by_lane(lambda *given: _one_series(shape, *given), resp, chain, protocol, ageing, until)
 
 
-def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None) -> Catalogue:
+def _one_series(
+    shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None
+) -> Catalogue:
     events, max_breaks, room, stop, delay = shape
     ahead = int(isinstance(protocol, Spring))  # sites put before the chain's own
     by = Loading(
@@ -133,16 +138,17 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
         max_breaks=max_breaks,
         recorded=room,
         stop_when_spanning=stop,
+        until=until,
     )
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # all that a relaxed chain carries
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
     valid = all_numbers(chain, relaxed(chain)) & ~resp.floating & holds
 
-    def loop(resp: Response, contacts: Contacts, prestress: Array, valid: Array) -> Now:
-        now = by._replace(response=resp, contacts=contacts)
+    def loop(resp: Response, contacts: Contacts, prestress: Array, valid: Array, until: Array | None) -> Now:
+        now = by._replace(response=resp, contacts=contacts, until=until)
         return load_through(now, start(now, prestress, valid))
 
-    given = resp, by.contacts, into_blocks(prestress, resp.near.shape[1]), valid
+    given = resp, by.contacts, into_blocks(prestress, resp.near.shape[1]), valid, until
     end = loop(*given) if delay else as_one_kernel(loop, *given)
     pinning = by.contacts.gains[:, :, 1] * end.given
     state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)

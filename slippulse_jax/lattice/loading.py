@@ -41,6 +41,7 @@ class Numbers(NamedTuple):
     stress_drop: Array
     broken: Array
     relaxed: Array
+    length: Array  # ℓ, in λc from the first site
 
 
 class Counts(NamedTuple):
@@ -65,6 +66,7 @@ class Tally(NamedTuple):
     creeps: Array
     left: Array
     right: Array
+    peak: Array  # stress on the rightmost as it broke, above its threshold
     total: Array
     last: Int[Array, " S"]
     log: Int[Array, "L+1 2"]
@@ -81,7 +83,7 @@ class Now(NamedTuple):
     numbers: Numbers  # of the last event
     counts: Counts
     ending: Int[Array, ""]  # a `SeriesStatus`, or −1
-    number_table: Float[Array, "E+1 8"]
+    number_table: Float[Array, "E+1 9"]
     count_table: Int[Array, "E+1 7"]
     log: Int[Array, "L+1 2"]  # site and event of every break
 
@@ -101,6 +103,7 @@ class Loading(NamedTuple):
     max_breaks: int
     recorded: int
     stop_when_spanning: bool
+    until: Array | None  # load with which the series ends; None: after all events
 
 
 def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
@@ -112,10 +115,10 @@ def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
         given=jnp.zeros_like(prestress),
         born=jnp.full_like(prestress, -jnp.inf) if by.ageing is not None else None,
         last=jnp.full(prestress.size, -1, jnp.int32),
-        numbers=Numbers(*(zero,) * 8),
+        numbers=Numbers(*(zero,) * len(Numbers._fields)),
         counts=Counts(*(none,) * 7)._replace(number=none - 1),
         ending=jnp.where(valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
-        number_table=jnp.full((by.events + 1, 8), jnp.nan, prestress.dtype),
+        number_table=jnp.full((by.events + 1, len(Numbers._fields)), jnp.nan, prestress.dtype),
         count_table=jnp.tile(jnp.array([-1, by.ahead - 1, 0, by.ahead - 1, by.ahead - 1, 0, 0], jnp.int32), (by.events + 1, 1)),
         log=jnp.full((by.recorded + 1, 2), -1, jnp.int32),
     )
@@ -139,10 +142,14 @@ def _next_event(by: Loading, now: Now) -> Now:
     force = force_before + tables.edge_stiffness * rise
     work = (force_before + force) / 2 * rise
     force_lost, slip, stress_drop = tally.lost
-    numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed)
+    length = _length(by, now, broken, load)
+    numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed, length)
     counts = Counts(number, tally.first, tally.creeps, tally.left, tally.right, broken.breaks, tally.total)
     over = (broken.breaks >= by.max_breaks) & (broken.overload >= 0)
-    endings = [~begins, over, by.stop_when_spanning & (counts.right == by.sites - 1), number == by.events - 1]
+    last = number == by.events - 1
+    if by.until is not None:
+        last = last | (load >= by.until)
+    endings = [~begins, over, by.stop_when_spanning & (counts.right == by.sites - 1), last]
     reasons = [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED, SeriesStatus.DONE]
     row = jnp.where(begins, number, by.events)
     anew = jnp.isinf(broken.arrived[:, 0])
@@ -225,6 +232,28 @@ def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, giv
     return old * by.ageing.strength(load - born, by.velocity), old * by.ageing.newborn
 
 
+def _length(by: Loading, now: Now, broken: Broken, load: Array) -> Array:
+    """ℓ of the event: where the stress, on a straight line between the rightmost contact and the one ahead, is the threshold.
+
+    Of the one it is the stress as it broke, of the other as the event ends (`slippulse_jax.lattice.front`); inf where none is
+    ahead.
+    """
+    right, peak = broken.book.right, broken.book.peak
+    block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
+    limit, _ = _limits(by, now, now.given, load, block, broken.given[block])
+    ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
+    return jnp.where(right == by.sites - 1, jnp.inf, right + peak / (peak - ahead))
+
+
+def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
+    """Threshold of one contact at this load; `anew` if it broke at it before."""
+    old = by.contacts.threshold.reshape(-1)[site]
+    if now.born is None or by.ageing is None:
+        return old
+    aged = by.ageing.strength(load - now.born.reshape(-1)[site], by.velocity)
+    return old * jnp.where(anew, by.ageing.newborn, aged)
+
+
 def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Broken:
     """The breaks of one event, counted."""
     energy, number = by.contacts.energy.reshape(-1), now.counts.number + 1
@@ -238,6 +267,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
         for j in range(moves.sites.shape[0]):
             lost = lost + gains[moves.sites[j]] * moves.given[j]
         stretch, begins = energy[site] * t, tally.first < 0
+        peak = jnp.maximum(t - _limit_of(by, now, load, site, tally.last[site] == number), 0)
         newer = (site > by.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
         return Tally(
             lost=lost,
@@ -247,6 +277,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
             creeps=jnp.where(begins, newer.astype(jnp.int32), tally.creeps),
             left=jnp.minimum(tally.left, site),
             right=jnp.maximum(tally.right, site),
+            peak=jnp.where(site >= tally.right, peak, tally.peak),
             total=tally.total + 1,
             last=tally.last.at[site].set(number),
             log=log,
@@ -254,7 +285,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
 
     zero, none = jnp.zeros((), load.dtype), jnp.zeros((), jnp.int32)
     places = none - 1, none, none + by.sites, none - 1
-    tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, now.counts.total, now.last, now.log)
+    tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, zero, now.counts.total, now.last, now.log)
     limits = partial(_limits, by, now, now.given, load)
     return run(by.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
 
@@ -271,6 +302,7 @@ def recorded(by: Loading, end: Now) -> dict[str, Array]:
         "site": count.first - by.ahead,
         "leftmost": count.left - by.ahead,
         "extent": count.right + 1 - by.ahead,
+        "length": number.length - by.ahead,
         "breaks": count.breaks,
         "slip": number.slip,
         "stress_drop": number.stress_drop,

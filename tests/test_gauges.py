@@ -1,0 +1,222 @@
+"""Slip and stress along the interface: the fields against a dense program, and what a fit makes of readings of them."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import plain_chain
+import pytest
+from click.testing import CliRunner
+
+import slippulse_jax as sp
+from slippulse_jax.commands.fit import command
+from slippulse_jax.inference.bayes import log_density
+from slippulse_jax.inference.forward_gauges import slips, stresses
+from slippulse_jax.inference.likelihood import Loss
+from slippulse_jax.inference.objective import make_problem
+from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.table import read_measurements
+from slippulse_jax.lattice.readings import readings
+
+LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11
+RATIO = AREAL * LC / YOUNG
+UNIT = STRENGTH / AREAL  # u_s, in m
+
+
+def dense_fields(height, stiffness, prestress=0.0, broken=None):
+    """Contacts broken, slip and stress after arrest, of the first 120 contacts, by solving the whole chain."""
+    load, pinning = plain_chain.responses(height, stiffness, 0.3, 400, "semi-infinite", 120)
+    edge = (1 - prestress) * load / load[0]
+    stress = np.zeros(120)
+    for s in range(120):
+        stress[s] = prestress + edge[s] + pinning[s, :s] @ stress[:s]
+    count = int(np.nonzero(stress[1:] < 1)[0][0]) + 1 if broken is None else broken
+    moved = np.where(np.arange(120) < count, stress, 0)
+    slip = pinning @ moved
+    return count, slip, prestress + edge + slip - moved
+
+
+@pytest.mark.parametrize(("height", "stiffness", "prestress"), [(25.0, 0.03, 0.0), (40.0, 0.01, 0.2), (15.0, 0.1, 0.3)])
+def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
+    """Whole counts to rounding; between them a straight line; the position of a gauge likewise."""
+    count, slip, stress = dense_fields(height, stiffness, prestress)
+    _, slip_before, stress_before = dense_fields(height, stiffness, prestress, count - 1)
+    with jax.enable_x64(True):
+        slider = sp.Slider(height, stiffness, 0.3)
+        whole, between = (readings(slider, jnp.asarray(prestress), jnp.asarray(x), 64) for x in (float(count), count - 0.3))
+    np.testing.assert_allclose(whole.slip, slip[:64], atol=1e-12)
+    np.testing.assert_allclose(whole.stress, stress[:64], atol=1e-12)
+    np.testing.assert_allclose(between.slip, 0.7 * slip[:64] + 0.3 * slip_before[:64], atol=1e-12)
+    np.testing.assert_allclose(between.stress, 0.7 * stress[:64] + 0.3 * stress_before[:64], atol=1e-12)
+    y = np.tile([np.log(height), np.log(stiffness), 0.3, prestress, 0, 0, 0, count], (3, 1))
+    y[:, 5] = np.log([3.25, count - 1.5, count + 20])
+    place = np.arange(120)
+    np.testing.assert_allclose(slips(y, 0).value, np.interp(np.exp(y[:, 5]), place, slip), atol=1e-12)
+    np.testing.assert_allclose(stresses(y, 0).value, np.interp(np.exp(y[:, 5]), place, stress), atol=1e-12)
+
+
+def test_a_front_without_a_count_stops_at_its_length():
+    """At ℓ* + δ; beyond the contacts looked at in the first batch too; nowhere where it never stops."""
+    y = np.array([[np.log(2000.0), np.log(1e-3), 0.3, 0, 0, np.log(1500.0), 0.4, 0], [3, -4, 0.3, 0.99, 0, 0.5, 0.4, 0]])
+    length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)).length + 0.4
+    with jax.enable_x64(True):
+        there = readings(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
+    found = slips(y, 0).value
+    assert found[0] == pytest.approx(float(there.slip[1500]), abs=1e-9)
+    assert found[1] == np.inf
+
+
+def table(kind="whole", noise=None, heights=(25.0, 50.0)):
+    """Measured by an independent program: slip ± 0.05 µm and stress ± 0.06 MPa at nine gauges a precursor."""
+    lengths, columns = [], []
+    for row, height in enumerate(heights):
+        count, slip, stress = dense_fields(height, RATIO)
+        lengths.append(count - 0.5 * (kind == "length"))
+        i = np.linspace(1, 1.3 * count, 9).round().astype(int)
+        columns.append(np.stack([np.full(9, row), i * LC, slip[i] * UNIT, stress[i] * STRENGTH]))
+    row, position, slip, stress = np.concatenate(columns, axis=1)
+    sigma = 0.05e-6, 0.06e6
+    if noise is not None:
+        slip, stress = slip + sigma[0] * noise.standard_normal(len(slip)), stress + sigma[1] * noise.standard_normal(len(slip))
+        lengths = np.array(lengths) + (kind == "length") * noise.standard_normal(len(lengths))
+    gauges = sp.Gauges(row, position, slip, sigma[0], stress, sigma[1])
+    return sp.Measurements(
+        height=heights, poisson=0.3, length=lengths, length_sigma=1.0 * (kind == "length"), kind=(kind,) * len(heights),
+        correlation_length=LC, young=YOUNG, gauges=gauges,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["whole", "length"])
+def test_objective(kind):
+    """Its gradient against differences of its value; the density that a sampler sees is the same function."""
+    m = table(kind, np.random.default_rng(0))
+    q = resolve(m, ["stiffness", "strength", "prestress", sp.Parameter("correlation_length", prior=(LC, LC / 10))])
+    assert [one.label for one in q.free if one.nuisance] == (["arrest[0]", "arrest[1]"] if kind == "length" else [])
+    problem = make_problem(m, q, Loss(), m.sigma)
+    theta = np.array([np.log(AREAL) - 0.05, np.log(STRENGTH) + 0.03, 0.02, np.log(1.02 * LC), 0.35, 0.6])[: problem.p]
+    step = 1e-5 * np.eye(problem.p)
+    slope = (problem(theta + step).value - problem(theta - step).value) / 2e-5
+    found = problem(theta, order=1)
+    np.testing.assert_allclose(found.gradient[0], slope, rtol=1e-5, atol=1e-3)
+    with jax.enable_x64(True):
+        density = log_density(problem)
+        np.testing.assert_allclose(density(jnp.asarray(theta)), -found.value[0], rtol=1e-9)
+
+
+def test_fit_to_what_the_dense_program_makes():
+    """Without noise the counted precursors give the truth back, stiffness and strength."""
+    m = dataclasses.replace(table(), label=("A", "B"))
+    result = sp.fit(m, ["stiffness", "strength"])
+    assert result.values["areal_stiffness"] == pytest.approx(AREAL, rel=1e-6)
+    assert result.values["strength"] == pytest.approx(STRENGTH, rel=1e-6)
+    assert "slip         18 data" in result.report()
+    assert [one.observable for one in result.further] == ["slip", "stress"]
+    assert max(np.abs(one.residuals).max() for one in result.further) < 1e-5
+    assert len(result.plot_gauges().axes) == 2
+
+
+def pulls(kind, studies, seed):
+    """(estimate − truth)/σ of ln(areal stiffness) and ln(strength), the estimate from a search that starts at the truth."""
+    rng = np.random.default_rng(seed)
+    truth = np.log([AREAL, STRENGTH])
+    found = []
+    for _ in range(studies):
+        m = table(kind, rng)
+        q = resolve(m, ["stiffness", "strength"])
+        problem = make_problem(m, q, Loss(), m.sigma)
+        start = np.append(truth, np.full(problem.p - 2, 0.5))
+        theta = minimise(problem, start, q.low, q.high).theta[0]
+        sigma = np.sqrt(np.diag(np.linalg.inv(problem.information(theta)[0])))
+        found.append((theta[:2] - truth) / sigma[:2])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", ["whole", "length"])
+@pytest.mark.parametrize("studies", [pytest.param(20, id="sample"), pytest.param(300, id="full", marks=pytest.mark.slow)])
+def test_errors_are_honest(kind, studies):
+    """Counted or measured to a contact: what is not known of the arrest is in the error."""
+    found = pulls(kind, studies, 3)
+    assert (np.abs(found.mean(axis=0)) < 4 / np.sqrt(studies)).all()
+    assert (np.abs(found.std(axis=0) - 1) < 4 / np.sqrt(2 * studies)).all()
+
+
+LENGTHS = (
+    "label,height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm,kind\nA,2.5,100,0.3,3,2.5,0,whole\n"
+)
+
+
+def write(tmp_path, gauges, lengths=LENGTHS):
+    for name, text in (("lengths.csv", lengths), ("gauges.csv", gauges)):
+        (tmp_path / name).write_text(text)
+    return str(tmp_path / "lengths.csv"), str(tmp_path / "gauges.csv")
+
+
+@pytest.mark.parametrize(
+    ("gauges", "lengths", "message"),
+    [
+        (
+            "label,position_mm,slip_um,slip_sigma_um\nB,1,2,0.1\n",
+            LENGTHS,
+            r"line 2, column label: no measurement has the label 'B'",
+        ),
+        ("label,position_mm,slip_um\nA,1,2\n", LENGTHS, "slip is given without slip_sigma"),
+        ("label,position_mm,slip_mm\nA,1,2\n", LENGTHS, "line 1: columns label, position_mm, slip_mm; expected"),
+        ("label,position_mm,slip_um,slip_sigma_um\nA,-1,2,0.1\n", LENGTHS, "line 2: position = -0.001 m: must be finite"),
+        ("label,position_mm,slip_um,slip_sigma_um\nA,1,2,0\n", LENGTHS, "line 2: slip_sigma = 0: the standard error must be"),
+        ("label,position_mm,slip_um,slip_sigma_um\nA,1,,\n", LENGTHS, "line 2: neither slip nor stress was read"),
+        ("label,position_mm,slip_um,slip_sigma_um\nA,1,2,x\n", LENGTHS, "line 2, column slip_sigma_um: 'x' is not a number"),
+        ("label,position_mm,slip_um,slip_sigma_um\nA,1,2\n", LENGTHS, "line 2: 3 columns, but the header has 4"),
+        ("label,position_mm\n", LENGTHS, "a header and one reading at least"),
+        (
+            "label,position_mm,slip_um,slip_sigma_um\nA,1,2,0.1\n",
+            LENGTHS.replace("whole", "at_least"),
+            "that front did not stop",
+        ),
+        (
+            "label,position_mm,slip_um,slip_sigma_um\nA,1,2,0.1\n",
+            "label,height,poisson,length,length_sigma\nA,25,0.3,25,0.5\n",
+            "gauges are in SI",
+        ),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path, gauges, lengths, message):
+    lengths, gauges = write(tmp_path, gauges, lengths)
+    with pytest.raises(sp.MeasurementError, match=message):
+        read_measurements(lengths, gauges=gauges)
+
+
+def test_without_strength_readings_mean_nothing():
+    with pytest.raises(ValueError, match=r"reading of a gauge, which scales with σ_s: fit strength too, or hold it"):
+        sp.fit(table())
+
+
+def test_command_line(tmp_path):
+    m = table()
+    rows = zip(m.gauges.row, m.gauges.position, m.gauges.slip, strict=True)
+    body = "".join(f"A,{x * 1e3},{slip * 1e6},0.05\n" for row, x, slip in rows if row == 0)
+    lengths, gauges = write(tmp_path, "label,position_mm,slip_um,slip_sigma_um\n" + body)
+    figure = tmp_path / "gauges.png"
+    asked = [
+        lengths,
+        "--gauges",
+        gauges,
+        "--free",
+        "stiffness",
+        "--fix",
+        "strength=2e6",
+        "--gauge-figure",
+        str(figure),
+        "--json",
+    ]
+    done = CliRunner().invoke(command, asked)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["values"]["areal_stiffness"] == pytest.approx(AREAL, rel=1e-3)
+    assert [one["observable"] for one in found["further"]] == ["slip"] * 9
+    assert figure.stat().st_size > 5000
+    refused = CliRunner().invoke(command, [lengths, "--gauge-figure", str(figure)])
+    assert refused.exit_code == 2
+    assert "--gauge-figure needs --gauges" in refused.output
