@@ -89,7 +89,8 @@ def test_examples_of_a_page_run(page, tmp_path, monkeypatch):
     scope = {"__name__": "__main__"}
     for kind, text in documented.blocks(DOCS / page, "python", "sh", "csv"):
         if kind == "csv":
-            Path("my_lengths.csv").write_text(text, encoding="utf-8")
+            name = "my_gauges.csv" if text.startswith("label,position") else "my_lengths.csv"
+            Path(name).write_text(text, encoding="utf-8")
         elif kind == "sh":
             documented.run_shell(text)
         else:

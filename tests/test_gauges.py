@@ -103,7 +103,7 @@ def test_objective(kind):
     np.testing.assert_allclose(found.gradient[0], slope, rtol=1e-5, atol=1e-3)
     with jax.enable_x64(True):
         density = log_density(problem)
-        np.testing.assert_allclose(density(jnp.asarray(theta)), -found.value[0], rtol=1e-9)
+        np.testing.assert_allclose(jax.jit(density)(jnp.asarray(theta)), -found.value[0], rtol=1e-9)
 
 
 def test_fit_to_what_the_dense_program_makes():
@@ -169,7 +169,7 @@ def write(tmp_path, gauges, lengths=LENGTHS):
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,,\n", LENGTHS, "line 2: neither slip nor stress was read"),
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,2,x\n", LENGTHS, "line 2, column slip_sigma_um: 'x' is not a number"),
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,2\n", LENGTHS, "line 2: 3 columns, but the header has 4"),
-        ("label,position_mm\n", LENGTHS, "a header and one reading at least"),
+        ("label,position_mm\n", LENGTHS, "a header line and at least one more"),
         (
             "label,position_mm,slip_um,slip_sigma_um\nA,1,2,0.1\n",
             LENGTHS.replace("whole", "at_least"),

@@ -1,6 +1,8 @@
-"""Draw the pictures of README.md with the package itself. Run: python docs/pictures/make_pictures.py."""
+"""Draw the pictures of README.md and of the page about gauges. Run: python docs/pictures/make_pictures.py."""
 
 import io
+import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,18 @@ def main() -> None:
     result = sp.fit(sp.read_measurements(HERE.parents[1] / "fit_examples/pmma_block/lengths.csv"))
     save(result.plot(), "fit")
     front = sp.first_precursor(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3))
+    save(gauges().plot_gauges(), "gauges")
     save(sp.plot.front_stress(front.front_stress[:40], length=float(front.length)).figure, "tutorial")
+
+
+def gauges() -> sp.FitResult:
+    """The fit of the two tables on the page about gauges."""
+    tables = re.findall(r"^```csv\n(.*?)^```$", (HERE.parent / "howto/gauges.md").read_text("utf-8"), flags=re.M | re.S)
+    with tempfile.TemporaryDirectory() as folder:
+        lengths, readings = (Path(folder) / name for name in ("lengths.csv", "gauges.csv"))
+        lengths.write_text(tables[0], encoding="utf-8")
+        readings.write_text(tables[1], encoding="utf-8")
+        return sp.fit(sp.read_measurements(lengths, gauges=readings), ["stiffness", "strength"])
 
 
 def save(figure: Any, name: str) -> None:

@@ -44,6 +44,7 @@ def draw_readings(result: FitResult, gauges: Gauges, name: str, ax: Axes) -> Non
         value = getattr(gauges, name)[own]
         ax.errorbar(gauges.position[own] * 1e3, value * scale, sigma * scale, fmt="o", ms=4, capsize=2, color=color)
     ax.set_xlim(left=0)
+    ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     ax.set_xlabel("distance from the pushed edge (mm)")
     ax.set_ylabel(label)
     ax.legend(frameon=False, title="fit (line), gauges ± σ", fontsize="small", title_fontsize="small")
