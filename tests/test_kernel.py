@@ -1,4 +1,4 @@
-"""A loop compiled as one function, wherever a user may put it: XLA ends the process where it does not like one."""
+"""What XLA is asked for on a CPU: a loop as one function (it ends the process where it does not like one), many results a loop."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 import slippulse_jax as sp
-from slippulse_jax.lattice import kernel
+from slippulse_jax.lattice import kernel, lanes
 
 CHAIN = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60)
 
@@ -59,3 +59,51 @@ def test_in_the_loops_of_jax(breaks, dtype):
 
         mapped, batched, scanned, chosen = jax.jit(everywhere)(thresholds)
     assert [*mapped, *batched, scanned, chosen] == [breaks] * 4 + [2 * breaks, breaks]
+
+
+def swapped(pair, third):
+    """Not its own repetition: XLA has to apply it once."""
+    return (pair[1] - third, pair[0] + third), third * pair[0] + 1, jnp.sqrt(third)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_in_one_loop(dtype):
+    """Applied once to every element, in jit, loops and vmap; trees in and out."""
+    with jax.enable_x64(dtype == np.float64):
+        numbers = tuple(jnp.asarray(x, dtype) for x in np.random.default_rng(0).uniform(1, 2, (3, 1001)))
+        given = numbers[:2], numbers[2]
+
+        def once(pair, third):
+            return kernel.in_one_loop(swapped, pair, third)
+
+        def close(found, expected):
+            assert jax.tree.structure(found) == jax.tree.structure(expected)
+            for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+                np.testing.assert_allclose(a, b, rtol=0, atol=100 * np.finfo(dtype).eps)
+
+        expected = swapped(*given)
+        close(once(*given), expected)
+        close(jax.jit(once)(*given), expected)
+        close(
+            jax.vmap(once)(*jax.tree.map(lambda x: x.reshape(7, 143), given)),
+            jax.tree.map(lambda x: x.reshape(7, 143), expected),
+        )
+        repeated = lax.fori_loop(0, 3, lambda _, now: kernel.in_one_loop(swapped, *now)[:2], given)
+        close(repeated, swapped(*swapped(*swapped(*given)[:2])[:2])[:2])
+        with pytest.raises(ValueError, match="3 arguments, 2 results"):
+            kernel.in_one_loop(lambda pair, third: (pair[0], third), *given)
+
+
+def test_lengths_without_it(monkeypatch):
+    """Under a release of jaxlib that was not tried the same lengths and derivatives, to rounding; and it is asked for here."""
+    parameters = np.array([[10.0, 25, 50, 1.2], [0.03, 0.01, 0.003, 1e-3], [0.3, 0.1, 0.45, 0.3]])
+    make = lanes.gradient_kernel(1000)
+    with jax.enable_x64(True):
+        reductions = str(jax.make_jaxpr(make)(parameters)).count(" reduce[")
+        assert (reductions > 0) == jax.lib.__version__.startswith(kernel.TRIED)
+        found = jax.jit(make)(parameters)
+        monkeypatch.setattr(kernel, "TRIED", ("none",))
+        make = lanes.gradient_kernel(1000)
+        assert str(jax.make_jaxpr(make)(parameters)).count(" reduce[") == 0
+        for a, b in zip(found, jax.jit(make)(parameters), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-11)

@@ -6,8 +6,10 @@ import plain_chain
 import pytest
 
 from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import batch
-from slippulse_jax.lattice.bulk import precursor_arrests
+from slippulse_jax.lattice import batch, compiled
+from slippulse_jax.lattice.batch import over_lanes
+from slippulse_jax.lattice.bulk import ANY
+from slippulse_jax.lattice.front import Arrest
 
 
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
@@ -124,7 +126,11 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     rng = np.random.default_rng(8)
     n = 3000
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
-    bulk, arrests = precursor_lengths(sliders), precursor_arrests(sliders)
+    columns = [sliders.height, sliders.stiffness, sliders.poisson]
+    general = over_lanes(
+        compiled.arrest_kernel, (0, ("semi-infinite", None, 10_000_000)), columns, (np.int32, float, np.int32, float), *ANY
+    )
+    bulk, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == FrontStatus.NO_DOMINO).any()
     assert arrests.length.max() > 1000
     np.testing.assert_array_equal(np.maximum(np.ceil(bulk), 1), arrests.contacts_broken)

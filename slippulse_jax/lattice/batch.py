@@ -20,8 +20,9 @@ from slippulse_jax.devices import compiled_once, spread, workers
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Columns of a chunk of lanes; no lane may depend on another."""
 
-CHUNK, FEW = 1024, 64
-"""Lanes of a chunk; lanes of a call for so few that a chunk would be mostly padding."""
+CHUNK, FEW = 1000, 64
+"""Lanes of a chunk (not a power of two, for which arrays would meet in the same lines of the cache); lanes of a call for so few
+that a chunk would be mostly padding."""
 
 PIECE = 32
 """Chunks of a call, at most."""
@@ -94,8 +95,13 @@ def length_rank(lanes: Sequence[np.ndarray]) -> np.ndarray:
     return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)
 
 
-# chunks run beside each other already; and the widest vectors there are serve loops as long as these
-_OPTIONS: Any = {"xla_cpu_multi_thread_eigen": False, "xla_cpu_prefer_vector_width": 512}
+# chunks run beside each other already, so that nothing in one is to be split; and the widest vectors there are serve loops of
+# this length
+_OPTIONS: Any = {
+    "xla_cpu_multi_thread_eigen": False,
+    "xla_cpu_prefer_vector_width": 512,
+    "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
+}
 
 
 @functools.cache
@@ -111,11 +117,17 @@ def _looped(kernel: Callable[..., Kernel], statics: tuple, chunk: int) -> Callab
     def several(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
         fields, n = lanes.shape
 
-        def go_on(i: Array, columns: tuple[Array, ...]) -> tuple[Array, ...]:
-            found = one(lax.dynamic_slice(lanes, (0, i * chunk), (fields, chunk)))
-            return tuple(lax.dynamic_update_slice(x, y, (i * chunk,)) for x, y in zip(columns, found, strict=True))
+        def cut(i: Array | int) -> Array:
+            return lax.dynamic_slice(lanes, (0, i * chunk), (fields, chunk))
+
+        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors
+        def go_on(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+            here, columns = carried
+            found = one(here)
+            columns = tuple(lax.dynamic_update_slice(x, y, (i * chunk,)) for x, y in zip(columns, found, strict=True))
+            return cut(i + 1), columns
 
         shapes = jax.eval_shape(one, jax.ShapeDtypeStruct((fields, chunk), lanes.dtype))
-        return lax.fori_loop(0, chunks, go_on, tuple(jnp.zeros(n, x.dtype) for x in shapes))
+        return lax.fori_loop(0, chunks, go_on, (cut(0), tuple(jnp.zeros(n, x.dtype) for x in shapes)))[1]
 
     return compiled_once(jax.jit(several, compiler_options=_OPTIONS))

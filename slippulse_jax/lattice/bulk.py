@@ -16,8 +16,9 @@ from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_wit
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
-ANY, GRADIENTS = (256, 0), (CHUNK, 0)
-"""Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with derivatives."""
+ANY, IN_CHUNKS = (256, 0), (CHUNK, 0)
+"""Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with more
+than the length."""
 
 
 Columns = list[Float[np.ndarray, " n"]]
@@ -98,9 +99,12 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
-    dtypes = np.int32, np.float64, np.int32, np.float64
-    columns = over_lanes(compiled.arrest_kernel, statics, _lanes(slider, interface), dtypes, *ANY)
+    given, dtypes = _lanes(slider, interface), (np.int32, np.float64, np.int32, np.float64)
+    if _is_simple(interface, right):
+        columns = over_lanes(lanes.arrest_kernel, (max_contacts,), given, dtypes, *IN_CHUNKS)
+    else:
+        statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
+        columns = over_lanes(compiled.arrest_kernel, statics, given, dtypes, *ANY)
     return Arrest(*(column.reshape(shape_of(slider, interface)) for column in columns))
 
 
@@ -134,7 +138,7 @@ def precursor_length_gradients(
     columns = _lanes(slider, interface)
     dtypes = (np.float64,) * (1 + len(columns))
     if _is_simple(interface, right):
-        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, *GRADIENTS)
+        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, *IN_CHUNKS)
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
         found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, *ANY)

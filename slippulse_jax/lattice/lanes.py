@@ -3,71 +3,91 @@ r"""Lengths of many sliders at once, at the speed of the arithmetic: a chunk of 
 The sums of `slippulse_jax.lattice.front` fold into two numbers a lane. With Z_m = w_m S_m + r_m^s (A C_m + Σ_n R_mn T_n), the
 stress ahead is t = φ + Z_1 + Z_2, and breaking contact s is
 
-    Z_m → r_m [Z_m + (w_m + Σ_n R_mn r_m^s r_n^s) t],
+    Z_m → r_m [Z_m + v_m t],        v_m = w_m + Σ_n R_mn r_m^s r_n^s,
 
-where R is symmetric (a pinning point at i moves site j as one at j moves site i); A = 1 − φ. What else a loop over lanes costs
-was read off the compiled program:
+where R is symmetric (a pinning point at i moves site j as one at j moves site i); A = 1 − φ. Along a parameter (a dot),
 
-- XLA on a CPU writes one loop over the lanes for each array that a turn of the loop hands on, and repeats in it all that the
-  array depends on. So a turn hands on one array that takes work, the two modes being the real and imaginary part of one
-  complex number, and r_m^s, which takes next to none.
-- A look at the lanes costs as much as two breaks: `BLOCK` breaks are taken between two looks.
-- What the edge adds, R_mn r_m^s r_n^s, is three geometric sequences, begun anew from r_m^s in each block.
-- A front that has arrested leaves its length in the place of its stresses, (NaN, ℓ): nothing breaks under a stress that is no
-  number, and nothing has to be recorded elsewhere.
-- Derivatives are tangents of a block, carried beside it for all parameters at once. Those of r_m^s, which are s r_m^s d ln r_m,
-  need not be carried.
-- On relaxed interfaces all of it is compiled as one function (`slippulse_jax.lattice.kernel`): XLA would hand operations of the
-  loop to other threads, which have chunks of their own to do.
+    Ż_m → r_m [Ż_m + v_m ṫ + v̇_m t] + (ln r_m)˙ Z_m',    v̇_m = ẇ_m + Σ_n [Ṙ_mn + s (ln r_m r_n)˙ R_mn] r_m^s r_n^s,
+
+where Z_m' is the new Z_m. What else a loop over lanes costs was read off the compiled program:
+
+- A turn is one loop over the lanes that computes every number once (`slippulse_jax.lattice.kernel.in_one_loop`).
+- A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS` are taken in a turn and two turns between two
+  looks, the second writing where the first has read.
+- What the edge adds, R_mn r_m^s r_n^s, is three geometric sequences, begun anew from r_m^s in each turn; their coefficients
+  along a parameter grow by the same amount at every break.
+- A front that has arrested stays as it is: nothing has to be recorded elsewhere.
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.batch import Kernel
+from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.interface_front import APPROACH, runaway_prestress, slowest_approach
-from slippulse_jax.lattice.kernel import as_one_kernel
-from slippulse_jax.lattice.lane_rates import mode_rates
-from slippulse_jax.lattice.modes import Modes, lattice_modes
+from slippulse_jax.lattice.kernel import in_one_loop
+from slippulse_jax.lattice.lane_modes import LaneRates, Number, Pair, lane_modes, lane_rates
+from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 
-Pair = tuple[Array, Array]  # one number a mode, of lanes
+Three = tuple[Number, Number, Number]  # one number for mn = 11, 12, 22
 
-BLOCK = 8
-"""Breaks taken between two looks at the lanes."""
+BREAKS = 6
+"""Breaks of a turn."""
 
 
-class Constants(NamedTuple):
-    """Constants of a lane."""
+class Lane(NamedTuple):
+    """What stays as it is."""
 
     gap: Pair  # 1 − r_m
     weight: Pair  # w_m
-    reflection: tuple[Array, Array, Array]  # R_11, R_12 = R_21, R_22
-    prestress: Array | None  # φ; None on a relaxed, uniform interface
-    slope: Array | None  # ε, threshold 1 + ε s
+    reflection: Three  # R_mn
+    at_edge: Pair | None  # w_n + Σ_m R_mn, for the stress on contact 0; None where it is not asked for
+    prestress: Number | None  # φ; None on a relaxed, uniform interface
+    slope: Number | None  # ε, threshold 1 + ε s
+    end: Number | None  # breaks after which a front that is still running never stops; mostly inf
+    most: Number | None  # breaks after which it is given up, if it must not go on for a few more
 
 
-class Start(NamedTuple):
-    """Lanes when contact 0 has broken."""
+class Along(NamedTuple):
+    """Derivatives of what stays, along a parameter of the slider."""
 
-    constants: Constants
-    stress: Pair  # Z_m, or (NaN, ℓ) where contact 1 holds
+    log_decay: Pair  # of ln r_m
+    weight: Pair
+    reflection: Three
+
+
+class Rate(NamedTuple):
+    """Derivatives of a front, along any parameter."""
+
+    stress: Pair
+    behind: Number
+
+
+class Front(NamedTuple):
+    """A front that has broken contacts 0 … broken − 1."""
+
+    stress: Pair  # Z_m
+    decay: Pair  # r_m^s; goes on when the front has arrested
+    broken: Number  # s, a whole number
+    behind: Number  # load on the contact that broke last
+    edge: Number | None  # stress on contact 0
+    rates: tuple[Rate, ...]  # along height, stiffness, poisson[, prestress, slope]
 
 
 class Now(NamedTuple):
-    """What a turn of the loop hands on."""
+    """What a look at the lanes sees."""
 
-    stress: Complex[Array, " lanes"]  # Z_1 + i Z_2
-    tangents: tuple[Complex[Array, " lanes"], ...]
-    decay: Complex[Array, " lanes"]  # r_1^s + i r_2^s
-    position: Int[Array, ""]  # s
+    front: Front
+    lane: Lane
+    along: tuple[Along, ...]
+    position: Int[Array, ""]  # contacts broken by every front that has not arrested
 
 
 def length_kernel(max_contacts: int) -> Kernel:
@@ -77,196 +97,198 @@ def length_kernel(max_contacts: int) -> Kernel:
     """
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        lanes = Lanes(_nucleate(parameters), (), _end(parameters))
+        return (_length(_until_all_arrest(parameters, max_contacts), max_contacts),)
 
-        def body(now: Now) -> Now:
-            stress = _block(lanes.start.constants, now.stress, now.decay, _site(now), lanes.end, max_contacts)
-            return _turned(now, lanes.start.constants, stress, ())
+    return lengths
 
-        return (_length(_until_all_arrest(body, lanes, max_contacts).stress),)
 
-    def as_one(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        # the sums by which a prestress is found to be beyond run-away are more than such a function may hold
-        return as_one_kernel(lengths, parameters) if parameters.shape[0] == 3 else lengths(parameters)
+def arrest_kernel(max_contacts: int) -> Kernel:
+    """Contacts broken, ℓ, status and stress on contact 0 of lanes as for `length_kernel`."""
 
-    return as_one
+    def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        now = _until_all_arrest(parameters, max_contacts, with_edge=True)
+        front, length = now.front, _length(now, max_contacts)
+        assert front.edge is not None
+        endings = {
+            FrontStatus.INVALID: ~jnp.isfinite(_ahead(now.lane, front)[1]),
+            FrontStatus.RUN_AWAY: jnp.isposinf(length),
+            FrontStatus.LIMIT: jnp.isnan(length),
+            FrontStatus.NO_DOMINO: front.broken == 1,
+            FrontStatus.REBREAK: front.edge >= 1,
+        }
+        status = jnp.select(list(endings.values()), list(endings), FrontStatus.ARRESTED).astype(jnp.int32)
+        return front.broken.astype(jnp.int32), length, status, front.edge
+
+    return arrests
 
 
 def gradient_kernel(max_contacts: int) -> Kernel:
     """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field."""
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        lanes = Lanes(_nucleate(parameters), _start_rates(parameters), _end(parameters))
-        constants = lanes.start.constants
-
-        def body(now: Now) -> Now:
-            s = _site(now)
-
-            def block(constants: Constants, stress: Array, decay: Array) -> Array:
-                return _block(constants, stress, decay, s, lanes.end, max_contacts)
-
-            def along(rate: Start, tangent: Array) -> Array:
-                # r^s moves by s r^s d ln r
-                (E1, E2), (gap_1, gap_2), (d1, d2) = _parts(now.decay), constants.gap, rate.constants.gap
-                moving = lax.complex(-s * E1 * (d1 / (1 - gap_1)), -s * E2 * (d2 / (1 - gap_2)))
-                return jax.jvp(block, (constants, now.stress, now.decay), (rate.constants, tangent, moving))[1]
-
-            tangents = tuple(along(rate, tangent) for rate, tangent in zip(lanes.rates, now.tangents, strict=True))
-            return _turned(now, constants, block(constants, now.stress, now.decay), tangents)
-
-        now = _until_all_arrest(body, lanes, max_contacts)
-        length = _length(now.stress)
+        now = _until_all_arrest(parameters, max_contacts, with_rates=True)
+        front, length = now.front, _length(now, max_contacts)
+        over_fall = 1 / (front.behind - _ahead(now.lane, front)[1])
+        part = (front.behind - _level(now.lane)) * over_fall
         # ℓ = 0 is flat, and what is no number has no derivative
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
-        return length, *(jnp.where(jnp.isfinite(length) & (length > 0), d.imag, flat) for d in now.tangents)
+
+        def derivative(which: int) -> Array:
+            behind, ahead = front.rates[which].behind, _ahead_rate(front, which)[1]
+            return jnp.where(jnp.isfinite(length) & (length > 0), (behind - part * (behind - ahead)) * over_fall, flat)
+
+        return length, *(derivative(which) for which in range(len(front.rates)))
 
     return lengths
 
 
-class Lanes(NamedTuple):
-    """What is known of lanes before they set off."""
+def _until_all_arrest(
+    parameters: Float[Array, "fields lanes"], max_contacts: int, with_rates: bool = False, with_edge: bool = False
+) -> Now:
+    def start(*fields: Number) -> tuple[Front, Lane, tuple[Along, ...]]:
+        return _nucleate(fields, with_rates, max_contacts if with_edge else None)
 
-    start: Start
-    rates: tuple[Start, ...]  # derivatives of `start`
-    end: Array  # `_end`
+    ends = () if parameters.shape[0] == 3 else (_end(parameters),)
+    front, lane, along = in_one_loop(start, *parameters, *ends)
 
+    def two_turns(now: Now) -> Now:
+        turned = in_one_loop(_turn, now.front, now.lane, now.along)
+        front, lane, along = in_one_loop(_turn, *turned)
+        return Now(front, lane, along, now.position + 2 * BREAKS)
 
-def _nucleate(parameters: Float[Array, "fields lanes"]) -> Start:
-    """Lanes whose contact 0 has broken (at exactly its threshold, which rounding must not spoil)."""
-    constants, drive = _constants(parameters, _modes(parameters))
-    stress, one = _first_stress(constants, drive), jnp.ones_like(parameters[0])
-    running = _ahead(constants, stress, one)[1] >= (1 if constants.prestress is None else 0)
-    going = running & (_end(parameters) > 1)
-    Z1, Z2 = jnp.where(going, stress[0], jnp.nan), jnp.where(going, stress[1], jnp.where(running, jnp.inf, 0))
-    return Start(constants, (Z1, Z2))
+    def some_go(now: Now) -> Bool[Array, ""]:
+        return jnp.any(_goes(now.lane, now.front)) & (now.position < max_contacts)
 
-
-def _constants(parameters: Float[Array, "fields lanes"], modes: Modes) -> tuple[Constants, Pair]:
-    """Constants of lanes, and the drive C_m."""
-    R = modes.reflection
-    prestress, slope = (parameters[3], parameters[4]) if parameters.shape[0] > 3 else (None, None)
-    gap, weight = (modes.gap[0], modes.gap[1]), (modes.weight[0], modes.weight[1])
-    return Constants(gap, weight, (R[0, 0], R[0, 1], R[1, 1]), prestress, slope), (modes.drive[0], modes.drive[1])
+    return lax.while_loop(some_go, two_turns, Now(front, lane, along, jnp.ones((), jnp.int32)))
 
 
-def _first_stress(constants: Constants, drive: Pair) -> Pair:
-    """Z_m when contact 0 has broken."""
-    if constants.prestress is not None:
-        drive = (1 - constants.prestress) * drive[0], (1 - constants.prestress) * drive[1]
-    return _break(constants, drive, constants.reflection, jnp.ones_like(drive[0]))
+def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) -> tuple[Front, Lane, tuple[Along, ...]]:
+    """A lane whose contact 0 has broken (at its threshold, which rounding must not spoil); with `most`, the edge too."""
+    height, stiffness, poisson = fields[:3]
+    prestress, slope, end = fields[3:] or (None, None, None)
+    modes, common = lane_modes(height, stiffness, poisson)
+    (w1, w2), (R11, R12, R22), (C1, C2) = modes.weight, modes.reflection, modes.drive
+    v, drive = (w1 + (R11 + R12), w2 + (R22 + R12)), 1 if prestress is None else 1 - prestress
+    one, none = jnp.ones_like(height), jnp.zeros_like(height)
+    at_edge, edge, last = (None, None, None) if most is None else (v, v[0] + v[1], most * one)
+    lane = Lane(modes.gap, modes.weight, modes.reflection, at_edge, prestress, slope, end, last)
+    Z = _shrink(lane, (drive * C1 + v[0], drive * C2 + v[1]))
+    rates, along = (), ()
+    if with_rates:
+        slider_rates = lane_rates(height, stiffness, modes, common)
+        rates = tuple(Rate(_nucleate_rate(lane, drive, Z, rate), none) for rate in slider_rates)
+        along = tuple(Along(rate.log_decay, rate.weight, rate.reflection) for rate in slider_rates)
+        if prestress is not None:
+            rates += Rate(_shrink(lane, (-C1, -C2)), none), Rate((none, none), none)
+    return Front(Z, _shrink(lane, (one, one)), one, _level(lane) * one, edge, rates), lane, along
 
 
-def _start_rates(parameters: Float[Array, "fields lanes"]) -> tuple[Start, ...]:
-    """Derivatives of `_nucleate` in every field, of lanes that go on."""
-    modes = _modes(parameters)
-    constants, drive = _constants(parameters, modes)
-    still = jax.tree.map(jnp.zeros_like, constants)
-    moves = [
-        (still._replace(gap=rate.gap, weight=rate.weight, reflection=rate.reflection), rate.drive)
-        for rate in mode_rates(Slider(parameters[0], parameters[1], parameters[2]), modes)
-    ]
-    if parameters.shape[0] > 3:
-        one, none = jnp.ones_like(parameters[0]), (jnp.zeros_like(drive[0]), jnp.zeros_like(drive[1]))
-        moves += [(still._replace(prestress=one), none), (still._replace(slope=one), none)]
-    return tuple(Start(move[0], jax.jvp(_first_stress, (constants, drive), move)[1]) for move in moves)
-
-
-def _modes(parameters: Float[Array, "fields lanes"]) -> Modes:
-    with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
-        return lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
+def _nucleate_rate(lane: Lane, drive: Number | int, Z: Pair, rate: LaneRates) -> Pair:
+    (dw1, dw2), (dR11, dR12, dR22), (dC1, dC2), (l1, l2) = rate.weight, rate.reflection, rate.drive, rate.log_decay
+    Y = _shrink(lane, (drive * dC1 + (dw1 + (dR11 + dR12)), drive * dC2 + (dw2 + (dR22 + dR12))))
+    return Y[0] + l1 * Z[0], Y[1] + l2 * Z[1]
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
-    """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.interface_front`); mostly inf."""
-    if parameters.shape[0] == 3:
-        return jnp.full(parameters.shape[1], jnp.inf, parameters.dtype)
-    parameters = lax.stop_gradient(parameters)
-    interface, modes = Interface(parameters[3], parameters[4]), _modes(parameters)
+    """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.interface_front`)."""
+    interface = Interface(parameters[3], parameters[4])
+    with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
+        modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
     never_stops = (parameters[4] == 0) & (parameters[3] >= runaway_prestress(modes))
     enough = jnp.where(never_stops, APPROACH / slowest_approach(modes) + 10, jnp.inf)
     return jnp.ceil(jnp.minimum(enough, interface.last_site()))
 
 
-def _parts(x: Array) -> Pair:
-    return x.real, x.imag
-
-
-def _shrink(x: Pair, gap: Pair) -> Pair:
+def _shrink(lane: Lane, x: Pair) -> Pair:
     """R x, mode by mode, as x − (1 − r) x."""
-    return x[0] - gap[0] * x[0], x[1] - gap[1] * x[1]
+    return x[0] - lane.gap[0] * x[0], x[1] - lane.gap[1] * x[1]
 
 
-def _edge(lane: Constants, decay: Pair) -> tuple[Array, Array, Array]:
-    """R_mn r_m^s r_n^s, what the left edge adds to the response at site s."""
-    (R11, R12, R22), (E1, E2) = lane.reflection, decay
-    return R11 * E1 * E1, R12 * E1 * E2, R22 * E2 * E2
+def _level(lane: Lane) -> int:
+    """Load at which a contact breaks."""
+    return 1 if lane.prestress is None else 0
 
 
-def _break(lane: Constants, Z: Pair, edge: tuple[Array, Array, Array], t: Array) -> Pair:
-    """Z_m one contact further."""
-    (w1, w2), (R11, R12, R22) = lane.weight, edge
-    return _shrink((Z[0] + (w1 + (R11 + R12)) * t, Z[1] + (w2 + (R22 + R12)) * t), lane.gap)
-
-
-def _ahead(lane: Constants, Z: Pair, position: Array) -> tuple[Array, Array]:
-    """Stress on the contact ahead, and what decides whether it breaks: that stress, or where thresholds vary its excess."""
+def _ahead(lane: Lane, front: Front) -> tuple[Number, Number]:
+    """Stress on the contact ahead, and its load: that stress, or where thresholds vary its excess."""
+    Z1, Z2 = front.stress
     if lane.prestress is None or lane.slope is None:
-        t = Z[0] + Z[1]
+        t = Z1 + Z2
         return t, t
-    t = lane.prestress + (Z[0] + Z[1])
-    return t, t - (1 + lane.slope * position)
+    t = lane.prestress + (Z1 + Z2)
+    return t, t - (1 + lane.slope * front.broken)
 
 
-def _block(lane: Constants, stress: Array, decay: Array, s: Array, end: Array, max_contacts: int) -> Array:
-    """State after `BLOCK` breaks from position `s`: stresses, or (NaN, ℓ) once arrested."""
-    arrived = Z = _parts(stress)
-    edge, (gap_1, gap_2) = _edge(lane, _parts(decay)), lane.gap
-    fading = gap_1 * (2 - gap_1), gap_1 + gap_2 - gap_1 * gap_2, gap_2 * (2 - gap_2)  # 1 − r_m r_n
-    level = 1 if lane.prestress is None else 0
-    going = started = _going(stress)
-    t, load = _ahead(lane, Z, s)
-    behind = ahead = load
-    steps = jnp.zeros_like(load)
-    runs = jnp.zeros_like(going)
-    for k in range(BLOCK):
-        behind, steps = jnp.where(going, load, behind), jnp.where(going, k, steps)
-        Z = _break(lane, Z, edge, t)
+def _ahead_rate(front: Front, which: int) -> tuple[Number, Number]:
+    """Derivatives of `_ahead`, along height, stiffness, poisson, prestress or slope."""
+    t = front.rates[which].stress[0] + front.rates[which].stress[1]
+    if which == 3:
+        t = t + 1
+    return t, t - front.broken if which == 4 else t
+
+
+def _goes(lane: Lane, front: Front) -> Array:
+    """Whether the contact ahead breaks."""
+    goes = _ahead(lane, front)[1] >= _level(lane)
+    for last in (lane.end, lane.most):
+        goes = goes if last is None else goes & (front.broken < last)
+    return goes
+
+
+def _turn(front: Front, lane: Lane, along: tuple[Along, ...]) -> tuple[Front, Lane, tuple[Along, ...]]:
+    """`BREAKS` breaks, of a lane that has not arrested before."""
+    (E1, E2), (g1, g2), (R11, R12, R22) = front.decay, lane.gap, lane.reflection
+    edge: Three = (E1 * E1, E1 * E2, E2 * E2)
+    fading = g1 * (2 - g1), g1 + g2 - g1 * g2, g2 * (2 - g2)  # 1 − r_m r_n
+    growth = [(2 * l1 * R11, (l1 + l2) * R12, 2 * l2 * R22) for (l1, l2), *_ in along]
+    bent = [_grown(rate.reflection, by, front.broken) for rate, by in zip(along, growth, strict=True)]
+    for _ in range(BREAKS):
+        front = _break(front, lane, along, edge, bent)
         edge = edge[0] - fading[0] * edge[0], edge[1] - fading[1] * edge[1], edge[2] - fading[2] * edge[2]
-        t, load = _ahead(lane, Z, s + (k + 1))
-        ahead = jnp.where(going, load, ahead)
-        going = going & (load >= level)
-        if lane.prestress is not None:
-            runs = runs | (going & (s + (k + 1) >= end))
-            going = going & ~runs
-    # t(ℓ) = 1 + εℓ on the straight line between the last contact that broke, s + steps, and the first that did not
-    length = jnp.where(runs, jnp.inf, s + steps + (behind - level) / (behind - ahead))
-    length = jnp.where(s + steps < max_contacts, length, jnp.nan)
-    kept = jnp.where(started, length, arrived[1])
-    return lax.complex(jnp.where(going, Z[0], jnp.nan), jnp.where(going, Z[1], kept))
+        bent = [_grown(x, by, 1) for x, by in zip(bent, growth, strict=True)]
+    return front, lane, along
 
 
-def _going(stress: Array) -> Array:
-    """Lanes whose front has not arrested."""
-    return stress.real == stress.real
+def _grown(x: Three, by: Three, times: Number | int) -> Three:
+    return x[0] + times * by[0], x[1] + times * by[1], x[2] + times * by[2]
 
 
-def _length(stress: Array) -> Array:
-    return jnp.where(_going(stress), jnp.nan, stress.imag)
+def _break(front: Front, lane: Lane, along: tuple[Along, ...], edge: Three, bent: list[Three]) -> Front:
+    """Break the contact ahead, where it breaks. `edge`: r_m^s r_n^s; `bent`: their coefficients in v̇_m."""
+    goes, (t, load) = _goes(lane, front), _ahead(lane, front)
+    (Z1, Z2), (w1, w2), (R11, R12, R22) = front.stress, lane.weight, lane.reflection
+    both = R12 * edge[1]
+    v = (w1 + both) + R11 * edge[0], (w2 + both) + R22 * edge[2]
+    Z = _shrink(lane, (Z1 + v[0] * t, Z2 + v[1] * t))
+
+    def rate(which: int) -> Rate:
+        (Y1, Y2), behind = front.rates[which]
+        dt, dload = _ahead_rate(front, which)
+        Y1, Y2 = Y1 + v[0] * dt, Y2 + v[1] * dt
+        if which < len(along):
+            (dw1, dw2), (c11, c12, c22) = along[which].weight, bent[which]
+            both = c12 * edge[1]
+            Y1, Y2 = Y1 + ((dw1 + both) + c11 * edge[0]) * t, Y2 + ((dw2 + both) + c22 * edge[2]) * t
+        Y1, Y2 = _shrink(lane, (Y1, Y2))
+        if which < len(along):
+            l1, l2 = along[which].log_decay
+            Y1, Y2 = Y1 + l1 * Z[0], Y2 + l2 * Z[1]
+        return Rate((Y1, Y2), dload)
+
+    at_0 = None
+    if front.edge is not None and lane.at_edge is not None:
+        at_0 = front.edge + (lane.at_edge[0] * front.decay[0] + lane.at_edge[1] * front.decay[1]) * t
+    rates = tuple(rate(which) for which in range(len(front.rates)))
+    after = Front(Z, front.decay, front.broken + 1, load, at_0, rates)
+    kept = jax.tree.map(lambda new, old: lax.select(goes, new, old), after, front)
+    return kept._replace(decay=_shrink(lane, front.decay))
 
 
-def _until_all_arrest(body: Callable[[Now], Now], lanes: Lanes, max_contacts: int) -> Now:
-    gap = lanes.start.constants.gap
-    tangents = tuple(lax.complex(*rate.stress) for rate in lanes.rates)
-    first = Now(lax.complex(*lanes.start.stress), tangents, lax.complex(1 - gap[0], 1 - gap[1]), jnp.ones((), jnp.int32))
-    return lax.while_loop(lambda now: jnp.any(_going(now.stress)) & (now.position <= max_contacts), body, first)
-
-
-def _site(now: Now) -> Array:
-    return now.position.astype(now.stress.real.dtype)
-
-
-def _turned(now: Now, constants: Constants, stress: Array, tangents: tuple[Array, ...]) -> Now:
-    E = _parts(now.decay)
-    for _ in range(BLOCK):
-        E = _shrink(E, constants.gap)
-    return Now(stress, tangents, lax.complex(*E), now.position + BLOCK)
+def _length(now: Now, max_contacts: int) -> Float[Array, " lanes"]:
+    """ℓ: where the load on a straight line between the contact that broke last and the one ahead falls to its level."""
+    front, lane = now.front, now.lane
+    ahead, level = _ahead(lane, front)[1], _level(lane)
+    runs = ahead >= level
+    length = front.broken - 1 + (front.behind - level) / (front.behind - ahead)
+    endless = jnp.nan if lane.end is None else jnp.where(front.broken >= lane.end, jnp.inf, jnp.nan)
+    return jnp.where(front.broken <= max_contacts, jnp.where(runs, endless, length), jnp.nan)
