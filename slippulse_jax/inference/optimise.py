@@ -116,8 +116,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
         flat = np.all((diagonal == 0) | stuck, axis=1) & ~np.any(g, axis=1)
-        decrement = -(g * _step(g, m, size[work], np.full(len(work), 1e-12))).sum(axis=1)
-        done = flat | (decrement <= TOLERANCE * np.maximum(1, np.abs(value[work])))
+        done = flat | (_decrement(g, m, size[work]) <= TOLERANCE * np.maximum(1, np.abs(value[work])))
         outcome[work[done]] = np.where((flat & ~stuck.all(axis=1))[done], Outcome.FLAT, Outcome.CONVERGED)
         work, g, m = work[~done], g[~done], m[~done]
         if not len(work) or count == max_steps:
@@ -186,6 +185,11 @@ def _step(g: np.ndarray, m: np.ndarray, size: np.ndarray, damping: np.ndarray) -
     empty = np.einsum("bpp->bp", m) == 0
     scaled[:, range(p), range(p)] += empty
     return -np.linalg.solve(scaled, (g / unit)[:, :, None])[:, :, 0] / unit
+
+
+def _decrement(g: np.ndarray, m: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Newton's decrement, g·M⁻¹g: twice what the quadratic model of the value has yet to fall."""
+    return -(g * _step(g, m, size, np.full(len(g), 1e-12))).sum(axis=1)
 
 
 def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
@@ -259,6 +263,11 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
         for _ in range(rounds):
             stuck = _stuck(given, theta, gradient)
             g, m = _without(gradient, metric, stuck)
+            work = work[
+                _decrement(g[work], m[work], np.einsum("bpp->bp", m[work])) > TOLERANCE * np.maximum(1, np.abs(value[work]))
+            ]
+            if not len(work):
+                break
             target, state = propose(theta, g, m, state)
             trial = np.where(stuck, theta, np.clip(target, low, high))
             if careful:
@@ -289,11 +298,9 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
     assert at.metric is not None
     stuck = _stuck(given, best, at.gradient)
     g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
-    size = np.einsum("bpp->bp", m)
-    decrement = -(g * _step(g, m, size, np.full(len(g), 1e-12))).sum(axis=1)
     flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
     ends = np.select(
-        [~np.isfinite(lowest), flat, decrement <= 1e-4],
+        [~np.isfinite(lowest), flat, _decrement(g, m, np.einsum("bpp->bp", m)) <= 1e-4],
         [Outcome.NO_LENGTH, Outcome.FLAT, Outcome.CONVERGED],
         Outcome.NOT_CONVERGED,
     )
