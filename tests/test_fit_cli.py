@@ -68,6 +68,16 @@ def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
     assert run("--free", "stiffness", "--json").stderr == ""
 
 
+def test_calibrated_intervals_are_advised_where_profiles_cover_too_seldom(tmp_path):
+    path = tmp_path / "peak.csv"
+    path.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.4\n40,0.3,41.6,0.6\n")
+    advice = "intervals = 'calibrated' covers as it says"
+    found = CliRunner().invoke(command, [str(path)]).stdout
+    assert advice in found
+    assert advice not in CliRunner().invoke(command, [str(path), "--intervals", "calibrated"]).stdout
+    assert advice not in run().stdout
+
+
 def test_request_that_is_not_one(tmp_path):
     for text, message in (("loss = ", "Invalid value"), ("lss = 'normal'", "lss not understood"), ("parameters = 3", "tables"),
                           ("[parameters.stiffness]\nbound = [1, 2]", "bound not understood")):  # fmt: skip

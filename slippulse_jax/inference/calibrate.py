@@ -16,6 +16,12 @@ MOST_NODES, MOST_VALUES = 2000, 60
 HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration
 
 
+def can_be_calibrated(problem: Problem) -> bool:
+    """Whether this is a fit of one parameter to lengths with Gaussian errors."""
+    plain = all((block.data.kind == "length").all() for block in problem.blocks) and problem.loss.name == "normal"
+    return problem.p == 1 and plain and problem.parameters.discrepancy is None
+
+
 def calibrated(problem: Problem, levels: tuple[float, ...], *, seed: int = 0) -> dict[float, list[Interval]]:
     """Allowed θ of a fit of one parameter, at each level, as intervals in increasing order.
 
@@ -32,8 +38,7 @@ def calibrated(problem: Problem, levels: tuple[float, ...], *, seed: int = 0) ->
     ValueError
         If there are several parameters, or data of another kind.
     """
-    plain = all((block.data.kind == "length").all() for block in problem.blocks) and problem.loss.name == "normal"
-    if problem.p != 1 or not plain or problem.parameters.discrepancy is not None:
+    if not can_be_calibrated(problem):
         raise ValueError("calibrated intervals: for one parameter, and lengths with Gaussian errors")
     node, mean = _grid(problem)
     measured = np.concatenate([block.data.value[0] / block.data.sigma for block in problem.blocks])

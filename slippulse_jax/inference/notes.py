@@ -5,13 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from slippulse_jax.inference.attainable import longest_over
-from slippulse_jax.inference.identifiability import IMPROBABLE, PLATEAU
+from slippulse_jax.inference.calibrate import can_be_calibrated
+from slippulse_jax.inference.identifiability import IMPROBABLE, PLATEAU, Identifiability
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFEST
 from slippulse_jax.inference.resolve import softest
 from slippulse_jax.inference.result import FitResult
 
 REMARKED = 0.05  # probability of χ² below which the scatter is remarked on
+
+TWO_SIDES = (Identifiability.SEVERAL_ROOTS, Identifiability.SKEWED, Identifiability.AT_MAXIMUM, Identifiability.ONE_SIDED)
 
 
 def before_fit(m: Measurements) -> Iterator[str]:
@@ -26,6 +29,7 @@ def notes(result: FitResult) -> Iterator[str]:
     yield from _of_data(result)
     yield from _of_sigma(result)
     yield from _of_attainable(result.measurements, result.attainable)
+    yield from _of_intervals(result)
     if any(root.rebreaks.any() for root in result.roots[:1]):
         yield (
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
@@ -63,6 +67,17 @@ def _of_sigma(result: FitResult) -> Iterator[str]:
         )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
+
+
+def _of_intervals(result: FitResult) -> Iterator[str]:
+    m = result.measurements
+    close = (m.length > PLATEAU * result.attainable).any() and result.identifiability in TWO_SIDES
+    plain = result.request["intervals"] == "profile" and can_be_calibrated(result.problem) and not result.scaled
+    if close and plain and len(set(m.height)) > 1:
+        yield (
+            "with the two sides of the peak so close a profile's 68% interval holds the truth in some 60% of studies "
+            "(simulated, of three blocks); intervals = 'calibrated' covers as it says"
+        )
 
 
 def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
