@@ -72,7 +72,7 @@ KINDS = {
     "two: prior on ν, near the peak": Kind(3, (0.9, 0.995), ["stiffness", POISSON]),
     "four: with φ, priors on ν and a factor": Kind(5, (0.4, 0.8), ["stiffness", PHI, POISSON, FACTOR], prestress=0.15),
 }
-KINDS |= {f"{name}, counts": kind._replace(whole=True) for name, kind in KINDS.items()}
+KINDS |= {f"counts: {name}": kind._replace(whole=True) for name, kind in KINDS.items()}
 
 
 def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
