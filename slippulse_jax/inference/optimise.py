@@ -100,7 +100,7 @@ def minimise(
 
 def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
     """Damped steps; each lane has its own damping, and its own largest metric so far as the measure of a step (Moré)."""
-    objective, theta, low, high, held, lane = given
+    objective, theta, low, high, _, lane = given
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
     outcome = np.where(np.isfinite(value), Outcome.NOT_CONVERGED, Outcome.NO_LENGTH)
@@ -111,7 +111,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
         if count == GAUSS_NEWTON_STEPS and len(work):
             metric[work] = _positive(_second(objective(theta[work], lane[work], 2)), metric[work])
         g, m = gradient[work], metric[work]
-        stuck = held | (theta[work] <= low[work]) & (g > 0) | (theta[work] >= high[work]) & (g < 0)
+        stuck = _stuck(given, work, theta[work], g)
         g, m = _without(g, m, stuck)
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
@@ -158,9 +158,9 @@ def _second(at: Evaluation) -> np.ndarray:
     return at.curvature
 
 
-def _stuck(given: Starts, theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Coordinates that are held, or pushed against a side of the box."""
-    return given.held | (theta <= given.low) & (gradient > 0) | (theta >= given.high) & (gradient < 0)
+def _stuck(given: Starts, lanes: np.ndarray | slice, theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Coordinates of some lanes that are held, or pushed against a side of the box."""
+    return given.held | (theta <= given.low[lanes]) & (gradient > 0) | (theta >= given.high[lanes]) & (gradient < 0)
 
 
 def _unit(given: Starts, metric: np.ndarray) -> np.ndarray:
@@ -261,11 +261,10 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
     with jax.enable_x64(True):
         state = init(theta)
         for _ in range(rounds):
-            stuck = _stuck(given, theta, gradient)
+            stuck = _stuck(given, slice(None), theta, gradient)
             g, m = _without(gradient, metric, stuck)
-            work = work[
-                _decrement(g[work], m[work], np.einsum("bpp->bp", m[work])) > TOLERANCE * np.maximum(1, np.abs(value[work]))
-            ]
+            left = _decrement(g[work], m[work], np.einsum("bpp->bp", m[work]))
+            work = work[left > TOLERANCE * np.maximum(1, np.abs(value[work]))]
             if not len(work):
                 break
             target, state = propose(theta, g, m, state)
@@ -296,7 +295,7 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
     at = objective(best, lane, 2)
     assert at.gradient is not None
     assert at.metric is not None
-    stuck = _stuck(given, best, at.gradient)
+    stuck = _stuck(given, slice(None), best, at.gradient)
     g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
     flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
     ends = np.select(
