@@ -1,5 +1,6 @@
 """Work spread over what this process has: its cores, and its local devices."""
 
+import functools
 import itertools
 import os
 import threading
@@ -38,9 +39,18 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
     if len(dealt) == 1:
         run(dealt[0])
         return
-    with ThreadPoolExecutor(workers()) as pool:
-        for _ in pool.map(run, dealt):
-            pass
+    for _ in _pool(workers()).map(run, dealt):
+        pass
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads are kept: to start them and their first call takes longer than ten thousand lengths. `spread` is never nested."""
+    return ThreadPoolExecutor(threads)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads are not copied
 
 
 def compiled_once(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -67,14 +67,14 @@ def over_lanes(
             back[order] = np.asarray(value)[:count]
             column[where] = back
 
-    spread(run, _pieces(len(lanes[0]), PIECE * chunk))
+    spread(run, _pieces(len(lanes[0]), chunk))
     return columns
 
 
-def _pieces(n: int, most: int) -> Iterator[slice]:
+def _pieces(n: int, chunk: int) -> Iterator[slice]:
     """Where in the batch the pieces lie: every worker gets as many, of lanes that are neighbours in the batch."""
-    hands = max(1, min(workers(), n // FEW))
-    rounds = -(-n // (hands * most))
+    hands = max(1, min(workers(), -(-n // chunk)))  # what is less than a chunk takes as long as one
+    rounds = -(-n // (hands * PIECE * chunk))
     for k in range(rounds):
         start, stop = k * n // rounds, (k + 1) * n // rounds
         for hand in range(hands):
