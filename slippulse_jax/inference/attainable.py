@@ -3,7 +3,7 @@
 import numpy as np
 
 from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.parameters import STIFFNESSES, WIDTH, ParameterSet
 
 
 def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -18,14 +18,15 @@ def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray,
 
 
 def attainable_of(parameters: ParameterSet, theta: np.ndarray, row: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same for inputs `y`, (k, 5), whose stiffness is that of the measurements `row`; in true λc, without offset."""
+    """The same for inputs `y`, (k, 5 or 6), whose stiffness is that of the measurements `row`; in true λc, without offset."""
     reach = np.repeat(y[:, 1:2], 2, axis=1)
     for i, one in enumerate(parameters.free):
         if one.name in STIFFNESSES:
             on = parameters.slope[row, 1, i] != 0
             reach[on] = y[on, 1:2] + np.array([parameters.low[i], parameters.high[i]]) - theta[i]
-    distinct, own = np.unique(np.column_stack([y, reach]), axis=0, return_inverse=True)
-    longest, where = longest_over(distinct[:, :5], distinct[:, 5], distinct[:, 6])
+    # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
+    distinct, own = np.unique(np.column_stack([y[:, :WIDTH], reach]), axis=0, return_inverse=True)
+    longest, where = longest_over(distinct[:, :WIDTH], distinct[:, -2], distinct[:, -1])
     return longest[own.ravel()], np.exp(where[own.ravel()])
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.inference.forward import displacement_at, force_at
 from slippulse_jax.inference.likelihood import SHARPEST, STUDENT_DOF
 from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.samples import Samples
 from slippulse_jax.lattice.exact import exact_length
@@ -91,8 +92,10 @@ def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chai
     ModuleNotFoundError
         Without the extra ``bayes``.
     ValueError
-        If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ.
+        If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ; or the break rule is a smooth one.
     """
+    if result.parameters.base.shape[1] > WIDTH:
+        raise ValueError("a posterior takes the hard break rule: hold no width, or use bootstrap")
     if result.problem.loss.name == "huber" or result.scaled:
         raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
     try:

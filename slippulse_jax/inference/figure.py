@@ -31,6 +31,7 @@ LABELS = {
     "prestress": r"prestress $\sigma_0/\sigma_s$",
     "threshold_slope": r"threshold slope $\varepsilon$ ($1/\lambda_c$)",
     "strength": r"strength $\sigma_s$ (Pa)",
+    "width": r"width of the break rule $w$ ($\sigma_s$)",
 }
 
 

@@ -12,9 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.inference.parameters import WIDTH
+from slippulse_jax.lattice import bulk
 from slippulse_jax.lattice.exact import ExactStatus
 from slippulse_jax.lattice.exact_lanes import solve_lanes
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 
 LANES = 256
@@ -27,8 +30,8 @@ class Prediction(NamedTuple):
     first: Float[np.ndarray, "L 5"] | None
 
 
-def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
-    """ℓ*, in λc: 0 where no domino starts, inf where the front never stops.
+def lengths(y: Float[np.ndarray, "L c"], order: int, columns: Sequence[int] = range(5)) -> Prediction:
+    """ℓ*, in λc: 0 where no domino starts, inf where the front never stops; ℓ_w of a smooth rule where y goes on with ln w.
 
     Its slopes, in the `columns` of y asked for, are central differences: good to 1e-8 of the larger of slope and length but
     next to run-away and where the domino just starts. Two values cost less than a lane of exact slopes.
@@ -36,13 +39,13 @@ def lengths(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = ra
     Raises
     ------
     RuntimeError
-        If the exact solution did not converge somewhere; never seen.
+        If the exact solution did not converge somewhere, or a front did not fade; never seen.
     """
     return by_differences(values_of_length, y, columns if order else ())
 
 
 STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6, 1e-4, 1e-4, 0)
-"""Of the differences in y, ln x/λc and the contacts beyond ℓ*; that of ε, which acts multiplied by ℓ*, over H/λc."""
+"""Of the differences in y, ln w or ln x/λc, and the contacts beyond ℓ*; that of ε, which acts multiplied by ℓ*, over H/λc."""
 
 
 def by_differences(
@@ -88,7 +91,13 @@ def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
-    """ℓ* of every lane, in λc; raises as `lengths` does."""
+    """ℓ* of every lane, in λc, or ℓ_w where y goes on with ln w; raises as `lengths` does."""
+    if y.shape[1] > WIDTH:
+        found = bulk.lengths(Slider(np.exp(y[:, 0]), np.exp(y[:, 1]), y[:, 2]), rule=SmoothBreak(np.exp(y[:, WIDTH])))
+        if np.isnan(found).any():
+            where = ", ".join(f"{x:.9g}" for x in y[np.argmax(np.isnan(found))])
+            raise RuntimeError(f"no length under the smooth rule at (ln H/λc, ln k/K, ν, φ, ε, ln w) = ({where})")
+        return found
     lanes = y.T.copy()
     lanes[:2] = np.exp(lanes[:2])
     found = solve_lanes(lanes)

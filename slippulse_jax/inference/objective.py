@@ -14,7 +14,7 @@ from slippulse_jax.inference.forward_gauges import slips, stresses
 from slippulse_jax.inference.gauges import READINGS, Gauges
 from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import ParameterSet
+from slippulse_jax.inference.parameters import WIDTH, ParameterSet
 
 PREDICTED = {"length": lengths, "displacement": displacements, "force": forces, "slip": slips, "stress": stresses}
 """The model of every observable."""
@@ -172,12 +172,14 @@ def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: n
     """The objective of these measurements; `sigma` is the standard error of each length, in λc."""
     every = np.arange(len(m))
     blocks = [_block(parameters, "length", every, m.length, sigma, np.array(m.kind))]
+    hard = parameters.base[:, :WIDTH], parameters.slope[:, :WIDTH]
     for observable in ("displacement", "force"):
         values = getattr(m, observable)
         if values is None or not np.isfinite(values).any():
             continue
         rows = np.nonzero(np.isfinite(values))[0]
-        blocks.append(_block(parameters, observable, rows, values[rows], getattr(m, f"{observable}_sigma")[rows]))
+        errors, inputs = getattr(m, f"{observable}_sigma")[rows], (hard[0][rows], hard[1][rows])
+        blocks.append(_block(parameters, observable, rows, values[rows], errors, inputs=inputs))
     if m.gauges is not None:
         blocks += [_gauge_block(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])

@@ -14,6 +14,8 @@ import numpy as np
 STIFFEST = 1.0
 """Largest k/K looked at: a contact stiffer than the block of bulk it is attached to is outside the model."""
 INPUTS = ("log_height", "log_stiffness", "poisson", "prestress", "threshold_slope")
+WIDTH = len(INPUTS)
+"""Which input the width of a smooth break rule is, where there is one."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0  # standard deviations of a prior that are searched where no bounds are given
 
@@ -91,8 +93,8 @@ class ParameterSet:
 
     free: tuple[Free, ...]
     held: dict[str, float]  # by name, in their units
-    base: np.ndarray  # (n, 5)
-    slope: np.ndarray  # (n, 5, p)
+    base: np.ndarray  # (n, 5); with the width of a smooth rule (n, 6), y going on with its logarithm
+    slope: np.ndarray  # (n, 5 or 6, p)
     scale_base: dict[str, np.ndarray]  # ln(unit of measurement per unit of the model), (n,) for each of SCALES
     scale_slope: dict[str, np.ndarray]  # (n, p)
     offset: np.ndarray  # (n, p), added to a length in λc
@@ -131,7 +133,7 @@ class ParameterSet:
         return np.exp(self.base[:, 1] + self.slope[:, 1] @ theta)
 
     def inputs(self, theta: np.ndarray) -> np.ndarray:
-        """Y of each measurement, shape (n, 5)."""
+        """Y of each measurement, shape (n, 5 or 6)."""
         return self.base + self.slope @ theta
 
 
@@ -158,6 +160,7 @@ PARAMETERS: dict[str, _Kind] = {
     "strength": _Kind("σ_s", ("", "Pa"), True, None, 1, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, None),
     "offset": _Kind("offset", ("λc", "m"), False, None, 1, {}, None),
     "model_factor": _Kind("model factor", ("", ""), True, None, 1, {"length": 1}, None),
+    "width": _Kind("w", ("σ_s", "σ_s"), True, WIDTH, 1, {}, None),
     "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, None, 1, {}, None),
     "discrepancy": _Kind("discrepancy", ("", ""), True, None, 1, {}, None),
 }

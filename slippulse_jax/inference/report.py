@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from slippulse_jax.inference.identifiability import Identifiability
+from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.result import FitResult
 
@@ -17,7 +18,7 @@ def report(result: FitResult) -> str:
     lines = [
         "Interface from first-precursor lengths",
         f"  data    {m.source} ({counts})",
-        "  model   first self-healing precursor, uniform interface, semi-infinite slider (exact length)",
+        f"  model   first self-healing precursor, uniform interface, semi-infinite slider ({_length(result)})",
         *_searched(result),
         *_held(result),
         "",
@@ -35,6 +36,10 @@ def report(result: FitResult) -> str:
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
     return "\n".join(lines)
+
+
+def _length(result: FitResult) -> str:
+    return "length under the smooth break rule" if result.parameters.base.shape[1] > WIDTH else "exact length"
 
 
 def _headline(result: FitResult) -> str:

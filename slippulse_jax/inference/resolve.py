@@ -45,7 +45,7 @@ def resolve(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
         If a parameter is there twice, has no meaning for these measurements, or its limits leave the model's domain.
     """
     chosen = _normalise(m, wanted)
-    builder = _Builder(m)
+    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen))
     for parameter in chosen:
         if parameter.value is not None:
             builder.hold(parameter)
@@ -81,6 +81,8 @@ def _normalise(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Param
         raise ValueError(
             f"the measurements state a {carrier}, which scales with σ_s: fit strength too, or hold it at its value in Pa"
         )
+    if "width" in names:
+        _check_smooth(m, names)
     if not any(one.value is None for one in chosen):
         raise ValueError("nothing is fitted: every parameter is held")
     return chosen
@@ -100,6 +102,15 @@ def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
         raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
     if one.name == "model_factor" and one.prior is None and one.value is None:
         raise ValueError("parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot tell it from stiffness")
+
+
+def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
+    """The smooth rule of the fast recursion is for relaxed, uniform interfaces."""
+    for name in ("prestress", "threshold_slope"):
+        if name in names or m.or_zero(name).any():
+            raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")
+    if m.gauges is not None:
+        raise ValueError("parameter width: readings of gauges are those of the hard rule; leave one of them out")
 
 
 def _carries_strength(m: Measurements) -> str:
@@ -136,7 +147,7 @@ class _Effect(NamedTuple):
 class _Builder:
     """Collects the columns of base and slope."""
 
-    def __init__(self, m: Measurements) -> None:
+    def __init__(self, m: Measurements, smooth: bool) -> None:
         self.m = m
         n = len(m)
         self.stated = {
@@ -151,6 +162,9 @@ class _Builder:
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
         self.log_lc = log_lc
         self.base = np.stack([np.log(m.height), log_lc - log_young, *(self.stated[k] for k in INPUTS[2:])], axis=1)
+        self.smooth = smooth
+        if smooth:
+            self.base = np.column_stack([self.base, np.zeros(n)])
         self.scale_base = {scale: np.zeros(n) for scale in SCALES} | {"force": log_lc.copy()}
         self.free: list[Free] = []
         self.columns: list[_Effect] = []
@@ -158,7 +172,7 @@ class _Builder:
 
     def _effect(self, name: str, rows: np.ndarray) -> _Effect:
         kind, on = PARAMETERS[name], rows.astype(float)
-        inputs = np.zeros((len(rows), len(INPUTS)))
+        inputs = np.zeros(self.base.shape)
         if kind.input is not None:
             inputs[:, kind.input] = kind.sign * on
         if name == "correlation_length":
@@ -202,7 +216,7 @@ class _Builder:
         reference = self._reference(name)[rows]
         # a height is fitted as one factor on all of its rows, shown as the height of the first
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name == "height" else -self._reference(name))
-        low, high = parameter.bounds or _default_bounds(self.m, parameter, rows, float(reference[0]))
+        low, high = parameter.bounds or _default_bounds(self.m, parameter, rows, float(reference[0]), self.smooth)
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
             low, high = np.log(low), np.log(high)
@@ -265,7 +279,9 @@ def _input_label(name: str, key: tuple[str, float, float]) -> str:
     return f"{name}[{specimen + ', ' if specimen else ''}{value:.6g}]"
 
 
-def _default_bounds(m: Measurements, parameter: Parameter, rows: np.ndarray, reference: float) -> tuple[float, float]:
+def _default_bounds(
+    m: Measurements, parameter: Parameter, rows: np.ndarray, reference: float, smooth: bool
+) -> tuple[float, float]:
     """Range searched where none is given, in the unit of the parameter."""
     name, longest = parameter.name, float(m.length[rows].max())
     if parameter.prior is not None:
@@ -277,13 +293,16 @@ def _default_bounds(m: Measurements, parameter: Parameter, rows: np.ndarray, ref
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
         per_unit = _ratio_per_unit(m)[rows]
-        return float((softest(m)[rows] / per_unit).min()), float((STIFFEST / per_unit).max())
+        # a smooth front on contacts softer than those at which a domino starts does not fade for long
+        lowest = softest(m)[rows] * (100 if smooth else 1)
+        return float((lowest / per_unit).min()), float((STIFFEST / per_unit).max())
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
     by_name = {
         "offset": (-longest * size, longest * size),
         "threshold_slope": (-0.5 / longest, 2 / longest),
         "discrepancy": (1e-4, 1.0),
         "strength": (1.0, 1e12),
+        "width": (1e-4, 0.02),
         "poisson": (0.0, 0.5),
         "prestress": (0.0, 0.95),
     }
@@ -322,9 +341,11 @@ def _check_domain(parameters: ParameterSet) -> None:
         "poisson": (-1.0, 0.5, "ν", "must lie in (-1, 0.5]"),
         "prestress": (-1.0, 1.0, "φ", "must lie in (-1, 1)"),
         "threshold_slope": (-1.0, np.inf, "ε", "must exceed -1"),
+        "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
     }
-    for column, (low, high, symbol, requirement) in enumerate(limits.values()):
+    logarithms = [i for i, name in enumerate(limits) if name.startswith("log")]
+    for column, (low, high, symbol, requirement) in enumerate(list(limits.values())[: lowest.shape[1]]):
         reach = [float(lowest[:, column].min()), float(highest[:, column].max())]
         if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
-            shown = [np.exp(x) if column < 2 else x for x in reach]
+            shown = [np.exp(x) if column in logarithms else x for x in reach]
             raise ValueError(f"bounds mean {symbol} from {shown[0]:g} to {shown[1]:g} for some measurement: {requirement}")
