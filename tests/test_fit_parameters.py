@@ -1,5 +1,7 @@
 """Several parameters, priors, uncertain inputs, further observables, counts, censoring, losses: each against an independent answer."""
 
+import dataclasses
+
 import numpy as np
 import plain_chain
 import pytest
@@ -57,6 +59,15 @@ def test_gradient_is_that_of_the_value(loss):
     found = problem(theta, order=1).gradient[0]
     rounding = 1e-15 * abs(values[0]) / step
     assert (np.abs(found - numerical) <= 1e-4 * np.abs(numerical) + 10 * rounding).all()
+    # what is held is left out, and nothing else: in a profile of the stiffness, and where no input of the model moves
+    inputs = ("areal_stiffness", "poisson", "prestress", "correlation_length", "young")
+    for names in (inputs[:1], inputs):
+        held = np.array([one.name in names for one in q.free])
+        at = dataclasses.replace(problem, held=held)(theta, order=1)
+        np.testing.assert_allclose(at.gradient[0][~held], found[~held], rtol=1e-12)
+        np.testing.assert_allclose(
+            at.metric[0][~held][:, ~held], problem(theta, order=1).metric[0][~held][:, ~held], rtol=1e-12
+        )
 
 
 @pytest.mark.parametrize("prestressed", [False, True])

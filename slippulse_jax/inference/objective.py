@@ -160,10 +160,12 @@ def predictions(block: _Block, theta: np.ndarray, order: int, held: np.ndarray |
     scale = np.exp(block.scale_base + theta @ block.scale_slope.T)
     value = model.value.reshape(lanes, rows)[:, own] * scale
     mu = value + theta @ block.offset.T
-    if model.first is None:
+    if not order:
         return Prediction(mu, None)
-    by_y = model.first.reshape(lanes, rows, 1, -1)
-    by_theta = np.matmul(by_y, block.slope)[:, own, 0] * scale[:, :, None]
+    by_theta = 0  # where no input moves, as under a held stiffness, scales, offset and discrepancy still do
+    if model.first is not None:
+        by_y = model.first.reshape(lanes, rows, 1, -1)
+        by_theta = np.matmul(by_y, block.slope)[:, own, 0] * scale[:, :, None]
     size = np.where(np.isfinite(value), value, 0)[:, :, None]
     return Prediction(mu, by_theta + size * block.scale_slope + block.offset)
 
