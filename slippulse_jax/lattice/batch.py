@@ -6,6 +6,7 @@ input is ranked, gathered, computed and put back by one thread, so that no part 
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.devices import compiled_once, spread, workers
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
-"""Columns of a chunk of lanes; no lane may depend on another."""
+"""Columns of a chunk of lanes, or several as the rows of one array; no lane may depend on another."""
 
 CHUNK, FEW = 1000, 64
 """Lanes of a chunk (not a power of two, for which arrays would meet in the same lines of the cache); lanes of a call for so few
@@ -62,9 +63,10 @@ def over_lanes(
             np.take(field, order, out=row[:count], mode="clip")
         padded[:, count : chunks * chunk] = padded[:, :1]  # the shortest: nobody waits for it
         values = at_once(padded) if count <= few else in_chunks(padded, chunks)
-        for column, value in zip(columns, values, strict=True):
+        rows = itertools.chain.from_iterable(np.atleast_2d(np.asarray(value)) for value in values)
+        for column, row in zip(columns, rows, strict=True):
             back = np.empty(count, column.dtype)
-            back[order] = np.asarray(value)[:count]
+            back[order] = row[:count]
             column[where] = back
 
     spread(run, _pieces(len(lanes[0]), chunk))
@@ -120,14 +122,15 @@ def _looped(kernel: Callable[..., Kernel], statics: tuple, chunk: int) -> Callab
         def cut(i: Array | int) -> Array:
             return lax.dynamic_slice(lanes, (0, i * chunk), (fields, chunk))
 
-        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors
+        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors. Few arrays come out of
+        # one: of a turn of more than eight operations XLA hands some to other threads
         def go_on(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
             here, columns = carried
-            found = one(here)
-            columns = tuple(lax.dynamic_update_slice(x, y, (i * chunk,)) for x, y in zip(columns, found, strict=True))
-            return cut(i + 1), columns
+            found = zip(columns, one(here), strict=True)
+            return cut(i + 1), tuple(lax.dynamic_update_slice_in_dim(x, y, i * chunk, -1) for x, y in found)
 
         shapes = jax.eval_shape(one, jax.ShapeDtypeStruct((fields, chunk), lanes.dtype))
-        return lax.fori_loop(0, chunks, go_on, (cut(0), tuple(jnp.zeros(n, x.dtype) for x in shapes)))[1]
+        empty = tuple(jnp.zeros((*x.shape[:-1], n), x.dtype) for x in shapes)
+        return lax.fori_loop(0, chunks, go_on, (cut(0), empty))[1]
 
     return compiled_once(jax.jit(several, compiler_options=_OPTIONS))

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.batch import Kernel
@@ -87,7 +87,6 @@ class Now(NamedTuple):
     front: Front
     lane: Lane
     along: tuple[Along, ...]
-    position: Int[Array, ""]  # contacts broken by every front that has not arrested
 
 
 def length_kernel(max_contacts: int) -> Kernel:
@@ -123,7 +122,7 @@ def arrest_kernel(max_contacts: int) -> Kernel:
 
 
 def gradient_kernel(max_contacts: int) -> Kernel:
-    """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field."""
+    """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field: rows of one array."""
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         now = _until_all_arrest(parameters, max_contacts, with_rates=True)
@@ -137,7 +136,7 @@ def gradient_kernel(max_contacts: int) -> Kernel:
             behind, ahead = front.rates[which].behind, _ahead_rate(front, which)[1]
             return jnp.where(jnp.isfinite(length) & (length > 0), (behind - part * (behind - ahead)) * over_fall, flat)
 
-        return length, *(derivative(which) for which in range(len(front.rates)))
+        return (jnp.stack([length, *(derivative(which) for which in range(len(front.rates)))]),)
 
     return lengths
 
@@ -149,17 +148,14 @@ def _until_all_arrest(
         return _nucleate(fields, with_rates, max_contacts if with_edge else None)
 
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
-    front, lane, along = in_one_loop(start, *parameters, *ends)
 
     def two_turns(now: Now) -> Now:
-        turned = in_one_loop(_turn, now.front, now.lane, now.along)
-        front, lane, along = in_one_loop(_turn, *turned)
-        return Now(front, lane, along, now.position + 2 * BREAKS)
+        return Now(*in_one_loop(_turn, *in_one_loop(_turn, *now)))
 
     def some_go(now: Now) -> Bool[Array, ""]:
-        return jnp.any(_goes(now.lane, now.front)) & (now.position < max_contacts)
+        return jnp.any(_goes(now.lane, now.front) & (now.front.broken < max_contacts))
 
-    return lax.while_loop(some_go, two_turns, Now(front, lane, along, jnp.ones((), jnp.int32)))
+    return lax.while_loop(some_go, two_turns, Now(*in_one_loop(start, *parameters, *ends)))
 
 
 def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) -> tuple[Front, Lane, tuple[Along, ...]]:
