@@ -201,6 +201,7 @@ def page(found: dict) -> str:
         *_heights(found),
         "## Cost against the number of points", "", "| points | s | µs a point |", "|---|---|---|",
         *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} |" for n, t in zip(*found["counts"].values(), strict=True)), "",
+        *_flat(found["counts"]),
         *_start(found),
         "Nothing here was run on a GPU.", "",
     ]  # fmt: skip
@@ -236,6 +237,15 @@ def _heights(found: dict) -> list[str]:
         f"A million points at H/λc = 10⁵, k/K log-uniform in 10⁻⁶–10⁻²: {found['tall']['this package']:.1f} s; numba on all cores, "
         f"scaled from 200 points, {found['tall']['numba, all cores']:.0f} s "
         f"({found['tall']['numba, all cores'] / found['tall']['this package']:.0f} times as long).", "",
+    ]  # fmt: skip
+
+
+def _flat(counts: dict) -> list[str]:
+    of = {n: t / n for n, t in zip(counts["points"], counts["seconds"], strict=True)}
+    return [
+        f"The cost of a point is flat from 10⁵ points on (at 10⁷ {of[10**7] / of[10**5]:.2f} times that at 10⁵); at 10⁴ points it is "
+        f"{of[10**4] / of[10**7]:.1f} times that at 10⁷: there two threads with a third of a millisecond of work each take as long "
+        "as one with both.", "",
     ]  # fmt: skip
 
 
