@@ -29,11 +29,12 @@ from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider, broadcast, check_domain, of_one_type
 from slippulse_jax.status import Status
 
-STALLED = 1e-7
-"""Relative size of a step that should make the next one far smaller."""
-
 MAX_STEPS = 100
 """Newton or bisection steps before a crossing is given up (length NaN); five to eight are usual."""
+
+ROUNDED = 1e-4
+"""Last step, in contacts or relative to the length, with which it counts as found all the same: where the stress is all but
+level beside the threshold, rounding moves the crossing by as much, and the steps never get small."""
 
 
 class ExactStatus(Status):
@@ -323,10 +324,7 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
                 gone = (rate >= slope) & (bend >= 0) | (s * roots.root_rate[1] > 60)
                 runs = over & ((slope < 0) | (plateau >= 1) & (slope <= 0)) & gone
             after = jnp.where(inside, newton, fallback)
-            step = jnp.abs(after - s)
-            # a stress all but level beside the threshold is met no better than its rounding allows: steps cease to shrink
-            stalled = (search.step <= STALLED * s) & (step >= 0.9 * search.step)
-            return _Search(after, low, high, jnp.where(stalled, 0, step), search.steps + 1, runs)
+            return _Search(after, low, high, jnp.abs(after - s), search.steps + 1, runs)
 
         zero, inf = jnp.zeros_like(start), jnp.full_like(start, jnp.inf)
         first = _Search(start, zero, inf, inf, jnp.zeros((), jnp.int32), at_edge <= 0)
@@ -334,9 +332,10 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
 
     found = solve(jnp.zeros_like(slope), start) if plain[1] else _with_slope(solve, slope, start, plateau)
     length, steps, runs = found.at, found.steps, found.runs
+    given_up = ~(steps < MAX_STEPS) & ~(found.step <= ROUNDED * jnp.maximum(length, 1))
     valid = in_domain(slider) & jnp.isfinite(theta).all() & (jnp.abs(theta[3]) < 1)
     status = jnp.select(
-        [~valid | ~(theta[4] > -1) | ~jnp.isfinite(at_edge), at_edge <= 0, runs, ~(steps < MAX_STEPS)],
+        [~valid | ~(theta[4] > -1) | ~jnp.isfinite(at_edge), at_edge <= 0, runs, given_up],
         [
             ExactStatus.INVALID,
             ExactStatus.NO_DOMINO,
