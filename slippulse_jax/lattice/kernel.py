@@ -12,7 +12,8 @@ accumulated and takes the row at hand. What is left of it in the compiled progra
 computed once. It rests on XLA's reducing on a CPU in the order of the axis.
 
 So both are used only under the releases of jaxlib that the tests were run with; under others everything is compiled as usual,
-with the same results to rounding: a series of events takes some five times as long, derivatives of lengths twice as long.
+with the same results to rounding: a series of events takes some five times as long, lengths in bulk and their derivatives
+three times.
 """
 
 from collections.abc import Callable
