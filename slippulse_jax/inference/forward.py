@@ -49,15 +49,18 @@ STEPS = (1e-4, 1e-4, 1e-5, 1e-5, 5e-6, 1e-4, 1e-4, 0)
 
 
 def by_differences(
-    values: Callable[[np.ndarray], np.ndarray], y: Float[np.ndarray, "L c"], columns: Sequence[int]
+    values: Callable[[np.ndarray], np.ndarray], y: Float[np.ndarray, "L c"], columns: Sequence[int], size: float = 1.0
 ) -> Prediction:
-    """Values of a model at y and their slopes in `columns`, by central differences, all in one call."""
+    """Values of a model at y and their slopes in `columns`, by central differences, all in one call.
+
+    The steps are `STEPS` times `size`.
+    """
     if not len(columns):
         return Prediction(values(y), None)
     # a profile comes to the same inputs from several starts
     y, own = distinct_rows(y)
     shifted = [y]
-    steps = np.tile(STEPS[: y.shape[1]], (len(y), 1))
+    steps = np.tile(size * np.array(STEPS[: y.shape[1]]), (len(y), 1))
     steps[:, 4] *= np.exp(-y[:, 0])
     for column in columns:
         for sign in (1, -1):

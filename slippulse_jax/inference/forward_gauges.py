@@ -1,7 +1,7 @@
 """Gauges as a fit sees them: slip and stress along the interface when the front has stopped.
 
 The inputs y of `slippulse_jax.inference.forward` go on with ln x/λc; with the contacts that broke beyond ℓ*, anything from 0 to
-1; and with how many broke, 0 where that is not known. What a front leaves is joined by straight lines between whole counts.
+1; and with how many broke, 0 where that is not known. What a front leaves goes over smoothly from one whole count to the next.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,17 @@ from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.slider import Slider
 
 LANES = 256
+STEP = 0.1  # fields bend from contact to contact, more than a length does
 
 
 def slips(y: Float[np.ndarray, "L 8"], order: int, columns: Sequence[int] = range(7)) -> Prediction:
     """How far the interface has slipped at a position when the front has stopped, in u_s; inf where it never stops."""
-    return by_differences(lambda y: _readings(y)[0], y, columns if order else ())
+    return by_differences(lambda y: _readings(y)[0], y, columns if order else (), STEP)
 
 
 def stresses(y: Float[np.ndarray, "L 8"], order: int, columns: Sequence[int] = range(7)) -> Prediction:
     """Stress on the contacts at a position when the front has stopped, in σ_s; otherwise as `slips`."""
-    return by_differences(lambda y: _readings(y)[1], y, columns if order else ())
+    return by_differences(lambda y: _readings(y)[1], y, columns if order else (), STEP)
 
 
 def _readings(y: np.ndarray) -> np.ndarray:

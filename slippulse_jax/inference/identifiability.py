@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.attainable import attainable
+from slippulse_jax.inference.gauges import READINGS
 from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.profile import Interval, Rise
@@ -122,7 +123,8 @@ def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
 
 
 def _above_maximum(e: Evidence) -> bool:
-    return bool(e.roots) and e.roots[0].share < 0.5
+    # gauges tell stiffness where the length does not; and what bends there is the step from contact to contact
+    return bool(e.roots) and e.roots[0].share < 0.5 and not _has_gauges(e)
 
 
 def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
@@ -158,12 +160,26 @@ def _not_alone(j: int, e: Evidence, intervals: dict) -> Verdict | None:
     one = q.free[j]
     inner = [root for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
     values = sorted({float(f"{one.value(root.theta[j]):.4g}"): None for root in inner})
-    apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > 1e-3]
+    near = max(1e-3, _wrinkle(j, e)) if len(pieces) == 1 else 1e-3
+    apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > near]
     if len(apart) > 1:
         joined = "; the interval joins them" if len(pieces) == 1 else ""
         named = " and ".join(f"{value:.4g}" for value in apart)
         return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named} {one.unit}".rstrip() + joined)
     return None
+
+
+def _has_gauges(e: Evidence) -> bool:
+    return any(block.observable in READINGS for block in e.problem.blocks)
+
+
+def _wrinkle(j: int, e: Evidence) -> float:
+    """How far apart two minima of one valley may lie: one standard error where gauges were read, whose fields go from contact
+    to contact by steps; nothing where all is smooth.
+    """
+    if not _has_gauges(e) or not e.roots or e.roots[0].singular[j]:
+        return 0.0
+    return float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j]))
 
 
 def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:

@@ -1,7 +1,8 @@
 r"""What gauges along the interface would read after a front has passed: slip and stress, contact by contact.
 
-When the contacts before `position` have broken in turn (of the last, the fraction that `position` says), pinning points have
-moved by p_j, and at site i, in units of u_s and σ_s,
+When the contacts before `position` have broken in turn (of the last a part, where `position` is no whole number: f²(3 − 2f) of
+it for a fraction f, so that fields are smooth in the position), pinning points have moved by p_j, and at site i, in units of
+u_s and σ_s,
 
     slip(i)   = Σ_m [ w_m (Σ_{j≤i} r_m^{i−j} p_j + Σ_{j>i} r_m^{j−i} p_j) + r_m^i Σ_n R_mn T_n ],      T_n = Σ_j r_n^j p_j,
     stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ:
@@ -46,8 +47,7 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int) -> R
     prestress : array, shape ()
         φ, in σ_s.
     position : array, shape ()
-        Contacts broken, at most `count`; of the last one a fraction, where it is no whole number: what is left behind is joined
-        by straight lines between whole counts.
+        Contacts broken, at most `count`; between whole numbers what is left behind goes over smoothly from one to the next.
     count : int
         Contact i lies at x = i λc.
     """
@@ -58,7 +58,8 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int) -> R
         return decay[0] * (R1[0] * edge[0] + R1[1] * edge[1]) + decay[1] * (R2[0] * edge[0] + R2[1] * edge[1])
 
     def breaks(now: _Passing, site: Array) -> tuple[_Passing, tuple[Array, ...]]:
-        moved = now.stress * jnp.clip(position - site, 0, 1)
+        part = jnp.clip(position - site, 0, 1)
+        moved = now.stress * (part**2 * (3 - 2 * part))
         joined = now.near[0] + moved, now.near[1] + moved
         near = joined[0] - g[0] * joined[0], joined[1] - g[1] * joined[1]
         edge = now.edge[0] + now.decay[0] * moved, now.edge[1] + now.decay[1] * moved
