@@ -9,7 +9,8 @@ from lattice_mp import Chain, random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series
-from slippulse_jax.lattice.exact import ExactStatus, exact_fields, exact_front, exact_front_stress, exact_length, front_series
+from slippulse_jax.lattice.exact import exact_fields, exact_front, exact_front_stress, exact_length
+from slippulse_jax.lattice.exact_crossing import ExactStatus, front_series
 from slippulse_jax.lattice.front import front_stress
 from slippulse_jax.lattice.modes import lattice_modes
 

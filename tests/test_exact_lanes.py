@@ -6,7 +6,8 @@ import pytest
 from lattice_mp import random_sliders
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.exact import ExactStatus, exact_front, exact_length
+from slippulse_jax.lattice.exact import exact_front, exact_length
+from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.lane_series import Inputs, inputs_of
 from slippulse_jax.lattice.mode_jets import flatten, input_jets
 

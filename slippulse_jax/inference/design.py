@@ -18,7 +18,7 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.inference.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.knowledge import Knowledge
-from slippulse_jax.lattice.exact import ExactStatus
+from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider, check_domain
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.lattice import bulk
-from slippulse_jax.lattice.exact import ExactStatus
+from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import solve_lanes
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slippulse_jax.inference.csv_text import labelled_table
-from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.measurements import MeasurementError, set_columns
 
 UNITS = {"position_mm": 1e-3, "slip_um": 1e-6, "slip_sigma_um": 1e-6, "stress_MPa": 1e6, "stress_sigma_MPa": 1e6}
 READINGS = ("slip", "stress")
@@ -53,12 +53,7 @@ class Gauges:
     source: str = "gauges"
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in NUMERIC if getattr(self, name) is not None}
-        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in given.values()))
-        if columns[0].ndim != 1 or columns[0].size == 0:
-            raise MeasurementError(f"{self.source}: readings must be non-empty one-dimensional columns")
-        for name, column in zip(given, columns, strict=True):
-            object.__setattr__(self, name, np.array(column))
+        set_columns(self, NUMERIC)
         object.__setattr__(self, "row", self.row.astype(int))
         for name in READINGS:
             if getattr(self, name) is not None and getattr(self, f"{name}_sigma") is None:

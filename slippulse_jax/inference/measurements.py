@@ -1,7 +1,7 @@
 """Measurements of first precursors: what one holds, and what is refused; `slippulse_jax.inference.table` reads a CSV."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -87,12 +87,7 @@ class Measurements:
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in NUMERIC if getattr(self, name) is not None}
-        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in given.values()))
-        if columns[0].ndim != 1 or columns[0].size == 0:
-            raise MeasurementError(f"{self.source}: measurements must be non-empty one-dimensional columns")
-        for name, column in zip(given, columns, strict=True):
-            object.__setattr__(self, name, np.array(column))
+        given = set_columns(self, NUMERIC)
         n = len(self)
         for name in ("kind", "specimen", "provenance", "label", "lines"):
             values = tuple(getattr(self, name))
@@ -153,6 +148,23 @@ class Measurements:
         """Column `name`, or zeros where it was not given; shape (n,)."""
         column = getattr(self, name)
         return np.zeros(len(self)) if column is None else column
+
+
+def set_columns(table: Any, names: Sequence[str]) -> list[str]:
+    """Make the columns of a frozen table float64 arrays of one length; the names of those that are given.
+
+    Raises
+    ------
+    MeasurementError
+        If they are empty or have more than one axis.
+    """
+    given = [name for name in names if getattr(table, name) is not None]
+    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(table, name), dtype=np.float64)) for name in given))
+    if columns[0].ndim != 1 or columns[0].size == 0:
+        raise MeasurementError(f"{table.source}: must be non-empty one-dimensional columns")
+    for name, column in zip(given, columns, strict=True):
+        object.__setattr__(table, name, np.array(column))
+    return given
 
 
 NUMERIC = tuple(

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from slippulse_jax.inference import gauges
+from slippulse_jax.inference.fitted import Root
 from slippulse_jax.inference.measurements import NUMERIC, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.result import FitResult, Root
+from slippulse_jax.inference.result import FitResult
 from slippulse_jax.lattice.front import FrontStatus
 
 

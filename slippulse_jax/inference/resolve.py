@@ -1,16 +1,15 @@
 """From the parameters asked for to the linear map that takes θ to the inputs of the model for every measurement."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from slippulse_jax.inference.asked import as_asked
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import (
     ARREST,
     INPUTS,
-    NEEDS_SI,
     PARAMETERS,
     PRIOR_REACH,
     SCALES,
@@ -20,13 +19,6 @@ from slippulse_jax.inference.parameters import (
     Parameter,
     ParameterSet,
 )
-
-
-def stiffness_name(m: Measurements) -> str:
-    """The form of the stiffness that these measurements can give."""
-    if m.correlation_length is None:
-        return "stiffness"
-    return "areal_stiffness_over_young" if m.young is None else "areal_stiffness"
 
 
 def resolve(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
@@ -44,7 +36,7 @@ def resolve(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
     ValueError
         If a parameter is there twice, has no meaning for these measurements, or its limits leave the model's domain.
     """
-    chosen = _normalise(m, wanted)
+    chosen = as_asked(m, wanted)
     builder = _Builder(m, smooth=any(one.name == "width" for one in chosen))
     for parameter in chosen:
         if parameter.value is not None:
@@ -62,63 +54,6 @@ def resolve(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
         builder.add_uncertain(name, sigma)
     builder.add_arrests()
     return builder.build()
-
-
-def _normalise(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Parameter]:
-    stiffness = stiffness_name(m)
-    chosen = [Parameter(one) if isinstance(one, str) else one for one in wanted]
-    chosen = [
-        replace(one, name=stiffness) if one.name == "stiffness" else one for one in chosen
-    ]  # k/K in SI is the areal stiffness for a fixed λc/E
-    names = [one.name for one in chosen]
-    for one in chosen:
-        if names.count(one.name) > 1:
-            raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
-        _check_meaning(m, one, stiffness)
-    if stiffness not in names:
-        raise ValueError(f"{stiffness} is neither fitted nor held: name it, or give Parameter({stiffness!r}, value=…)")
-    if "strength" not in names and (carrier := _carries_strength(m)):
-        raise ValueError(
-            f"the measurements state a {carrier}, which scales with σ_s: fit strength too, or hold it at its value in Pa"
-        )
-    if "width" in names:
-        _check_smooth(m, names)
-    if not any(one.value is None for one in chosen):
-        raise ValueError("nothing is fitted: every parameter is held")
-    return chosen
-
-
-def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
-    """Refuse a parameter that these measurements give no meaning."""
-    if one.name == "arrest":
-        raise ValueError("parameter arrest: it is fitted wherever gauges were read, and need not be asked for")
-    if one.name in STIFFNESSES and one.name != stiffness:
-        raise ValueError(f"parameter {one.name}: these measurements can give {stiffness}")
-    if one.name in NEEDS_SI and m.correlation_length is None:
-        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
-    if one.name == "young" and m.young is None:
-        raise ValueError("parameter young: the measurements state no young_GPa to start from")
-    if one.each == "specimen" and not m.specimen:
-        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
-    if one.name == "model_factor" and one.prior is None and one.value is None:
-        raise ValueError("parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot tell it from stiffness")
-
-
-def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
-    """The smooth rule of the fast recursion is for relaxed, uniform interfaces."""
-    for name in ("prestress", "threshold_slope"):
-        if name in names or m.or_zero(name).any():
-            raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")
-    if m.gauges is not None:
-        raise ValueError("parameter width: readings of gauges are those of the hard rule; leave one of them out")
-
-
-def _carries_strength(m: Measurements) -> str:
-    """What was measured that scales with σ_s; empty if nothing was."""
-    for name in ("displacement", "force"):
-        if np.isfinite(m.or_zero(name)).any() and getattr(m, name) is not None:
-            return name
-    return "reading of a gauge" if m.gauges is not None else ""
 
 
 def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.fitted import Fitted, Further, Root, recursion_status
 from slippulse_jax.inference.gauges import READINGS
 from slippulse_jax.inference.identifiability import Identifiability, Verdict, directions, gravest
 from slippulse_jax.inference.measurements import Measurements
@@ -14,59 +15,13 @@ from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.parameters import ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.search import Found, describe
-from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.front import FrontStatus
-from slippulse_jax.slider import Slider
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from slippulse_jax.inference.bayes import Posterior
     from slippulse_jax.inference.bootstrap import Bootstrap
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Root:
-    """One minimum of the deviance."""
-
-    value: float  # of the first parameter
-    values: dict[str, float]
-    chi2: float
-    log_stderr: float | None  # standard error of the first θ, which for a positive parameter is its logarithm
-    stderrs: dict[str, float | None]
-    ratio: np.ndarray  # k/K of each measurement
-    rebreaks: np.ndarray  # whether the edge contact would break again before the front stops
-
-    @property
-    def stderr(self) -> float | None:
-        """Standard error of the first value, in its unit."""
-        return next(iter(self.stderrs.values()))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Fitted:
-    """The model at the best fit, one entry a measurement."""
-
-    length: np.ndarray  # in λc
-    contacts_broken: np.ndarray
-    status: np.ndarray  # `FrontStatus`
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Further:
-    """One further observable at the best fit, one entry a datum; in SI."""
-
-    observable: str
-    value: np.ndarray
-    sigma: np.ndarray
-    fitted: np.ndarray
-    places: list[str]  # where each was measured, for messages
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ."""
-        return (self.fitted - self.value) / self.sigma
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -244,7 +199,7 @@ class FitResult:
         errors = errors | {p.label: told[p.label] * (values[p.label] if p.log else 1.0) for p in free if p.label in told}
         log_stderr = told.get(free[0].label)
         y = self.parameters.inputs(one.theta)
-        rebreaks = _recursion_status(y) == FrontStatus.REBREAK
+        rebreaks = recursion_status(y) == FrontStatus.REBREAK
         return Root(values[free[0].label], values, one.deviance, log_stderr, errors, np.exp(y[:, 1]), rebreaks)
 
     @functools.cached_property
@@ -252,7 +207,7 @@ class FitResult:
         """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
         length = self.problem.predict(self.theta)[0]
         counted = np.where(np.isfinite(length), np.maximum(np.ceil(np.where(np.isfinite(length), length, 0)), 1), -1)
-        return Fitted(length, counted.astype(int), _recursion_status(self.parameters.inputs(self.theta)))
+        return Fitted(length, counted.astype(int), recursion_status(self.parameters.inputs(self.theta)))
 
     @functools.cached_property
     def further(self) -> list[Further]:
@@ -361,12 +316,3 @@ class FitResult:
         from slippulse_jax.inference.bayes import posterior
 
         return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed)
-
-
-def _recursion_status(y: np.ndarray) -> np.ndarray:
-    """What the recursion says of each front, with its contacts broken one by one."""
-    distinct, own = np.unique(y[:, :5], axis=0, return_inverse=True)
-    slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
-    plain = not distinct[:, 3:].any() or (distinct[:, 3] < 0).any()
-    interface = None if plain else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
-    return np.asarray(precursor_arrests(slider, interface=interface).status)[own.ravel()]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from slippulse_jax.lattice.exact import ExactStatus
+from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.lane_crossing import UNSETTLED
 from slippulse_jax.lattice.lane_series import ROW_TOLERANCE, ROWS, Inputs, entries
 from slippulse_jax.lattice.mode_jets import flatten, input_jets, unflatten

@@ -11,7 +11,8 @@ from slippulse_jax import theory
 from slippulse_jax.devices import spread
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import bulk
-from slippulse_jax.lattice.exact import ExactStatus, exact_front
+from slippulse_jax.lattice.exact import exact_front
+from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
 from slippulse_jax.lattice.surrogate import smooth_length
