@@ -16,13 +16,13 @@ def random_lanes(n, seed, tall=3.3):
 
 
 def by_recursion(lanes_):
-    return batch.over_lanes(lanes.length_kernel, (MOST,), lanes_, (np.float64,))[0]
+    return batch.over_lanes(lanes.length_kernel, (MOST,), lanes_, (np.float64,), bulk.LENGTHS)[0]
 
 
 def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
     points = random_lanes(1000, 0)
     whole = by_recursion(points)
-    monkeypatch.setattr(batch, "CHUNK", 128)
+    monkeypatch.setattr(bulk, "LENGTHS", batch.Layout(chunk=128, few=64))
     np.testing.assert_array_equal(by_recursion(points), whole)
     np.testing.assert_array_equal(by_recursion(points[:, ::-1])[::-1], whole)
     np.testing.assert_array_equal(by_recursion(points[:, 3:4]), whole[3:4])
@@ -32,7 +32,7 @@ def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
 def general():
     """Length and derivatives in five numbers a lane by the general recursion; compiled once."""
     statics = 0, ("semi-infinite", None, 5000)
-    return lambda five: batch.over_lanes(compiled.gradient_kernel, statics, five, (np.float64,) * 6, *bulk.ANY)
+    return lambda five: batch.over_lanes(compiled.gradient_kernel, statics, five, (np.float64,) * 6, bulk.ANY)
 
 
 def test_interfaces_equal_the_general_recursion(general):
@@ -41,8 +41,8 @@ def test_interfaces_equal_the_general_recursion(general):
     n = 600
     five = np.concatenate([random_lanes(n, 2, 2.0), rng.uniform(0, 0.7, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     exact = general(five)
-    got = batch.over_lanes(lanes.gradient_kernel, (5000,), five, (np.float64,) * 6, *bulk.IN_CHUNKS)
-    alone = batch.over_lanes(lanes.length_kernel, (5000,), five, (np.float64,), bulk.IN_CHUNKS[0], 0)
+    got = batch.over_lanes(lanes.gradient_kernel, (5000,), five, (np.float64,) * 6, bulk.WITH_MORE)
+    alone = batch.over_lanes(lanes.length_kernel, (5000,), five, (np.float64,), bulk.WITH_MORE)
     np.testing.assert_array_equal(alone[0], got[0])
     assert np.isinf(exact[0]).sum() > 20
     for a, b in zip(got, exact, strict=True):
@@ -72,15 +72,15 @@ def test_arrests_equal_the_general_recursion(numbers):
     five = np.concatenate([random_lanes(n, 7, 2.3), rng.uniform(0, 0.8, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     five[0, :20], five[1, :20] = 8.0, 0.5  # short enough to run away before they are given up
     dtypes, endings = (np.int32, float, np.int32, float), set(FrontStatus) - {FrontStatus.INVALID, FrontStatus.RAN_THROUGH}
-    general = batch.over_lanes(compiled.arrest_kernel, (0, ("semi-infinite", None, most)), five[:numbers], dtypes, *bulk.ANY)
-    got = batch.over_lanes(lanes.arrest_kernel, (most,), five[:numbers], dtypes, *bulk.IN_CHUNKS)
+    general = batch.over_lanes(compiled.arrest_kernel, (0, ("semi-infinite", None, most)), five[:numbers], dtypes, bulk.ANY)
+    got = batch.over_lanes(lanes.arrest_kernel, (most,), five[:numbers], dtypes, bulk.WITH_MORE)
     np.testing.assert_array_equal(got[0], general[0])
     np.testing.assert_array_equal(got[2], general[2])
     assert set(got[2]) == endings - ({FrontStatus.RUN_AWAY} if numbers == 3 else set())
     for a, b in ((got[1], general[1]), (got[3], general[3])):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
     assert (got[0][got[2] == FrontStatus.LIMIT] == most).all()
-    alone = batch.over_lanes(lanes.length_kernel, (most,), five[:numbers], (float,), bulk.IN_CHUNKS[0], 0)[0]
+    alone = batch.over_lanes(lanes.length_kernel, (most,), five[:numbers], (float,), bulk.WITH_MORE)[0]
     np.testing.assert_allclose(alone, got[1], rtol=1e-9, atol=1e-10)
 
 

@@ -6,9 +6,8 @@ import plain_chain
 import pytest
 
 from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import batch, compiled
+from slippulse_jax.lattice import batch, bulk, compiled
 from slippulse_jax.lattice.batch import over_lanes
-from slippulse_jax.lattice.bulk import ANY
 from slippulse_jax.lattice.front import Arrest
 
 
@@ -84,7 +83,7 @@ def test_lengths_do_not_depend_on_the_batch(monkeypatch):
     np.testing.assert_array_equal(
         precursor_lengths(Slider(height.reshape(10, 20), stiffness.reshape(10, 20), 0.3)).ravel(), whole
     )
-    monkeypatch.setattr(batch, "CHUNK", 64)
+    monkeypatch.setattr(bulk, "LENGTHS", batch.Layout(chunk=64))
     np.testing.assert_array_equal(precursor_lengths(Slider(height, stiffness, 0.3)), whole)
     singly = np.array([precursor_length(Slider(h, q, 0.3)) for h, q in zip(height[:20], stiffness[:20], strict=True)])
     np.testing.assert_allclose(whole[:20], singly, rtol=1e-12)
@@ -128,13 +127,13 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
     columns = [sliders.height, sliders.stiffness, sliders.poisson]
     general = over_lanes(
-        compiled.arrest_kernel, (0, ("semi-infinite", None, 10_000_000)), columns, (np.int32, float, np.int32, float), *ANY
+        compiled.arrest_kernel, (0, ("semi-infinite", None, 10_000_000)), columns, (np.int32, float, np.int32, float), bulk.ANY
     )
-    bulk, arrests = precursor_lengths(sliders), Arrest(*general)
+    together, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == FrontStatus.NO_DOMINO).any()
     assert arrests.length.max() > 1000
-    np.testing.assert_array_equal(np.maximum(np.ceil(bulk), 1), arrests.contacts_broken)
+    np.testing.assert_array_equal(np.maximum(np.ceil(together), 1), arrests.contacts_broken)
     # on the softest interfaces the stress barely passes the threshold, and its last digit moves the crossing
     firm = sliders.stiffness > 1e-5
-    np.testing.assert_allclose(bulk[firm], arrests.length[firm], rtol=1e-10, atol=1e-11)
-    np.testing.assert_allclose(bulk, arrests.length, rtol=1e-8)
+    np.testing.assert_allclose(together[firm], arrests.length[firm], rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(together, arrests.length, rtol=1e-8)

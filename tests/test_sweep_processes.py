@@ -114,9 +114,9 @@ def test_local_devices_share_a_sweep(reference, tmp_path, count):
     store = tmp_path / "s"
     code = (
         f"assert jax.local_device_count() == {count}\n"
-        "from slippulse_jax.lattice import batch\n"
+        "from slippulse_jax.lattice import batch, bulk\n"
         "from slippulse_jax.sweeps import outputs\n"
-        "batch.CHUNK = batch.PIECE = outputs.BLOCK = 64\n"
+        "bulk.LENGTHS, batch.PIECE, outputs.BLOCK = batch.Layout(chunk=64), 64, 64\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r}, chunk=1000)\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r} + '1', chunk=100)\n"
     )

@@ -8,7 +8,7 @@ input is ranked, gathered, computed and put back by one thread, so that no part 
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +21,18 @@ from slippulse_jax.devices import compiled_once, spread, workers
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Columns of a chunk of lanes, or several as the rows of one array; no lane may depend on another."""
 
-CHUNK, FEW = 1000, 64
-"""Lanes of a chunk (not a power of two, for which arrays would meet in the same lines of the cache); lanes of a call for so few
-that a chunk would be mostly padding."""
+
+class Layout(NamedTuple):
+    """How lanes are laid out for a kernel. No number depends on it, only what it costs."""
+
+    chunk: int = 1000
+    """Lanes of a chunk: not a power of two, for which arrays would meet in the same lines of the cache."""
+    few: int = 0
+    """Lanes of a call for so few that a chunk would be mostly padding; 0 for one program fewer to compile."""
+    worth_a_thread: int = 1
+    """Chunks of which another thread takes no fewer. To hand it some costs as much as some chunks: Python's lock is passed on,
+    and a core woken."""
+
 
 PIECE = 32
 """Chunks of a call, at most."""
@@ -34,8 +43,7 @@ def over_lanes(
     statics: tuple,
     lanes: Sequence[Float[np.ndarray, " n"]] | Float[np.ndarray, "fields n"],
     dtypes: Sequence[type],
-    chunk: int | None = None,
-    few: int | None = None,
+    layout: Layout,
 ) -> list[np.ndarray]:
     """Columns of ``kernel(*statics)`` at every lane, in the order given; the same bits in any company.
 
@@ -46,10 +54,8 @@ def over_lanes(
     lanes : sequence of numpy.ndarray, shape (n,)
         Height, stiffness, Poisson's ratio and any others, float64. Large temporary arrays are avoided: the system provides
         their memory anew at every call, which costs as much as the arithmetic on them.
-    chunk, few : int, optional
-        Lanes of a chunk, and of a call for no more than that, by default `CHUNK` and `FEW`; 0 for one program fewer to compile.
     """
-    chunk, few = CHUNK if chunk is None else chunk, FEW if few is None else few
+    chunk, few, _ = layout
     columns = [np.empty(len(lanes[0]), dtype) for dtype in dtypes]
     at_once, in_chunks = _compiled(kernel, statics), _looped(kernel, statics, chunk)
 
@@ -69,14 +75,15 @@ def over_lanes(
             back[order] = row[:count]
             column[where] = back
 
-    spread(run, _pieces(len(lanes[0]), chunk))
+    spread(run, _pieces(len(lanes[0]), layout))
     return columns
 
 
-def _pieces(n: int, chunk: int) -> Iterator[slice]:
+def _pieces(n: int, layout: Layout) -> Iterator[slice]:
     """Where in the batch the pieces lie: every worker gets as many, of lanes that are neighbours in the batch."""
-    hands = max(1, min(workers(), -(-n // chunk)))  # what is less than a chunk takes as long as one
-    rounds = -(-n // (hands * PIECE * chunk))
+    chunks = -(-n // layout.chunk)  # what is less than a chunk takes as long as one
+    hands = max(1, min(workers(), chunks // layout.worth_a_thread))
+    rounds = -(-chunks // (hands * PIECE))
     for k in range(rounds):
         start, stop = k * n // rounds, (k + 1) * n // rounds
         for hand in range(hands):
@@ -88,10 +95,9 @@ def length_rank(lanes: Sequence[np.ndarray]) -> np.ndarray:
     height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
     shape = 2 * (1 + poisson)
     b = shape * stiffness * height
-    x = b / (2 + b)
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        # ln(1 + x) ≈ 2x/(2 + x)
-        expected = 2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b))
+    with np.errstate(over="ignore", invalid="ignore"):
+        # ln(1 + x) ≈ 2x/(2 + x) at x = b/(2 + b), and 1/κ_2 = H √[shape (1 + 1/b)]
+        expected = 2 * height * np.sqrt(shape * b * (1 + b)) / (4 + 3 * b)
     # the leading bits of a floating-point number are in its own order; from 2^-10 on
     bits = np.maximum(expected, np.float32(2**-10)).view(np.int32) >> 13
     return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)

@@ -8,17 +8,17 @@ from jaxtyping import Float
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import compiled, lanes, long_fronts
-from slippulse_jax.lattice.batch import CHUNK, over_lanes
-from slippulse_jax.lattice.compiled import fields, shape_of
+from slippulse_jax.lattice.batch import Layout, over_lanes
+from slippulse_jax.lattice.compiled import fields
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
 from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_without_length
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
-ANY, IN_CHUNKS = (256, 0), (CHUNK, 0)
-"""Lanes of a chunk, and no program for few: of the general recursion, and of the recursion for lanes with more
-than the length."""
+LENGTHS, WITH_MORE, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=256)
+"""Of the recursion for lanes, for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general
+recursion."""
 
 
 Columns = list[Float[np.ndarray, " n"]]
@@ -75,12 +75,12 @@ def lengths(
             raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
         check_max_contacts(max_contacts)
         columns, shape = _columns(slider.height, slider.stiffness, slider.poisson, rule.width)
-        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,), *ANY)[0].reshape(shape)
+        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,), ANY)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
         check_max_contacts(max_contacts)
-        columns = _lanes(slider, interface)
-        return _simple_lengths(columns, max_contacts).reshape(shape_of(slider, interface))
+        columns, shape = _lanes(slider, interface)
+        return _simple_lengths(columns, max_contacts).reshape(shape)
     ended = precursor_arrests(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
     return np.asarray(ended.length)
 
@@ -99,13 +99,13 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    given, dtypes = _lanes(slider, interface), (np.int32, np.float64, np.int32, np.float64)
+    (given, shape), dtypes = _lanes(slider, interface), (np.int32, np.float64, np.int32, np.float64)
     if _is_simple(interface, right):
-        columns = over_lanes(lanes.arrest_kernel, (max_contacts,), given, dtypes, *IN_CHUNKS)
+        columns = over_lanes(lanes.arrest_kernel, (max_contacts,), given, dtypes, WITH_MORE)
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
-        columns = over_lanes(compiled.arrest_kernel, statics, given, dtypes, *ANY)
-    return Arrest(*(column.reshape(shape_of(slider, interface)) for column in columns))
+        columns = over_lanes(compiled.arrest_kernel, statics, given, dtypes, ANY)
+    return Arrest(*(column.reshape(shape) for column in columns))
 
 
 class LengthGradient(NamedTuple):
@@ -135,29 +135,29 @@ def precursor_length_gradients(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    columns = _lanes(slider, interface)
+    columns, shape = _lanes(slider, interface)
     dtypes = (np.float64,) * (1 + len(columns))
     if _is_simple(interface, right):
-        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, *IN_CHUNKS)
+        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, WITH_MORE)
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
-        found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, *ANY)
-    return LengthGradient(*(column.reshape(shape_of(slider, interface)) for column in found))
+        found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, ANY)
+    return LengthGradient(*(column.reshape(shape) for column in found))
 
 
 def _simple_lengths(columns: Columns, max_contacts: int) -> Float[np.ndarray, " n"]:
     """By the recursion, or on relaxed interfaces by the series where a front is expected to be long and the series settles."""
 
     def by_recursion(columns: Columns) -> np.ndarray:
-        return over_lanes(lanes.length_kernel, (max_contacts,), columns, (np.float64,))[0]
+        return over_lanes(lanes.length_kernel, (max_contacts,), columns, (np.float64,), LENGTHS)[0]
 
     relaxed = len(columns) == 3 and max_contacts > long_fronts.LONG
     long = long_fronts.which_are_long(columns) if relaxed else np.zeros(0, int)
     if not len(long):
         return by_recursion(columns)
     found = np.full(len(columns[0]), np.nan)
-    kernel, chunk = long_fronts.long_length_kernel, long_fronts.CHUNK
-    found[long] = over_lanes(kernel, (max_contacts,), [x[long] for x in columns], (np.float64,), chunk, 0)[0]
+    kernel, layout = long_fronts.long_length_kernel, long_fronts.LAYOUT
+    found[long] = over_lanes(kernel, (max_contacts,), [x[long] for x in columns], (np.float64,), layout)[0]
     rest = np.isnan(found)
     found[rest] = by_recursion([x[rest] for x in columns])
     return found
@@ -168,8 +168,8 @@ def _is_simple(interface: Interface | None, right: RightEnd) -> bool:
     return right == "semi-infinite" and (interface is None or interface.repin_delay == 0)
 
 
-def _lanes(slider: Slider, interface: Interface | None) -> Columns:
-    return _columns(*fields(slider, interface))[0]
+def _lanes(slider: Slider, interface: Interface | None) -> tuple[Columns, tuple[int, ...]]:
+    return _columns(*fields(slider, interface))
 
 
 def _columns(*numbers: object) -> tuple[Columns, tuple[int, ...]]:

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.lattice import lane_crossing, lane_series
-from slippulse_jax.lattice.batch import Kernel
+from slippulse_jax.lattice.batch import Kernel, Layout
 
 LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
 
-CHUNK = 128
-"""Lanes a chunk: as many as leave the table of the series in the second-level cache."""
+LAYOUT = Layout(chunk=128)
+"""As many lanes a chunk as leave the table of the series in the second-level cache."""
 
 
 def which_are_long(lanes: Sequence[Float[np.ndarray, " n"]]) -> Int[np.ndarray, " m"]:
@@ -29,6 +29,8 @@ def which_are_long(lanes: Sequence[Float[np.ndarray, " n"]]) -> Int[np.ndarray, 
     """
     # no front is expected to be longer than √3 · ⅔ = 1.155 times the height
     tall = np.flatnonzero(lanes[0] >= LONG / 1.2)
+    if not len(tall):
+        return tall
     height, stiffness, poisson = (field[tall] for field in lanes[:3])
     shape = 2 * (1 + poisson)
     b = shape * stiffness * height
