@@ -22,7 +22,7 @@ author = "The slippulse_jax developers"
 copyright = author  # noqa: A001
 release = version = version_of("slippulse_jax")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "records"]
 templates_path = []
 exclude_patterns = ["_build", "tables", "figures", "pictures"]
 html_math_renderer = "mathml"

@@ -174,7 +174,7 @@ def pictures():
     sp.plot.stress(event.after, chain=c, before=event.before, sites=70, ax=axes[0, 1])
     sp.plot.front_stress(sp.sensitivity(FIG2, sites=40).stress, length=float(event.length), ax=axes[1, 0])
     weak = sp.chain(FIG2, sites=120, right="free", threshold=1 + 0.1 * np.sin(np.arange(120)))
-    sp.plot.space_time(sp.rupture(weak, sp.relaxed(weak, 9.0)), ax=axes[1, 1])
+    sp.plot.break_order(sp.rupture(weak, sp.relaxed(weak, 9.0)), ax=axes[1, 1])
     picture(figure, "rupture")
     figure, (hard, soft) = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained", sharey=True)
     sp.plot.sensitivity(sp.sensitivity(FIG2, sites=60), sites=31, ax=hard)

@@ -11,49 +11,74 @@ if TYPE_CHECKING:
     from slippulse_jax import style as style
     from slippulse_jax import theory as theory
     from slippulse_jax.explorer import explore as explore
+    from slippulse_jax.inference.bayes import Posterior as Posterior
+    from slippulse_jax.inference.bootstrap import Bootstrap as Bootstrap
+    from slippulse_jax.inference.design import Candidate as Candidate
     from slippulse_jax.inference.design import Design as Design
     from slippulse_jax.inference.design import design as design
+    from slippulse_jax.inference.fields import Determination as Determination
     from slippulse_jax.inference.fields import RecoveredProfile as RecoveredProfile
     from slippulse_jax.inference.fields import recover_profile as recover_profile
     from slippulse_jax.inference.fit import fit as fit
     from slippulse_jax.inference.gauges import Gauges as Gauges
+    from slippulse_jax.inference.identifiability import Identifiability as Identifiability
+    from slippulse_jax.inference.identifiability import Verdict as Verdict
     from slippulse_jax.inference.knowledge import Knowledge as Knowledge
     from slippulse_jax.inference.measurements import MeasurementError as MeasurementError
     from slippulse_jax.inference.measurements import Measurements as Measurements
     from slippulse_jax.inference.parameters import Parameter as Parameter
+    from slippulse_jax.inference.profile import Interval as Interval
     from slippulse_jax.inference.result import FitResult as FitResult
     from slippulse_jax.inference.table import read_measurements as read_measurements
     from slippulse_jax.interface import Interface as Interface
     from slippulse_jax.interface import Profile as Profile
     from slippulse_jax.lattice.ageing import Ageing as Ageing
+    from slippulse_jax.lattice.bulk import LengthGradient as LengthGradient
     from slippulse_jax.lattice.bulk import precursor_length_gradients as precursor_length_gradients
     from slippulse_jax.lattice.bulk import precursor_lengths as precursor_lengths
+    from slippulse_jax.lattice.cascade import Rupture as Rupture
+    from slippulse_jax.lattice.cascade import RuptureStatus as RuptureStatus
     from slippulse_jax.lattice.cascade import nucleate as nucleate
     from slippulse_jax.lattice.cascade import rupture as rupture
+    from slippulse_jax.lattice.catalogue import Catalogue as Catalogue
+    from slippulse_jax.lattice.catalogue import EventClass as EventClass
+    from slippulse_jax.lattice.catalogue import SeriesStatus as SeriesStatus
+    from slippulse_jax.lattice.catalogue import write_series as write_series
+    from slippulse_jax.lattice.chain import Chain as Chain
     from slippulse_jax.lattice.chain import State as State
     from slippulse_jax.lattice.chain import chain as chain
     from slippulse_jax.lattice.chain import relaxed as relaxed
+    from slippulse_jax.lattice.distribution import ForceLaw as ForceLaw
     from slippulse_jax.lattice.distribution import ThresholdDistribution as ThresholdDistribution
     from slippulse_jax.lattice.distribution import force_law as force_law
     from slippulse_jax.lattice.dynamics import CrackLike as CrackLike
+    from slippulse_jax.lattice.dynamics import Motion as Motion
+    from slippulse_jax.lattice.dynamics import MotionStatus as MotionStatus
     from slippulse_jax.lattice.dynamics import SelfHealing as SelfHealing
     from slippulse_jax.lattice.dynamics import simulate_inertial as simulate_inertial
+    from slippulse_jax.lattice.equilibrium import Equilibrium as Equilibrium
+    from slippulse_jax.lattice.equilibrium import EquilibriumStatus as EquilibriumStatus
     from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
     from slippulse_jax.lattice.events import Adiabatic as Adiabatic
     from slippulse_jax.lattice.events import Spring as Spring
     from slippulse_jax.lattice.events import Steps as Steps
     from slippulse_jax.lattice.events import series as series
+    from slippulse_jax.lattice.exact import ExactFields as ExactFields
+    from slippulse_jax.lattice.exact import ExactFront as ExactFront
     from slippulse_jax.lattice.exact import exact_fields as exact_fields
     from slippulse_jax.lattice.exact import exact_front as exact_front
     from slippulse_jax.lattice.exact import exact_front_stress as exact_front_stress
     from slippulse_jax.lattice.exact import exact_length as exact_length
+    from slippulse_jax.lattice.exact_crossing import ExactStatus as ExactStatus
     from slippulse_jax.lattice.exact_lanes import ExactLengths as ExactLengths
     from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
+    from slippulse_jax.lattice.modes import Fields as Fields
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
     from slippulse_jax.lattice.precursor import first_precursor as first_precursor
     from slippulse_jax.lattice.precursor import precursor_length as precursor_length
+    from slippulse_jax.lattice.sensitivity import Sensitivity as Sensitivity
     from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
     from slippulse_jax.movie import animate as animate
     from slippulse_jax.rules import HardBreak as HardBreak
@@ -67,30 +92,54 @@ if TYPE_CHECKING:
 _HOME = {
     "Adiabatic": "lattice.events",
     "Ageing": "lattice.ageing",
+    "Bootstrap": "inference.bootstrap",
+    "Candidate": "inference.design",
+    "Catalogue": "lattice.catalogue",
+    "Chain": "lattice.chain",
     "CrackLike": "lattice.dynamics",
     "Design": "inference.design",
+    "Determination": "inference.fields",
+    "Equilibrium": "lattice.equilibrium",
+    "EquilibriumStatus": "lattice.equilibrium",
+    "EventClass": "lattice.catalogue",
+    "ExactFields": "lattice.exact",
+    "ExactFront": "lattice.exact",
     "ExactLengths": "lattice.exact_lanes",
+    "ExactStatus": "lattice.exact_crossing",
+    "Fields": "lattice.modes",
     "FirstPrecursor": "lattice.precursor",
     "FitResult": "inference.result",
+    "ForceLaw": "lattice.distribution",
     "FrontNotArrested": "lattice.precursor",
     "FrontStatus": "lattice.front",
     "Gauges": "inference.gauges",
     "HardBreak": "rules",
+    "Identifiability": "inference.identifiability",
     "Interface": "interface",
+    "Interval": "inference.profile",
     "Knowledge": "inference.knowledge",
+    "LengthGradient": "lattice.bulk",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
+    "Motion": "lattice.dynamics",
+    "MotionStatus": "lattice.dynamics",
     "Parameter": "inference.parameters",
+    "Posterior": "inference.bayes",
     "Profile": "interface",
     "RecoveredProfile": "inference.fields",
+    "Rupture": "lattice.cascade",
+    "RuptureStatus": "lattice.cascade",
     "SelfHealing": "lattice.dynamics",
+    "Sensitivity": "lattice.sensitivity",
+    "SeriesStatus": "lattice.catalogue",
     "Slider": "slider",
     "SmoothBreak": "rules",
     "Spring": "lattice.events",
     "State": "lattice.chain",
-    "StoreError": "sweeps.store",
     "Steps": "lattice.events",
+    "StoreError": "sweeps.store",
     "ThresholdDistribution": "lattice.distribution",
+    "Verdict": "inference.identifiability",
     "animate": "movie",
     "chain": "lattice.chain",
     "design": "inference.design",
@@ -120,6 +169,7 @@ _HOME = {
     "style": "style",
     "sweep": "sweeps.run",
     "theory": "theory",
+    "write_series": "lattice.catalogue",
 }
 
 __all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

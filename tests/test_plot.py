@@ -57,9 +57,9 @@ def test_front_stress(ax, event):
     assert "25.79" in ax.lines[2].get_label()
 
 
-def test_space_time(ax, event):
+def test_break_order(ax, event):
     _, found = event
-    plot.space_time(found, ax=ax)
+    plot.break_order(found, ax=ax)
     assert has_units(ax, "lambda_c", "breaks")
     np.testing.assert_array_equal(ax.collections[0].get_offsets()[:, 0], np.arange(26))
 

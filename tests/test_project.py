@@ -23,7 +23,7 @@ LAYERS = {
     "slider": 1, "rules": 1, "interface": 1,
     "lattice": 2, "theory": 2,
     "inference": 3, "sweeps": 3,
-    "plot": 4, "plot_series": 4, "movie": 4, "explorer": 4, "plot_sweep": 4, "claims": 4, "figures": 4,
+    "plot": 4, "movie": 4, "explorer": 4, "claims": 4, "figures": 4,
     "commands": 5,
     "cli": 6,
 }  # fmt: skip
@@ -69,6 +69,19 @@ def test_importing_changes_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
+
+
+def test_importing_lazily_is_importing():
+    """What type checkers are told of the public names is where they are."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    told = {
+        (name.asname, f"{node.module}.{name.name}")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("slippulse_jax")
+        for name in node.names
+    }
+    home = {(n, f"slippulse_jax.{m}" if n == m else f"slippulse_jax.{m}.{n}") for n, m in slippulse_jax._HOME.items()}
+    assert told == home
 
 
 def test_unknown_name_is_an_attribute_error():

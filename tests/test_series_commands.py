@@ -18,7 +18,7 @@ import slippulse_jax as sp
 from slippulse_jax.commands import claims as claims_command
 from slippulse_jax.commands import series as series_command
 from slippulse_jax.lattice.catalogue import COLUMNS, EventClass, write_series
-from slippulse_jax.plot_series import friction_curve, space_time
+from slippulse_jax.plot import friction_curve, space_time
 
 SMALL = ["--height", "10", "--stiffness", "0.03", "--poisson", "0.3", "--sites", "40", "--events", "12"]
 

@@ -9,8 +9,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import slippulse_jax as sp
-from slippulse_jax import plot_sweep
+from slippulse_jax import plot
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.plot.maps import LABELS
 from slippulse_jax.sweeps import outputs as table
 from slippulse_jax.sweeps.request import LONG_NAMES, PARAMETERS, make_request
 
@@ -85,7 +86,7 @@ def test_dataset_says_what_it_is(tmp_path):
     assert found.attrs["jax"] == jax.__version__
     found.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
     assert xr.load_dataset(tmp_path / "sweep.nc", engine="h5netcdf").identical(found)
-    assert set(LONG_NAMES) == set(PARAMETERS) == set(plot_sweep.LABELS)
+    assert set(LONG_NAMES) == set(PARAMETERS) == set(LABELS)
 
 
 def test_bits_do_not_depend_on_chunks_order_or_company():
@@ -156,14 +157,14 @@ def test_request_of_a_hundred_million_points_is_small():
 def test_pictures():
     lines = sp.sweep(**AXES, outputs="length")
     ax = Figure().subplots()
-    assert plot_sweep.draw(lines, ax=ax) is ax
+    assert plot.sweep(lines, ax=ax) is ax
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "50"]
     assert ax.get_xscale() == "log"
     assert ax.get_ylabel() == "length of the first precursor ($\\lambda_c$)"
     map_of = sp.sweep(height=np.linspace(10, 50, 9), stiffness=np.linspace(0.01, 0.05, 10), poisson=0.3, outputs="length")
     ax = Figure().subplots()
-    plot_sweep.draw(map_of, ax=ax)
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (plot_sweep.LABELS["height"], plot_sweep.LABELS["stiffness"])
+    plot.sweep(map_of, ax=ax)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (LABELS["height"], LABELS["stiffness"])
     with pytest.raises(ValueError, match="one or two axes"):
-        plot_sweep.draw(map_of.isel(height=0, stiffness=0))
+        plot.sweep(map_of.isel(height=0, stiffness=0))
     assert map_of.length.sel(height=20).plot()

@@ -87,7 +87,7 @@ def _check(step: float | None, spring: float | None, newborn: float | None, reco
 def _draw(found: "Catalogue", path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from slippulse_jax.plot_series import friction_curve, space_time
+    from slippulse_jax.plot import friction_curve, space_time
 
     picture = Figure(figsize=(10, 4.2), layout="constrained")
     left, right_axes = picture.subplots(1, 2)

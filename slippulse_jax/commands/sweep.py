@@ -136,13 +136,12 @@ def _hand_over(found: "xr.Dataset", out: str | None, figure: Path | None, as_jso
     if figure is not None:
         from matplotlib.figure import Figure
 
-        from slippulse_jax import style
-        from slippulse_jax.plot_sweep import draw
+        from slippulse_jax import plot, style
 
         with style.use():
             picture = Figure(figsize=(4.6, 3.2))
             try:
-                draw(found, ax=picture.subplots())
+                plot.sweep(found, ax=picture.subplots())
             except ValueError as error:
                 refuse(error)
             save_figure(picture, figure)

@@ -61,6 +61,10 @@ class Catalogue(NamedTuple):
     energy_drift: Float[Array, ""]  # `stored` at the end against the springs of the chain, solved afresh
     status: Int[Array, ""]  # a SeriesStatus
 
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns of the events that took place, without the empty rows."""
+        return table(self)
+
     def reach(self, load: ArrayLike) -> np.ndarray:
         """How far from the left edge fronts have come by a load, in λc.
 

@@ -1,4 +1,4 @@
-"""Pictures of a series of events, with units; each is drawn on the Axes it is given, and gives it back."""
+"""Pictures of a series of events."""
 
 from typing import TYPE_CHECKING
 

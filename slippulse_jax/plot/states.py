@@ -1,7 +1,4 @@
-"""Pictures of states, ruptures and sensitivities, with units; each is drawn on the Axes it is given, and gives it back.
-
-Without ``ax`` a figure of column width is made. Colours and type are those of `slippulse_jax.style`.
-"""
+"""Pictures of states, of one rupture, and of what holds a front."""
 
 from typing import TYPE_CHECKING
 
@@ -86,7 +83,7 @@ def front_stress(
 
 
 @drawn
-def space_time(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
+def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
     """Which contact broke when: every break of a rupture, coloured by the stress it gave up; time counts breaks.
 
     Of a rupture under the hard rule; the model is quasi-static, so the order is all there is to time.

@@ -1,4 +1,4 @@
-"""Pictures of sweeps: a map over two axes, or a family of lines; each drawn on the Axes it is given, with units."""
+"""Pictures of sweeps: a map over two axes, or a family of lines."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ LINES = 8
 
 
 @style.drawn
-def draw(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
+def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output: lines along one axis, one for each of at most 8 values of another, or a map over two.
 
     Parameters
