@@ -7,20 +7,13 @@ first precursor. All three are exact in the fast recursion (`slippulse_jax.latti
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.quantities import quantity_field
-
-
-def _as_float(x: Any) -> Any:
-    if isinstance(x, jax.Array):
-        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return np.asarray(x, dtype=np.float64)
+from slippulse_jax.quantities import as_float, quantity_field
 
 
 class Interface(eqx.Module):
@@ -47,8 +40,8 @@ class Interface(eqx.Module):
     `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
     """
 
-    prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi", "\\sigma_s", default=0.0, converter=_as_float)
-    threshold_slope: Float[AnyArrayLike, "..."] = quantity_field("\\epsilon", "\\sigma_s", default=0.0, converter=_as_float)
+    prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi", "\\sigma_s", default=0.0, converter=as_float)
+    threshold_slope: Float[AnyArrayLike, "..."] = quantity_field("\\epsilon", "\\sigma_s", default=0.0, converter=as_float)
     repin_delay: int = eqx.field(default=0, static=True)
 
     def __check_init__(self) -> None:
@@ -101,8 +94,8 @@ class Profile(eqx.Module):
     cascade (`slippulse_jax.rupture` of a `slippulse_jax.chain` with the same profile) is the judge.
     """
 
-    threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s", converter=_as_float)
-    prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0, converter=_as_float)
+    threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s", converter=as_float)
+    prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0, converter=as_float)
     repin_delay: int = eqx.field(default=0, static=True)
 
     def __check_init__(self) -> None:

@@ -1,10 +1,13 @@
-"""What a number is: its symbol, its unit and where the paper defines it, kept on the field or property that holds it."""
+"""What a number is: symbol, unit and where the paper defines it, kept on the field or property that holds it; and its type."""
 
 import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -40,3 +43,10 @@ def quantities(cls: type) -> dict[str, Quantity]:
         if mark is not None:
             found[name] = mark
     return found
+
+
+def as_float(x: Any) -> Any:
+    """Leave JAX arrays (tracers included) to JAX; hold anything else in float64 until JAX asks for it."""
+    if isinstance(x, jax.Array):
+        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    return np.asarray(x, dtype=np.float64)

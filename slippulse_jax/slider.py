@@ -6,13 +6,12 @@ Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in 
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.quantities import quantity, quantity_field
+from slippulse_jax.quantities import as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -22,13 +21,6 @@ _DOMAIN = {
     "stiffness": (lambda x: x > 0, "must be positive: the contact stiffness k in units of K = Eλc"),
     "poisson": (lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
 }
-
-
-def _as_float(x: Any) -> Any:
-    """Leave JAX arrays (tracers included) to JAX; hold anything else in float64 until JAX asks for it."""
-    if isinstance(x, jax.Array):
-        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return np.asarray(x, dtype=np.float64)
 
 
 class Slider(eqx.Module):
@@ -61,9 +53,9 @@ class Slider(eqx.Module):
     0.0201 per λc
     """
 
-    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=_as_float)
-    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", converter=_as_float)
-    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=_as_float)
+    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=as_float)
+    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", converter=as_float)
+    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=as_float)
 
     def __check_init__(self) -> None:
         for name, (inside, requirement) in _DOMAIN.items():
@@ -113,7 +105,7 @@ class Slider(eqx.Module):
         }
         units = {"height": "m", "correlation_length": "m", "areal_stiffness": "Pa/m", "young": "Pa"}
         for name, raw in si.items():
-            value = si[name] = _as_float(raw)
+            value = si[name] = as_float(raw)
             if not isinstance(value, Tracer):
                 check_domain(
                     f"Slider.from_material: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {units[name]}"

@@ -8,6 +8,7 @@ import pytest
 from lattice_mp import Chain
 
 from slippulse_jax import FrontNotArrested, FrontStatus, Slider, first_precursor, precursor_length
+from slippulse_jax.lattice import precursor
 from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.front import arrest
 
@@ -110,7 +111,9 @@ def test_cap_on_breaks_reports_itself():
     with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
         precursor_length(slider, max_contacts=25)
     assert float(precursor_length(slider, max_contacts=26)) == float(precursor_length(slider))
-    capped = first_precursor(slider, max_contacts=25)
+    with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
+        first_precursor(slider, max_contacts=25)
+    capped = first_precursor(slider, max_contacts=25, recorded_sites=100)
     assert int(capped.status) == FrontStatus.LIMIT
     assert np.isnan(capped.length)
     assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 0.03, 0.3), max_contacts=25))(25.0))
@@ -175,5 +178,8 @@ def test_float32(float32):
     assert np.abs(np.asarray(single, np.float64) - exact).max() < 0.01
     with pytest.warns(RuntimeWarning, match="single precision"):
         tall = precursor_length(Slider(1e5, 1 / 2.6e5, 0.3))
+    precursor._warn_once.cache_clear()
+    with pytest.warns(RuntimeWarning, match="single precision"):
+        jax.grad(lambda height: precursor_length(Slider(height, 0.03, 0.3)))(2000.0)
     exact = precursor_arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
     assert abs(float(tall) / float(exact) - 1) < 1e-3

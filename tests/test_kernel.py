@@ -34,7 +34,7 @@ def asked_for():
 
 def test_with_and_without(breaks, monkeypatch):
     assert breaks > 10
-    assert asked_for() == jax.lib.__version__.startswith(kernel.TRIED)
+    assert asked_for() == (jax.lib.__version__ in kernel.TRIED)
     monkeypatch.setattr(kernel, "TRIED", ("none",))
     jax.clear_caches()
     assert not asked_for()
@@ -100,7 +100,7 @@ def test_lengths_without_it(monkeypatch):
     make = lanes.gradient_kernel(1000)
     with jax.enable_x64(True):
         reductions = str(jax.make_jaxpr(make)(parameters)).count(" reduce[")
-        assert (reductions > 0) == jax.lib.__version__.startswith(kernel.TRIED)
+        assert (reductions > 0) == (jax.lib.__version__ in kernel.TRIED)
         found = jax.jit(make)(parameters)
         monkeypatch.setattr(kernel, "TRIED", ("none",))
         make = lanes.gradient_kernel(1000)

@@ -34,7 +34,7 @@ def lengths(y: Float[np.ndarray, "L c"], order: int, columns: Sequence[int] = ra
     """ℓ*, in λc: 0 where no domino starts, inf where the front never stops; ℓ_w of a smooth rule where y goes on with ln w.
 
     Its slopes, in the `columns` of y asked for, are central differences: good to 1e-8 of the larger of slope and length but
-    next to run-away and where the domino just starts. Two values cost less than a lane of exact slopes.
+    next to run-away and where the domino just starts. A difference takes two lengths, an exact slope the time of more.
 
     Raises
     ------

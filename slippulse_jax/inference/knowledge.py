@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike
 from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES
-from slippulse_jax.inference.resolve import softest
+from slippulse_jax.inference.resolve import ratio_per_unit, softest
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider, check_domain
 
@@ -140,7 +140,9 @@ class Knowledge:
             If standard errors are missing, the data are in SI without Young's modulus, or no stiffness gives the data.
         """
         m = measurements
-        ratio = _ratio_per_unit(m)
+        if m.in_si and m.young is None:
+            raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
+        ratio = ratio_per_unit(m)
         if prior is not None:
             if prior.in_si != m.in_si:
                 raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
@@ -227,15 +229,6 @@ class Knowledge:
     def within_sd(self) -> float:
         """Standard deviation of ln(stiffness) about the mean of its own root."""
         return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
-
-
-def _ratio_per_unit(m: Measurements) -> np.ndarray:
-    """k/K of each measurement for a stiffness of 1."""
-    if m.correlation_length is None:
-        return np.ones(len(m))
-    if m.young is None:
-        raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
-    return m.correlation_length / m.young
 
 
 def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np.ndarray:

@@ -128,7 +128,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Minimum:
         expected = -(g * step).sum(axis=1) - np.einsum("bp,bpq,bq->b", step, m, step) / 2
         gained = value[work] - tried.value
         better = gained > 0
-        # rounding of the value hides a gain this small: the step is then taken on trust in the gradient
+        # a gain this small is lost in the rounding of the value: such a step is accepted because the gradient promises it
         tiny = np.abs(gained) <= 1e-13 * np.maximum(1, np.abs(value[work]))
         accept = better | tiny & (expected <= 1e-10 * np.maximum(1, np.abs(value[work])))
         share = gained / np.where(expected > 0, expected, np.inf)

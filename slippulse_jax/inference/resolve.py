@@ -227,7 +227,7 @@ def _default_bounds(
         low, high = _LIMITS.get(name, (-np.inf, np.inf))
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
-        per_unit = _ratio_per_unit(m)[rows]
+        per_unit = ratio_per_unit(m)[rows]
         # a smooth front on contacts softer than those at which a domino starts does not fade for long
         lowest = softest(m)[rows] * (100 if smooth else 1)
         return float((lowest / per_unit).min()), float((STIFFEST / per_unit).max())
@@ -258,8 +258,8 @@ def softest(m: Measurements) -> np.ndarray:
     return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
 
 
-def _ratio_per_unit(m: Measurements) -> np.ndarray:
-    """k/K of each measurement for a stiffness of 1, in its unit."""
+def ratio_per_unit(m: Measurements) -> np.ndarray:
+    """k/K of each measurement for a stiffness of 1, in its unit; E of 1 where the table has none."""
     if m.correlation_length is None:
         return np.ones(len(m))
     return m.correlation_length if m.young is None else m.correlation_length / m.young

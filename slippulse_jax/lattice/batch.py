@@ -92,10 +92,10 @@ def _pieces(n: int, layout: Layout) -> Iterator[slice]:
 
 def length_rank(lanes: Sequence[np.ndarray]) -> np.ndarray:
     """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
-    height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
-    shape = 2 * (1 + poisson)
-    b = shape * stiffness * height
     with np.errstate(over="ignore", invalid="ignore"):
+        height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
+        shape = 2 * (1 + poisson)
+        b = shape * stiffness * height
         # ln(1 + x) ≈ 2x/(2 + x) at x = b/(2 + b), and 1/κ_2 = H √[shape (1 + 1/b)]
         expected = 2 * height * np.sqrt(shape * b * (1 + b)) / (4 + 3 * b)
     # the leading bits of a floating-point number are in its own order; from 2^-10 on

@@ -53,9 +53,7 @@ def precursor_lengths(
         float64, of the shape of the batch; inf and NaN as for `precursor_length`, with a warning for the latter.
     """
     found = lengths(slider, interface=interface, rule=rule, right=right, sites=sites, max_contacts=max_contacts)
-    if np.isnan(np.min(found, initial=0)):  # nothing as large as the batch is made
-        # in double precision every slider that can be made is one, and what has no length was given up
-        report_without_length(np.where(np.isnan(found), FrontStatus.LIMIT, 0), max_contacts, raises=False)
+    _warn_of_missing(found, slider, max_contacts)
     return found
 
 
@@ -132,7 +130,26 @@ def precursor_length_gradients(
     The derivatives are those of `precursor_length` (its kinks at whole contacts included), computed lane by lane as in
     `precursor_lengths`; parameters and errors as there. Not finite where the length is not. With an `interface`, the
     derivatives with respect to prestress and threshold slope too.
+
+    Returns
+    -------
+    LengthGradient
+        NumPy float64, of the shape of the batch; a warning where a length is NaN.
     """
+    found = length_gradients(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
+    _warn_of_missing(found.length, slider, max_contacts)
+    return found
+
+
+def length_gradients(
+    slider: Slider,
+    *,
+    interface: Interface | None = None,
+    right: RightEnd = "semi-infinite",
+    sites: int | None = None,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+) -> LengthGradient:
+    """`precursor_length_gradients` without warnings."""
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     columns, shape = _lanes(slider, interface)
@@ -143,6 +160,16 @@ def precursor_length_gradients(
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
         found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, ANY)
     return LengthGradient(*(column.reshape(shape) for column in found))
+
+
+def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> None:
+    if np.isnan(np.min(found, initial=0)):  # nothing as large as the batch is made
+        # what has no length was given up, or its numbers leave double precision: with the first break already
+        numbers = [np.broadcast_to(x, found.shape)[np.isnan(found)] for x in fields(slider, None)]
+        status = np.zeros(found.shape, np.int32)
+        at_once = precursor_arrests(Slider(*numbers), max_contacts=1).status
+        status[np.isnan(found)] = np.where(at_once == FrontStatus.INVALID, FrontStatus.INVALID, FrontStatus.LIMIT)
+        report_without_length(status, max_contacts, raises=False, stacklevel=4)
 
 
 def _simple_lengths(columns: Columns, max_contacts: int) -> Float[np.ndarray, " n"]:

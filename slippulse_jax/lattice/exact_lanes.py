@@ -107,7 +107,10 @@ def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactL
 
 
 def _effort(lanes: np.ndarray) -> np.ndarray:
-    """Rank by the work to expect: soft lanes by b, which sets the Newton steps, stiff ones by κ, which sets the rows."""
+    """Rank by the work to expect, so that like lanes share a chunk.
+
+    b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have.
+    """
     height, stiffness, poisson = lanes[:3].astype(np.float32)
     transverse = 1 / (2 * (1 + poisson) * height)
     with np.errstate(all="ignore"):

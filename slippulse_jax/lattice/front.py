@@ -41,7 +41,7 @@ class FrontStatus(Status):
     )
     RAN_THROUGH = 3, "ran through: the front reached the right end of the chain, so it has no length (inf)"
     LIMIT = 4, "given up: the front was still running after max_contacts breaks (length NaN)"
-    INVALID = 5, "no such slider or interface: a value outside its domain (length NaN)"
+    INVALID = 5, "no such slider or interface: a value outside its domain, or too large for the precision (length NaN)"
     RUN_AWAY = 6, "run-away: nothing ahead of the front will ever stop it, so it has no length (inf)"
 
 

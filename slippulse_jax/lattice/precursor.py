@@ -144,7 +144,8 @@ def precursor_length(
     of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
 
     In single precision the error stays below 0.01 λc up to H/λc = 1000 and reaches 3e-4 of the length at H/λc = 1e5:
-    above 1000 a warning says so, once. Work under ``jax.enable_x64(True)`` there.
+    above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known. Work under
+    ``jax.enable_x64(True)`` there.
 
     Examples
     --------
@@ -199,6 +200,9 @@ def first_precursor(
 
     Raises
     ------
+    FrontNotArrested
+        If the front was given up and `recorded_sites` is missing: nobody knows how long a record is wanted. With it, the record
+        has the status LIMIT. Under ``jit`` and ``vmap`` nothing is raised.
     ValueError
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """
@@ -213,6 +217,8 @@ def first_precursor(
     if recorded_sites is None:
         if sites is None and traced:
             raise ValueError("first_precursor under jit or vmap needs recorded_sites: the length is not known beforehand")
+        if sites is None:
+            report_without_length(np.asarray(ended.status), max_contacts, raises=True)
         recorded_sites = sites if sites is not None else max(4 * int(ended.contacts_broken), 16)
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
@@ -269,7 +275,7 @@ def check_max_contacts(max_contacts: int) -> None:
         raise ValueError(f"max_contacts = {max_contacts}: must be at least 1 and below 2**31 - 1")
 
 
-def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool) -> None:
+def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:
     """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
     for kind in (FrontStatus.LIMIT, FrontStatus.INVALID):
         lanes = status == kind
@@ -280,7 +286,7 @@ def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool
             raise FrontNotArrested(why) if kind is FrontStatus.LIMIT else ValueError(why)
         first = tuple(int(i) for i in np.argwhere(lanes)[0])
         message = f"{int(lanes.sum())} of {lanes.size} fronts, the first at index {first}, have no length (NaN): {why}"
-        warnings.warn(message, RuntimeWarning, stacklevel=3)
+        warnings.warn(message, RuntimeWarning, stacklevel=stacklevel)
 
 
 @functools.lru_cache(maxsize=1)
@@ -294,7 +300,11 @@ def _warn_once() -> None:
 
 
 def _warn_single_precision(slider: Slider) -> None:
-    if jax.config.jax_enable_x64 or isinstance(slider.height, Tracer):  # pyright: ignore[reportAttributeAccessIssue]
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return
-    if np.any(np.asarray(slider.height) > FLOAT32_HEIGHT):
-        _warn_once()
+    tall = slider.height > FLOAT32_HEIGHT
+    try:
+        if np.any(tall) if not isinstance(tall, Tracer) else bool(tall.any()):
+            _warn_once()
+    except jax.errors.TracerBoolConversionError:  # the number is known under grad, not under jit and vmap
+        return

@@ -170,7 +170,7 @@ def _front(request: Request, columns: Columns) -> Columns:
 
 def _gradient(request: Request, columns: Columns) -> Columns:
     def gradients(slider: Slider, **options: Any) -> Columns:
-        found = bulk.precursor_length_gradients(slider, **options)._asdict()
+        found = bulk.length_gradients(slider, **options)._asdict()
         return {f"dlength_d{name}": values for name, values in found.items() if values is not None and name != "length"}
 
     return _by_delay(request, columns, gradients)
