@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -25,6 +26,11 @@ class SmoothBreak(eqx.Module):
     width : float
         w, scale of the distribution of thresholds, in σ_s; in [1e-6, 1]. Their standard deviation is π w/√3.
 
+    Raises
+    ------
+    ValueError
+        If the width lies outside its domain.
+
     Notes
     -----
     The thresholds follow a logistic law around the contact's threshold θ, cut off at zero because a junction without
@@ -33,6 +39,10 @@ class SmoothBreak(eqx.Module):
         p(t) = [σ((t − θ)/w) − σ(−θ/w)] / σ(θ/w),        σ(x) = 1/(1 + e^{−x}),
 
     of them breaks and repins with zero stretch, so that the contact gives up the stress p t. p → 1 [t ≥ θ] as w → 0.
+
+    Another law is a class derived from this one, with `broken` and `overloaded_length` of its own, called with scalars. It may
+    have further fields: a number takes part in batches and derivatives as the width does; anything else is
+    ``equinox.field(static=True)``, and hashable.
     """
 
     width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", default=0.01)
@@ -82,7 +92,41 @@ def _mean_sigmoid(a: Array, b: Array) -> Array:
 BreakRule = HardBreak | SmoothBreak
 
 
-def check_rule(rule: Any) -> None:
-    """Refuse anything that is not a break rule."""
-    if not isinstance(rule, BreakRule):
-        raise TypeError(f"rule = {rule!r}: must be HardBreak() or SmoothBreak(width)")
+NUMBER = (jax.Array, np.ndarray, np.generic, int, float)
+
+
+def check_rule(rule: Any, *, one: bool = False) -> None:
+    """Refuse what is no break rule, and a rule of one's own of which a part would not be used.
+
+    Parameters
+    ----------
+    rule : HardBreak, or SmoothBreak or a class derived from it
+    one : bool
+        Whether it must be a single rule, not a batch.
+
+    Raises
+    ------
+    TypeError
+        If it is no rule; or a class derived from `SmoothBreak` that has a field that is neither a number nor static, or
+        that says anew which fraction breaks but not its mean between two contacts.
+    ValueError
+        If it is a batch, and must not be.
+    """
+    if type(rule) is HardBreak:
+        return
+    name = type(rule).__name__
+    if not isinstance(rule, SmoothBreak):
+        raise TypeError(f"rule = {rule!r}: must be HardBreak(), or SmoothBreak(width) or a rule derived from it")
+    if _depth(rule, "broken") < _depth(rule, "overloaded_length"):
+        raise TypeError(f"{name} has its own `broken`, but not its mean between two contacts, `overloaded_length`: write both")
+    for path, value in jax.tree_util.tree_leaves_with_path(rule):
+        field = name + jax.tree_util.keystr(path)
+        if not isinstance(value, NUMBER):
+            raise TypeError(f"{field} = {value!r}: must be a number or an array, or equinox.field(static=True)")
+        if one and np.shape(value):
+            raise ValueError(f"{field} has shape {np.shape(value)}: one rule is taken here; use jax.vmap for several")
+
+
+def _depth(rule: SmoothBreak, method: str) -> int:
+    """How many classes up from that of `rule` the method is defined."""
+    return next(i for i, ancestor in enumerate(type(rule).__mro__) if method in vars(ancestor))

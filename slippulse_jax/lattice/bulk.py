@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
@@ -45,7 +46,7 @@ def precursor_lengths(
     slider : Slider
         Fields of any shapes that broadcast.
     interface, rule, right, sites, max_contacts
-        As for `precursor_length`; the width of a smooth rule broadcasts with the slider.
+        As for `precursor_length`; the numbers of a smooth rule broadcast with the slider.
 
     Returns
     -------
@@ -72,8 +73,9 @@ def lengths(
         if right != "semi-infinite" or interface is not None:
             raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
         check_max_contacts(max_contacts)
-        columns, shape = _columns(slider.height, slider.stiffness, slider.poisson, rule.width)
-        return over_lanes(compiled.smooth_kernel, (max_contacts,), columns, (np.float64,), ANY)[0].reshape(shape)
+        numbers, kind = jax.tree.flatten((slider, rule))
+        columns, shape = _columns(*numbers)
+        return over_lanes(compiled.smooth_kernel, (kind, max_contacts), columns, (np.float64,), ANY)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
         check_max_contacts(max_contacts)

@@ -211,7 +211,7 @@ def rupture(
     of a first precursor (`slippulse_jax.lattice.front`) for any thresholds: from the overload of the rightmost broken contact
     when it first broke, and the one its neighbour is left with.
     """
-    check_rule(rule)
+    check_rule(rule, one=True)
     _check(chain, state)
     check_delay(repin_delay)
     if not isinstance(rule, HardBreak):

@@ -93,11 +93,11 @@ def gradient_kernel(delay: int, configuration: Configuration) -> Kernel:
     return jax.vmap(one, in_axes=1)
 
 
-def smooth_kernel(max_contacts: int) -> Kernel:
-    """ℓ_w of a chunk of lanes (height, stiffness, poisson, width)."""
+def smooth_kernel(kind: Any, max_contacts: int) -> Kernel:
+    """ℓ_w of a chunk of lanes: the numbers of a slider and of a rule, which `kind` puts together."""
 
-    def lengths(lanes: Float[Array, "4 lanes"]) -> tuple[Array, ...]:
-        return (smooth_length(Slider(lanes[0], lanes[1], lanes[2]), SmoothBreak(lanes[3]), max_contacts=max_contacts)[0],)
+    def lengths(lanes: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        return (smooth_length(*jax.tree.unflatten(kind, list(lanes)), max_contacts=max_contacts)[0],)
 
     return lengths
 
@@ -122,4 +122,4 @@ def profile_function(configuration: Configuration) -> Callable[[Slider, Profile]
 @functools.cache
 def smooth_function(max_contacts: int) -> Callable[[Slider, SmoothBreak], tuple[Array, Array]]:
     """ℓ and status under a smooth rule."""
-    return eqx.filter_jit(lambda slider, rule: smooth_length(slider, rule, max_contacts=max_contacts))
+    return jax.jit(lambda slider, rule: smooth_length(slider, rule, max_contacts=max_contacts))

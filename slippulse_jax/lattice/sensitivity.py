@@ -24,7 +24,6 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.front import advance, nucleate
 from slippulse_jax.lattice.modes import Modes, lattice_modes
-from slippulse_jax.lattice.surrogate import first_step
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 
@@ -55,7 +54,7 @@ def sensitivity(
         One slider (fields of shape ()).
     sites : int
         Contacts looked at; more than the length, and for a smooth rule as many as the front takes to fade.
-    rule : HardBreak or SmoothBreak
+    rule : HardBreak or SmoothBreak, or one derived from it
     threshold, prestress : array_like, shape () or (sites,)
         θ_i and φ_i in σ_s. The first contact is loaded to θ_0.
 
@@ -66,7 +65,7 @@ def sensitivity(
     it over the contacts near their threshold. The prestress of every contact matters under either, since it is released.
     Composes with ``jit`` and ``vmap``.
     """
-    check_rule(rule)
+    check_rule(rule, one=True)
     return _worked_out(slider, sites, rule, threshold, prestress)
 
 
@@ -139,7 +138,7 @@ def _faded(rule: SmoothBreak, stress: Array, theta: Array) -> tuple:
 
     def length(stress: Array, theta: Array) -> Array:
         steps = jax.vmap(rule.overloaded_length)(stress[1:-1], stress[2:], theta[1:-1], theta[2:])
-        return first_step(rule, stress[1], theta[1]) + steps.sum()
+        return rule.broken(stress[1], theta[1]) + steps.sum()
 
     direct, direct_theta = jax.grad(length, (0, 1))(stress, theta)
     slopes = jax.vmap(jax.grad(lambda t, theta, first: _given_up(rule, t, theta, first), (0, 1)))

@@ -5,16 +5,16 @@ micro-junctions whose own threshold has been reached (`slippulse_jax.rules.Smoot
 contact; it fades. Its length is what is left of the hard length's definition (physics of `slippulse_jax.lattice.front`): with t
 taken as linear between contacts,
 
-    ℓ_w = σ(e_1/w) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,        e_1 = t(1) − θ_1,
+    ℓ_w = p(t(1)) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,
 
-where the first term stands for the step from contact 0, which always breaks whole. As w → 0 every integral becomes the length
-over which t ≥ θ, so that ℓ_w → ℓ.
+where the first term stands for the step from contact 0, which always breaks whole, to its neighbour. As w → 0 every integral
+becomes the length over which t ≥ θ, so that ℓ_w → ℓ.
 
 In a chain the same sweep needs no recursion of modes: what has been released behind the front arrives at the next site as
 two numbers, u_t and u, and travels on by the 2×2 propagators of `slippulse_jax.lattice.response`. O(1) a contact, any chain.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,8 +47,9 @@ def smooth_length(
     Parameters
     ----------
     slider : Slider
-        Fields of any shapes that broadcast, with each other and with ``rule.width``.
+        Fields of any shapes that broadcast, with each other and with those of the rule.
     rule : SmoothBreak
+        Or one derived from it.
     max_contacts : int
         Contacts after which a front that has not faded is given up.
 
@@ -56,7 +57,7 @@ def smooth_length(
     -------
     length : array
         ℓ_w, in λc. Never NaN for a slider and a width in their domains. Derivatives of every order, forward and reverse,
-        with respect to the slider's three numbers and the width; one pass with four tangents each.
+        with respect to the slider's three numbers and those of the rule; one pass with as many tangents each.
     status : int array
         `FrontStatus`: ARRESTED, LIMIT or INVALID.
 
@@ -64,26 +65,24 @@ def smooth_length(
     -----
     Composes with ``jit``, ``vmap``, ``grad``, ``jvp``, ``jacfwd``, ``hessian``.
     """
-    fields = (slider.height, slider.stiffness, slider.poisson, rule.width)
-    theta = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(x, dtype=_dtype(fields)) for x in fields)), axis=-1)
-    flat = theta.reshape(-1, 4)
-    by_lane = by_forward_mode(lambda x: _length(x, max_contacts)[0])
+    numbers, kind = jax.tree.flatten((slider, rule))
+    dtype = jnp.result_type(*(jnp.asarray(x).dtype for x in numbers))
+    theta = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(x, dtype) for x in numbers)), axis=-1)
+    flat = theta.reshape(-1, len(numbers))
+    by_lane = by_forward_mode(lambda x: _length(x, kind, max_contacts)[0])
     lengths = jax.vmap(by_lane)(flat)
-    status = lax.stop_gradient(jax.vmap(lambda x: _length(x, max_contacts)[1])(lax.stop_gradient(flat)))
+    status = lax.stop_gradient(jax.vmap(lambda x: _length(x, kind, max_contacts)[1])(lax.stop_gradient(flat)))
     shape = theta.shape[:-1]
     return lengths.reshape(shape), status.reshape(shape)
 
 
-def _dtype(fields: tuple) -> jnp.dtype:
-    return jnp.result_type(*(jnp.asarray(x).dtype for x in fields))
-
-
-def _length(theta: Float[Array, "4"], max_contacts: int) -> tuple[Array, Array]:
-    slider, rule = _unchecked(theta)
+def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Array, Array]:
+    """Of the numbers of a slider and a rule, which `kind` puts together; what lies outside the domain is a status."""
+    slider, rule = jax.tree.unflatten(kind, list(theta))
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
     first = advance(modes, nucleate(modes))  # contact 0 breaks whole
-    start = Fading(first, first_step(rule, first.stress, one))
+    start = Fading(first, rule.broken(first.stress, one))
     # what is left beyond: at most its broken fraction times the sum of a decay no slower than ρ_2 < 1
     negligible = 1e-4 * jnp.finfo(one.dtype).eps
 
@@ -95,21 +94,11 @@ def _length(theta: Float[Array, "4"], max_contacts: int) -> tuple[Array, Array]:
         return Fading(after, now.length + rule.overloaded_length(now.front.stress, after.stress, one, one))
 
     end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
-    valid = in_domain(slider) & (theta[3] > 0)
+    valid = in_domain(slider) & (rule.width > 0)
     status = jnp.select(
         [~valid | ~jnp.isfinite(end.length), fading(end)], [FrontStatus.INVALID, FrontStatus.LIMIT], FrontStatus.ARRESTED
     ).astype(jnp.int32)
     return jnp.where(status == FrontStatus.ARRESTED, end.length, jnp.nan * (1 + jnp.abs(end.length))), status
-
-
-def _unchecked(theta: Array) -> tuple[Slider, SmoothBreak]:
-    """Slider and rule of traced numbers; what lies outside the domain is a status."""
-    return Slider(height=theta[0], stiffness=theta[1], poisson=theta[2]), SmoothBreak(width=theta[3])
-
-
-def first_step(rule: SmoothBreak, stress: Array, threshold: Array) -> Array:
-    """Length from a contact that breaks whole to its neighbour: all or, where the neighbour holds, nothing."""
-    return jax.nn.sigmoid((stress - threshold) / jnp.asarray(rule.width))
 
 
 def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Array, prestress: Array) -> Front:
@@ -162,10 +151,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int |
     after_state = State(state.pinning + slip, state.load)
     after = equilibrium(safe, after_state)
 
-    # from a triggered contact, which breaks whole, to its neighbour: the step of `first_step`
     theta = safe.threshold
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
-    from_trigger = jax.vmap(lambda a, b: first_step(rule, a, b))(t[1:], theta[1:])
+    from_trigger = jax.vmap(rule.broken)(t[1:], theta[1:])  # which breaks whole, to its neighbour
     reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
     length = (
         jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()

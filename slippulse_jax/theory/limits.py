@@ -8,11 +8,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.double_series import overlap
 from slippulse_jax.slider import Slider, check_domain, each_slider
 from slippulse_jax.theory.crossing import crossing
+
+_DOMAIN = {
+    "b": (lambda x: x > 0, "must be positive: areal stiffness times height over shear modulus"),
+    "poisson": (lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
+    "prestress": (lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s"),
+}
 
 TERMS = 20
 """Terms of e^{−g e^{−2y}}, g ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
@@ -67,22 +74,19 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
     Raises
     ------
     ValueError
-        If a concrete value lies outside its domain.
+        If a value lies outside its domain; of one traced by JAX, which cannot be looked at, the length is NaN.
 
     Notes
     -----
+    Composes with ``jit``, ``vmap`` and derivatives of every order; a length that is not finite has no finite derivative.
+
     With z = κ_2Λ, p(z) = [z + (β/2)(1 − e^{−2z})]/(1 + β) and κ_2⁻¹ = H √(2(1+ν)(1+1/b)):
 
         e^{−p(z)} [1 + φ ∫_0^z e^{p(y)} dy] = (1 + β)/2;     without prestress  p(z) = ln[2/(1 + β)].
     """
-    for name, value, inside, rule in (
-        ("b", b, lambda x: x > 0, "must be positive: areal stiffness times height over shear modulus"),
-        ("poisson", poisson, lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
-        ("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s"),
-    ):
-        if not hasattr(value, "aval") or hasattr(value, "addressable_data"):
-            check_domain(name, np.asarray(value, dtype=float), inside, rule)
-
+    for (name, (inside, requirement)), value in zip(_DOMAIN.items(), (b, poisson, prestress), strict=True):
+        if not isinstance(value, Tracer):
+            check_domain(name, np.asarray(value, dtype=float), inside, requirement)
     b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
     return _macroscopic(b, nu, phi)
 
@@ -102,8 +106,10 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
         plateau = 2 * phi
         far = jnp.log(4 / jnp.maximum(1 - plateau, 1e-12)) * (1 + beta) + 2
         z = crossing(excess, (beta, released, phi), jnp.zeros_like(b), far)
-        z = jnp.where(plateau < 1, z, jnp.inf * (1 + b))
-        return z * jnp.sqrt(2 * (1 + nu) / released)
+        # beyond, inf by a function without a finite derivative; before, one that reverse mode can multiply by zero
+        z = jnp.where(plateau < 1, z, -jnp.log(jnp.maximum(1 - plateau, 0)))
+        good = [inside(x) for (inside, _), x in zip(_DOMAIN.values(), (b, nu, phi), strict=True)]
+        return z * jnp.sqrt(2 * (1 + nu) / released) * jnp.where(jnp.stack(good).all(), 1, jnp.nan)
 
     return jnp.vectorize(one)(b, nu, phi)
 
