@@ -21,6 +21,7 @@ import numpy as np
 from benchmarks import lengths as others
 from slippulse_jax import Slider, precursor_length, precursor_length_gradients, precursor_lengths
 from slippulse_jax.lattice import batch, lanes
+from slippulse_jax.lattice.bulk import LENGTHS
 
 HERE = Path(__file__).resolve().parent
 RESULTS, PAGE, FIGURE = (
@@ -135,13 +136,21 @@ def heights() -> dict:
 
 
 def counts() -> dict:
-    """Cost against the number of points, 1 to 10⁷."""
-    found: dict = {"points": [], "seconds": []}
+    """Cost against the number of points, 1 to 10⁷: with all threads there are, and with one."""
+    found: dict = {"points": [], "seconds": [], "one thread": []}
+    cores = os.sched_getaffinity(0)
+
+    def alone(slider: Slider) -> None:
+        os.sched_setaffinity(0, {min(cores)})  # of this thread: the package takes no more threads than it may use cores
+        precursor_lengths(slider)
+        os.sched_setaffinity(0, cores)
+
     for count in 10 ** np.arange(8):
         slider = Slider(*random_points(count))
-        taken = side_by_side({"": lambda slider=slider: precursor_lengths(slider)}, 5 if count < 10**6 else 2)
+        both = {"seconds": lambda slider=slider: precursor_lengths(slider), "one thread": lambda slider=slider: alone(slider)}
         found["points"].append(int(count))
-        found["seconds"].append(taken[""])
+        for name, taken in side_by_side(both, int(np.clip(10**7 // count, 3, 100))).items():
+            found[name].append(taken)
     return found
 
 
@@ -199,8 +208,9 @@ def page(found: dict) -> str:
         *(_row(name, found["points"]) for name in seconds), "",
         *_gradients(seconds[GRADIENTS] / ours),
         *_heights(found),
-        "## Cost against the number of points", "", "| points | s | µs a point |", "|---|---|---|",
-        *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} |" for n, t in zip(*found["counts"].values(), strict=True)), "",
+        "## Cost against the number of points", "", "Shortest of 3 to 100 runs.", "",
+        "| points | s | µs a point | µs a point, one thread |", "|---|---|---|---|",
+        *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} | {1e6 * o / n:.3g} |" for n, t, o in zip(*found["counts"].values(), strict=True)), "",
         *_flat(found["counts"]),
         *_start(found),
         "Nothing here was run on a GPU.", "",
@@ -241,11 +251,12 @@ def _heights(found: dict) -> list[str]:
 
 
 def _flat(counts: dict) -> list[str]:
-    of = {n: t / n for n, t in zip(counts["points"], counts["seconds"], strict=True)}
+    of, alone = ({n: t / n for n, t in zip(counts["points"], counts[name], strict=True)} for name in ("seconds", "one thread"))
     return [
-        f"The cost of a point is flat from 10⁵ points on (at 10⁷ {of[10**7] / of[10**5]:.2f} times that at 10⁵); at 10⁴ points it is "
-        f"{of[10**4] / of[10**7]:.1f} times that at 10⁷: there two threads with a third of a millisecond of work each take as long "
-        "as one with both.", "",
+        f"A point costs the same from 10⁴ points on for one thread (at 10⁴ {alone[10**4] / alone[10**7]:.2f} times that at 10⁷), and "
+        f"from 10⁵ on for two (at 10⁵ {of[10**5] / of[10**7]:.2f} times, at 10⁴ {of[10**4] / of[10**7]:.2f} times). "
+        f"Below {2 * LENGTHS.worth_a_thread * LENGTHS.chunk} points there is one thread: half a millisecond of work is not worth handing "
+        "over, because Python lets one thread at a time prepare its lanes, and a core takes a tenth of a millisecond to wake.", "",
     ]  # fmt: skip
 
 
