@@ -10,7 +10,8 @@ import sys
 
 import click
 
-from slippulse_jax.commands.shared import FAILURE, INTERRUPTED, leave_when_interrupted
+from slippulse_jax.commands.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_when_interrupted
+from slippulse_jax.status import NotConverged
 
 COMMANDS = {
     "series": "A series of precursors, as a catalogue of events.",
@@ -69,6 +70,9 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
+    except NotConverged as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(NOT_CONVERGED)
     except click.Abort:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)

@@ -1,7 +1,11 @@
-"""Outcomes: a number to store in arrays and files, and a sentence to show to people."""
+"""Outcomes: a number to store in arrays and files, a sentence to show to people; and the error where there is no outcome."""
 
 import enum
 from typing import Self
+
+
+class NotConverged(RuntimeError):
+    """What was searched for was not found, though the input was sound; the command line ends with status 3."""
 
 
 class Status(enum.IntEnum):

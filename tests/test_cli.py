@@ -1,5 +1,6 @@
 """The command line as a person or a script meets it: output, messages, exit status."""
 
+import importlib
 import json
 import os
 import signal
@@ -8,7 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from slippulse_jax import cli
+from slippulse_jax.lattice.exact_crossing import ExactStatus
+from slippulse_jax.plain import plain
 
 ROOT = Path(__file__).resolve().parent.parent
 PMMA = "fit_examples/pmma_block/lengths.csv"
@@ -67,6 +73,51 @@ def test_length_of_a_front_that_runs_through_is_null_not_a_number():
     assert content["status"] == "ran_through"
 
 
+def test_numbers_that_are_not_finite_are_null():
+    content = plain(
+        {"a": [1, (float("nan"), np.float32("inf"))], "b": np.array([[1.5, -np.inf]]), "c": np.int64(3), "d": "inf"}
+    )
+    assert content == {"a": [1, [None, None]], "b": [[1.5, None]], "c": 3, "d": "inf"}
+
+
+def test_fit_to_a_front_that_nothing_stops_as_json(tmp_path):
+    """Beyond run-away there is no longest attainable length."""
+    path = tmp_path / "lengths.csv"
+    path.write_text("height,poisson,length,length_sigma,kind,prestress\n25,0.3,20,1,length,0\n25,0.3,60,,at_least,0.7\n")
+    done = slippulse("fit", str(path), "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["measurements"]
+    assert found[0]["attainable"] == pytest.approx(26.2, abs=0.2)
+    assert found[1]["attainable"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "place"),
+    [
+        (["fit", PMMA], "slippulse_jax.inference.forward.solve_lanes"),
+        (["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"], "slippulse_jax.inference.design.exact_lengths"),
+    ],
+)
+def test_what_is_not_found_is_one_line_and_exit_3(arguments, place, monkeypatch, capsys):
+    """It was never seen to happen, so it is made to."""
+    module, name = place.rsplit(".", 1)
+    solve = getattr(importlib.import_module(module), name)
+
+    def lost(*given, **options):
+        found = solve(*given, **options)
+        return found._replace(status=np.full_like(found.status, ExactStatus.NOT_CONVERGED))
+
+    monkeypatch.setattr(place, lost)
+    monkeypatch.setattr(cli, "leave_when_interrupted", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["slippulse", *arguments])
+    with pytest.raises(SystemExit) as leaving:
+        cli.main()
+    assert leaving.value.code == 3
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith("Error: no exact length")
+    assert last.endswith(ExactStatus.NOT_CONVERGED.message)
+
+
 def test_fit_reports_and_draws(tmp_path):
     figure = tmp_path / "fit.svg"
     done = slippulse("fit", PMMA, "--figure", str(figure))
@@ -96,6 +147,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path):
             ["length", "--height-mm", "25", "--poisson", "0.3"],
             "missing --correlation-length-um, --areal-stiffness, --young-gpa",
         ),
+        (["length", "--height", "1e170", "--stiffness", "0.03", "--poisson", "0.3"], "no such slider"),
         (["length", *FIG2, "--right", "free"], "needs a number of sites"),
         (["length", *FIG2, "--sites", "100"], "a semi-infinite chain has no number of sites"),
         (["length", *FIG2, "--right", "open"], "'open' is not one of"),

@@ -115,6 +115,16 @@ def test_critical_width_of_the_papers_slider():
         assert abs(below.surroundings - (1 - middle) / middle) < 1e-6
 
 
+def test_smallest_smooth_width_of_a_stiff_slider():
+    """A normal law as wide as its mean falls more steeply than one half as wide; and no width will do on a very stiff slider."""
+    stiff, stiffest = sp.Slider(25.0, 3.0, 0.3), sp.Slider(25.0, 30.0, 0.3)
+    width = smooth_width(stiff, "normal")
+    smooth = [bool(stability(stiff, sp.ThresholdDistribution("normal", w)).smooth) for w in (0.99 * width, 1.01 * width, 1.0)]
+    assert smooth == [False, True, False]
+    assert smooth_width(stiffest, "normal") == np.inf
+    assert not any(stability(stiffest, sp.ThresholdDistribution("normal", w)).smooth for w in (0.3, 0.5, 1.0, 10.0))
+
+
 def plain_edge_loads(law, stretches, sites):
     """Newton's method on the whole chain, as a dense matrix, for one prescribed stretch of the first contact after another."""
     from plain_chain import chain_matrix

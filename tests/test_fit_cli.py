@@ -48,6 +48,7 @@ def test_pictures(tmp_path):
         (["--fix", "prestress=0.1,0.2"], "--fix prestress: one value"),
         (["--request", "none.toml"], "none.toml: No such file"),
         (["--sigma", "relative", "--intervals", "calibrated"], "standard errors that are believed"),
+        (["--case"], "--case says how --bootstrap draws"),
         (["--loss", "huber", "--posterior", "10"], "a posterior needs a likelihood"),
         (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),
     ],

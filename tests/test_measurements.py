@@ -109,9 +109,28 @@ def test_measurements_from_arrays():
     m = Measurements(height=[25, 50], poisson=0.3, length=[20, 40], length_sigma=1)
     assert len(m) == 2
     np.testing.assert_array_equal(m.poisson, [0.3, 0.3])
-    with pytest.raises(MeasurementError, match="measurement 1, column length: -4"):
+    with pytest.raises(MeasurementError, match="measurement 1, column length: -4 λc: "):
         Measurements(height=[25, 50], poisson=0.3, length=[20, -4], length_sigma=1)
     with pytest.raises(MeasurementError, match="specimen has 1 entries for 2 lengths"):
         Measurements(height=[25, 50], poisson=0.3, length=20, length_sigma=1, specimen=("A",))
-    with pytest.raises(MeasurementError, match="non-empty"):
+    with pytest.raises(MeasurementError, match="column height: must be a non-empty"):
         Measurements(height=[], poisson=[], length=[], length_sigma=[])
+    with pytest.raises(MeasurementError, match=r"column height: 0\.05 λc: the height must exceed the correlation length"):
+        Measurements(height=0.05, poisson=0.3, length=0.02, correlation_length=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        ({"length": [20, 30, 40]}, "measurements, column length: 3 entries, where height has 2"),
+        ({"poisson": [0.3, 0.3, 0.3]}, "column poisson: 3 entries, where height has 2"),
+        ({"prestress": [0.1, 0.1, 0.1], "source": "mine.csv"}, "mine.csv, column prestress: 3 entries, where height has 2"),
+        ({"length": [[20, 30]]}, "column length: must be a non-empty one-dimensional column"),
+        ({"length": []}, "column length: must be a non-empty"),
+        ({"length": ["20", "long"]}, "column length: must be numbers .*'long'"),
+        ({"length": [20, None]}, "column length: nan"),
+    ],
+)
+def test_columns_that_do_not_fit_are_named(column, message):
+    with pytest.raises(MeasurementError, match=message):
+        Measurements(**({"height": [25, 50], "poisson": 0.3, "length": [20, 30]} | column))

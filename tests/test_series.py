@@ -110,6 +110,13 @@ def test_how_far_fronts_have_come_hardly_depends_on_the_step():
         stepped = sp.series(chain, sp.Steps(step), events=400, until=6.5)
         assert np.abs(stepped.reach(loads) - slowly).max() < 3
     assert slowly[0] == pytest.approx(36.9, abs=0.1)
+    held = sp.series(chain, events=400, until=3.9)  # the last event, at 3.9, breaks three contacts at the edge
+    front = float(np.nanmax(held.length))
+    last = float(held.load[int(held.number) - 1])
+    farthest = float(held.load[np.nanargmax(held.length)])
+    assert farthest < last
+    assert held.reach([farthest, (farthest + last) / 2, last]) == pytest.approx([front] * 3)
+    assert np.isnan(held.reach(last * (1 + 1e-12)))
     assert sp.series(chain, events=400, until=4.0).reach([3.0, 100.0]) == pytest.approx([0, np.nan], nan_ok=True)
     assert sp.series(chain, sp.Steps(1.0), events=400, until=100.0).reach(50.0) == np.inf
 

@@ -53,6 +53,27 @@ def test_json_and_figure(tmp_path, catalogue):
     assert (tmp_path / "series.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_series_that_spans_has_no_length_in_json():
+    done = run(series_command, "--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--sites", "20", "--json")
+    assert done.exit_code == 0, done.output
+    content = json.loads(done.stdout)
+    assert (content["status"], content["kind"][-1]) == ("spanned", EventClass.SPANNING)
+    assert content["length"][-1] is None
+    assert content["breaks"][-1] >= 1
+
+
+@pytest.mark.parametrize("room", [50, 1])
+def test_figure_has_every_break(tmp_path, monkeypatch, catalogue, room):
+    """Also where there are more than there was room for at first."""
+    drawn = []
+    monkeypatch.setattr(series_command, "BREAKS_AN_EVENT", room)
+    monkeypatch.setattr("slippulse_jax.plot.space_time", lambda found, ax: drawn.append(space_time(found, ax=ax)))
+    done = run(series_command, *SMALL, "--figure", str(tmp_path / "series.png"))
+    assert done.exit_code == 0, done.output
+    assert catalogue.breaks.sum() > 12, "or room 1 would be enough"
+    assert sum(len(line.get_xdata()) for line in drawn[0].lines) == int(catalogue.breaks.sum())
+
+
 def test_netcdf_read_back(tmp_path, catalogue):
     path = tmp_path / "series.nc"
     write_series(path, catalogue)
@@ -83,7 +104,7 @@ def test_files_instead_of_stdout(tmp_path):
         (["--newborn", "1.5", "--recovery", "1"], "Ageing.newborn = 1.5"),
         (["--step", "-1"], "Steps.size = -1"),
         (["--spring", "0"], "Spring.stiffness = 0"),
-        (["--out", "series.xlsx"], "written as .csv or .nc"),
+        (["--out", "series.xlsx"], "must end in .csv, .nc"),
         (["--out", "no/such/folder/series.nc"], "there is no folder no/such/folder"),
         (["--figure", "series.gif"], "must end in"),
         (["--repin-delay", "-2"], "-2 is not in the range"),
@@ -140,6 +161,9 @@ def test_space_time(ax, catalogue):
     assert sum(len(line.get_xdata()) for line in ax.lines) == int(catalogue.breaks.sum())
     with pytest.raises(ValueError, match="recorded_breaks"):
         space_time(catalogue._replace(break_event=catalogue.break_event * 0 - 1), ax=ax)
+    breaks = int(catalogue.breaks.sum())
+    with pytest.warns(RuntimeWarning, match=f"{breaks - 9} of {breaks} breaks are not drawn.*recorded_breaks={breaks}"):
+        space_time(catalogue._replace(break_site=catalogue.break_site[:9], break_event=catalogue.break_event[:9]), ax=ax)
 
 
 def test_single_precision(float32, catalogue):

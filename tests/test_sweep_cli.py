@@ -62,11 +62,11 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     store = str(tmp_path / "s")
     done = invoke(*GRID, "--store", store, "--chunk", "4", "--share", "0/2")
     assert done.exit_code == 4
-    assert "the same command with --resume goes on" in done.stderr
-    done = invoke(*GRID, "--store", store)
+    assert "the same command goes on" in done.stderr
+    done = invoke(*GRID, "--store", store, "--no-resume")
     assert done.exit_code == 2
     assert "a sweep was begun there" in done.stderr
-    done = invoke(*GRID, "--store", store, "--resume", "--json")
+    done = invoke(*GRID, "--store", store, "--json")
     assert done.exit_code == 0
     content = json.loads(done.stdout)
     assert content["complete"] is True
@@ -83,7 +83,7 @@ def test_full_disk_is_incomplete(tmp_path, monkeypatch):
     store = tmp_path / "s"
     sp.sweep(**SAME, store=store, chunk=4, share=(0, 2))
     monkeypatch.setattr(os, "fsync", full)
-    done = invoke(*GRID, "--store", str(store), "--resume")
+    done = invoke(*GRID, "--store", str(store))
     assert done.exit_code == 4
     assert "No space left on device; what was computed is kept in" in done.stderr
 
@@ -97,9 +97,10 @@ def test_full_disk_is_incomplete(tmp_path, monkeypatch):
         (["--height", "tall", *GRID[2:]], "'tall' is not"),
         (["--height", "0.5", *GRID[2:]], "Slider.height = 0.5: must exceed 1"),
         ([*GRID, "--outputs", "len"], "output 'len': must be one of length,"),
-        ([*GRID, "--resume"], "go with --store"),
+        ([*GRID, "--chunk", "4"], "go with --store"),
         ([*GRID, "--store", "s", "--share", "half"], "'half' is not index/number"),
-        ([*GRID, "--out", "sweep.xlsx"], "written as .csv or .nc"),
+        ([*GRID, "--out", "sweep.xlsx"], "must end in .csv, .nc"),
+        ([*GRID, "--out", "no/such/folder/sweep.nc"], "there is no folder no/such/folder"),
         (["--height", "10", *GRID[4:]], "Missing option '--stiffness'"),
     ],
 )
@@ -139,9 +140,9 @@ def test_interrupt_leaves_a_store_to_resume(tmp_path):
         process.send_signal(signal.SIGINT)
         err = process.stderr.read()
     assert process.returncode == 130
-    assert "the same command with --resume goes on" in err
+    assert "the same command goes on" in err
     assert "Traceback" not in err
     assert sp.open_sweep(store).attrs["complete"] == 0
-    assert invoke(*arguments, "--store", str(store), "--resume").exit_code == 0
+    assert invoke(*arguments, "--store", str(store)).exit_code == 0
     exact = sp.sweep(height=np.linspace(10, 50, 60), stiffness=np.geomspace(1e-3, 0.1, 60), poisson=0.3, outputs="length")
     xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact.length)

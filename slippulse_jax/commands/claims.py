@@ -1,15 +1,17 @@
 """``slippulse claims``."""
 
+from pathlib import Path
+
 import click
 
-from slippulse_jax.commands.shared import as_json, print_json, refuse
+from slippulse_jax.commands.shared import as_json, page_path, print_json, refuse
 
 
 @click.command()
 @click.argument("numbers", nargs=-1, metavar="[C1 C2 …]")
-@click.option("--write", type=click.Path(dir_okay=False), metavar="PAGE.md", help="Also write the documentation page.")
+@click.option("--write", callback=page_path, metavar="PAGE.md", help="Also write the documentation page.")
 @as_json
-def command(numbers: tuple[str, ...], write: str | None, as_json: bool) -> None:
+def command(numbers: tuple[str, ...], write: Path | None, as_json: bool) -> None:
     """Measure the paper's claims: what it says, what was found, and whether the two agree."""
     from slippulse_jax.claims import examine, page
     from slippulse_jax.files import write_atomically

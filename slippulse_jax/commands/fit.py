@@ -78,8 +78,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.table import read_measurements
 
-    if options["gauge_figure"] and not options["gauges"]:
-        raise click.UsageError("--gauge-figure needs --gauges")
+    _check(options)
     try:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
@@ -111,6 +110,14 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
             save_figure(draw(), options[name])
     if not result.converged:
         ctx.exit(NOT_CONVERGED)
+
+
+def _check(options: dict[str, Any]) -> None:
+    """Refuse options that go with another one without it."""
+    if options["gauge_figure"] and not options["gauges"]:
+        raise click.UsageError("--gauge-figure needs --gauges")
+    if options["case"] and not options["bootstrap"]:
+        raise click.UsageError("--case says how --bootstrap draws: give --bootstrap COUNT too")
 
 
 def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from slippulse_jax.commands.shared import as_json, print_json, refuse
+from slippulse_jax.commands.shared import BadInput, as_json, print_json, refuse
 
 DIMENSIONLESS = ("height", "stiffness")
 SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
@@ -39,7 +39,7 @@ def command(poisson: float, right: str, sites: int | None, as_json: bool, **give
     with jax.enable_x64(True):
         result = _length(form, poisson, right, sites)
     if as_json:
-        print_json({name: _finite(value) for name, value in result.items()})
+        print_json(result)
     else:
         click.echo(_text(result))
 
@@ -60,6 +60,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, FrontStatus, arrest
     from slippulse_jax.lattice.modes import check_right_end, lattice_modes
     from slippulse_jax.slider import Slider
+    from slippulse_jax.status import NotConverged
 
     try:
         check_right_end(right, sites)
@@ -78,7 +79,9 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     ended = arrest(slider, right, sites, DEFAULT_MAX_CONTACTS)
     status = FrontStatus(int(ended.status))
     if status is FrontStatus.LIMIT:
-        raise click.ClickException(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
+        raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
+    if status is FrontStatus.INVALID:
+        raise BadInput(status.message)
     result = {
         "height": float(slider.height),
         "stiffness": float(slider.stiffness),
@@ -109,10 +112,6 @@ def _text(result: dict[str, Any]) -> str:
         f"status: {result['message']}",
     ]
     return "\n".join(lines)
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _option(name: str) -> str:

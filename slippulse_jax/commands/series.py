@@ -1,14 +1,18 @@
 """``slippulse series``."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from slippulse_jax.commands.shared import NOT_CONVERGED, BadInput, as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.commands.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure, table_path
 
 if TYPE_CHECKING:
     from slippulse_jax.lattice.catalogue import Catalogue
+
+BREAKS_AN_EVENT = 50
+"""For which there is room at first, where breaks are drawn."""
 
 
 @click.command()
@@ -25,16 +29,16 @@ if TYPE_CHECKING:
 @click.option(
     "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks for which a contact stays detached."
 )
-@click.option("--out", type=click.Path(dir_okay=False), metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
+@click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw friction curve and space–time map.")
 @as_json
 def command(
     height: float, stiffness: float, poisson: float, sites: int, events: int, right: str, step: float | None,
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
-    out: str | None, figure: Path | None, as_json: bool,
+    out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """A series of precursors of one slider, as a catalogue of events (CSV on stdout)."""
-    _check(step, spring, newborn, recovery, out)
+    _check(step, spring, newborn, recovery)
     import jax
 
     from slippulse_jax.lattice.ageing import Ageing
@@ -48,14 +52,12 @@ def command(
             protocol = Steps(step) if step is not None else Spring(spring) if spring is not None else Adiabatic()
             ageing = None if newborn is None or recovery is None else Ageing(newborn, recovery)
             one = chain(Slider(height, stiffness, poisson), sites=sites, right=right)  # pyright: ignore[reportArgumentType]
-            found = series(
-                one,
-                protocol,
-                events=events,
-                ageing=ageing,
-                repin_delay=repin_delay,
-                recorded_breaks=50 * events if figure else 0,
-            )
+            run = partial(series, one, protocol, events=events, ageing=ageing, repin_delay=repin_delay)
+            room = BREAKS_AN_EVENT * events if figure else 0
+            found = run(recorded_breaks=room)
+            breaks = int(found.breaks.sum())
+            if figure and breaks > room:  # the same series again, with room for all that the figure shows
+                found = run(recorded_breaks=breaks)
         except ValueError as error:
             refuse(error)
         status = SeriesStatus(int(found.status))
@@ -64,7 +66,7 @@ def command(
         if figure is not None:
             _draw(found, figure)
         if as_json:
-            print_json({"status": status.name.lower(), **{name: column.tolist() for name, column in table(found).items()}})
+            print_json({"status": status.name.lower(), **table(found)})
         elif out is None:
             click.echo(to_csv(found), nl=False)
     click.echo(status.message, err=True)
@@ -72,16 +74,12 @@ def command(
         raise SystemExit(NOT_CONVERGED)
 
 
-def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None, out: str | None) -> None:
+def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None) -> None:
     """Refuse options that do not go together, before anything is computed."""
     if step is not None and spring is not None:
         raise click.UsageError("--step and --spring are two protocols: give one")
     if (newborn is None) != (recovery is None):
         raise click.UsageError("ageing needs both --newborn and --recovery")
-    if out is not None and not out.endswith((".csv", ".nc")):
-        raise BadInput(f"{out}: a series is written as .csv or .nc")
-    if out is not None and not Path(out).parent.is_dir():
-        raise BadInput(f"{out}: there is no folder {Path(out).parent}")
 
 
 def _draw(found: "Catalogue", path: Path) -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -47,8 +48,10 @@ def leave_when_interrupted() -> None:
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """Print strict JSON: a number that is not finite must have been made None before."""
-    click.echo(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False))
+    """Print strict JSON, with null for every number that is not finite."""
+    from slippulse_jax.plain import plain
+
+    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def refuse(error: Exception) -> NoReturn:
@@ -56,18 +59,25 @@ def refuse(error: Exception) -> NoReturn:
     raise BadInput(str(error)) from None
 
 
-def figure_path(ctx: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
-    """Check, before anything is computed, that a figure could be written there."""
-    if value is None:
-        return None
-    path = Path(value)
-    if path.suffix.lstrip(".").lower() not in FIGURE_FORMATS:
-        raise click.BadParameter(f"{value}: must end in {', '.join('.' + f for f in FIGURE_FORMATS)}", ctx, parameter)
-    if not path.parent.is_dir():
-        raise click.BadParameter(f"{value}: there is no folder {path.parent}", ctx, parameter)
-    if path.is_dir():
-        raise click.BadParameter(f"{value}: is a folder", ctx, parameter)
-    return path
+def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:
+    """Callback of an option: checks, before anything is computed, that a file of one of the formats could be written there."""
+
+    def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
+        if value is None:
+            return None
+        path = Path(value)
+        if path.suffix.lstrip(".").lower() not in formats:
+            raise click.BadParameter(f"{value}: must end in {', '.join('.' + f for f in formats)}", ctx, parameter)
+        if not path.parent.is_dir():
+            raise click.BadParameter(f"{value}: there is no folder {path.parent}", ctx, parameter)
+        if path.is_dir():
+            raise click.BadParameter(f"{value}: is a folder", ctx, parameter)
+        return path
+
+    return check
+
+
+figure_path, table_path, page_path = output_path(*FIGURE_FORMATS), output_path("csv", "nc"), output_path("md")
 
 
 def save_figure(figure: "Figure", path: Path) -> None:

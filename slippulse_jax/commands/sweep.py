@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.commands.shared import BadInput, as_json, figure_path, last_words, print_json, refuse, save_figure
+from slippulse_jax.commands.shared import as_json, figure_path, last_words, print_json, refuse, save_figure, table_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -67,25 +67,23 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
 @click.option("--store", type=click.Path(), metavar="FOLDER", help="Write the result to this folder as it is computed.")
-@click.option("--resume", is_flag=True, help="Go on with the sweep that --store holds, if it holds one.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on with the sweep that --store holds, if any.")
 @click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Points a file of the store.")
 @click.option("--share", callback=_pair, metavar="I/N", help="Compute only the I-th of N shares (I from 0) into the store.")
 @click.option("--distributed", is_flag=True, help="Share with the processes of a SLURM or MPI job, through jax.distributed.")
-@click.option("--out", type=click.Path(dir_okay=False), metavar="FILE", help="Write the result to .csv or .nc.")
+@click.option("--out", callback=table_path, metavar="FILE", help="Write the result to .csv or .nc.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output: a map, or a family of lines.")
 @as_json
 def command(
     outputs: str, points: bool, right: Any, sites: int | None, store: str | None, resume: bool, chunk: int | None,
-    share: tuple[int, int] | None, distributed: bool, out: str | None, figure: Path | None, as_json: bool, **values: Any,
+    share: tuple[int, int] | None, distributed: bool, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
 ) -> None:  # fmt: skip
     """Precursors over ranges of parameters; CSV on stdout, or into a store that survives interruption.
 
     A name in --outputs may also be gradients, theory or validity, for several at once.
     """
-    if out is not None and not out.endswith((".csv", ".nc")):
-        raise BadInput(f"{out}: a sweep is written as .csv or .nc")
-    if store is None and (resume or share or distributed or chunk):
-        raise click.UsageError("--resume, --share, --distributed and --chunk go with --store")
+    if store is None and (share or distributed or chunk):
+        raise click.UsageError("--share, --distributed and --chunk go with --store")
     import jax
 
     if distributed:
@@ -125,14 +123,14 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
 
 
 def _kept(store: str) -> str:
-    return f"what was computed is kept in {store}; the same command with --resume goes on"
+    return f"what was computed is kept in {store}; the same command goes on"
 
 
-def _hand_over(found: "xr.Dataset", out: str | None, figure: Path | None, as_json: bool, store: str | None) -> None:
+def _hand_over(found: "xr.Dataset", out: Path | None, figure: Path | None, as_json: bool, store: str | None) -> None:
     from slippulse_jax.sweeps import export
 
     if out is not None:
-        export.write(found, Path(out))
+        export.write(found, out)
     if figure is not None:
         from matplotlib.figure import Figure
 
@@ -150,4 +148,4 @@ def _hand_over(found: "xr.Dataset", out: str | None, figure: Path | None, as_jso
     elif store is None and out is None:
         export.write_csv(found, sys.stdout)
     else:
-        click.echo(export.summary(found, out or store or ""))
+        click.echo(export.summary(found, str(out or store)))

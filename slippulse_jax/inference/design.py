@@ -21,6 +21,7 @@ from slippulse_jax.inference.knowledge import Knowledge
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider, check_domain
+from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,9 +75,9 @@ class Design:
 
     @property
     def expected_length(self) -> np.ndarray:
-        """Mean and standard deviation of the finite lengths of each candidate, in λc; shape (c, 2)."""
+        """Mean and standard deviation of the finite lengths of each candidate, in λc, NaN where none is; shape (c, 2)."""
         w = self.knowledge.probability[:, None] * np.isfinite(self.length)
-        mass = np.maximum(w.sum(axis=0), 1e-300)
+        mass = np.where(w.any(axis=0), w.sum(axis=0), np.nan)
         finite = np.where(np.isfinite(self.length), self.length, 0)
         mean = (w * finite).sum(axis=0) / mass
         return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
@@ -156,6 +157,8 @@ def design(
     ------
     ValueError
         If a value lies outside its domain, the shapes do not broadcast, or the knowledge is of another kind of stiffness.
+    NotConverged
+        If the exact solution did not converge for a candidate; never seen.
 
     Notes
     -----
@@ -250,7 +253,7 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarr
     lost = found.status == ExactStatus.NOT_CONVERGED
     if lost.any():
         i, j = np.argwhere(lost)[0]
-        raise RuntimeError(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {ExactStatus.NOT_CONVERGED.message}")
+        raise NotConverged(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {ExactStatus.NOT_CONVERGED.message}")
     assert found.gradient is not None
     return found.length, np.where(np.isfinite(found.length), found.gradient[..., 1] * ratio, 0)
 

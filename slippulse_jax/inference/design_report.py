@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.plain import plain
 from slippulse_jax.style import axes, colours
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def _scale(found: "Design") -> tuple[np.ndarray, str]:
 def to_dict(found: "Design") -> dict[str, Any]:
     """Everything but the samples as plain Python values, ready for JSON; information in nats."""
     lengths = found.expected_length
-    return {
+    content = {
         "knowledge": {
             "unit": "Pa/m" if found.knowledge.in_si else "",
             "log_sd": found.knowledge.log_sd,
@@ -118,11 +119,11 @@ def to_dict(found: "Design") -> dict[str, Any]:
                 **c._asdict(),
                 "label": label(c, found.candidates),
                 "rank": int(np.flatnonzero(found.ranking == i)[0]) + 1,
-                "length": float(lengths[i, 0]),
-                "length_sd": float(lengths[i, 1]),
-                "never_stops": float(found.knowledge.probability @ np.isinf(found.length[:, i])),
+                "length": lengths[i, 0],
+                "length_sd": lengths[i, 1],
+                "never_stops": found.knowledge.probability @ np.isinf(found.length[:, i]),
                 **{
-                    name: float(getattr(found, name)[i])
+                    name: getattr(found, name)[i]
                     for name in ("information", "information_error", "d_optimal", "log_stderr", "told_apart")
                 },
             }
@@ -131,6 +132,7 @@ def to_dict(found: "Design") -> dict[str, Any]:
         "sequence": [{"candidate": s.candidate, **s.gain._asdict()} for s in found.sequence],
         "notes": notes(found),
     }
+    return plain(content)
 
 
 def design_figure(found: "Design") -> "Figure":

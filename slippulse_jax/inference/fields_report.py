@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.plain import plain
 from slippulse_jax.style import DISTANCE, axes, colours
 
 if TYPE_CHECKING:
@@ -71,22 +72,21 @@ def _rows(found: "RecoveredProfile") -> np.ndarray:
 def to_dict(found: "RecoveredProfile") -> dict[str, Any]:
     """Everything as plain Python values, ready for JSON; numbers that are not finite are None."""
     arrays = ("position", "profile", "stderr", "prior_stderr", "fitted")
-    return {
+    content = {
         "kind": found.kind,
         "determination": found.determination.name.lower(),
         "statement": found.determination.value,
         "degrees": found.degrees,
-        "determined": [list(ends) for ends in stretches(found)],
-        "chi2": found.chi2 if np.isfinite(found.chi2) else None,
+        "determined": stretches(found),
+        "chi2": found.chi2,
         "prior_misfit": found.prior_misfit,
         "smoothness": found.smoothness._asdict(),
-        "settings": [
-            {**s._asdict(), "weight": float(w)} for s, w in zip(found.settings, found.weight, strict=True)
-        ],
+        "settings": [{**s._asdict(), "weight": w} for s, w in zip(found.settings, found.weight, strict=True)],
         "log_stiffness_shift": found.log_stiffness_shift,
         "units": {"position": "λc", "profile": "θ_0" if found.kind == "threshold" else "σ_s", "fitted": "λc"},
-        **{name: [float(x) if np.isfinite(x) else None for x in getattr(found, name)] for name in arrays},
-    }  # fmt: skip
+        **{name: getattr(found, name) for name in arrays},
+    }
+    return plain(content)
 
 
 def draw_profile(found: "RecoveredProfile", ax: "Axes | None") -> "Axes":

@@ -19,6 +19,7 @@ from slippulse_jax.lattice.exact_lanes import solve_lanes
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import NotConverged
 
 LANES = 256
 
@@ -38,7 +39,7 @@ def lengths(y: Float[np.ndarray, "L c"], order: int, columns: Sequence[int] = ra
 
     Raises
     ------
-    RuntimeError
+    NotConverged
         If the exact solution did not converge somewhere, or a front did not fade; never seen.
     """
     return by_differences(values_of_length, y, columns if order else ())
@@ -99,7 +100,7 @@ def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
         found = bulk.lengths(Slider(np.exp(y[:, 0]), np.exp(y[:, 1]), y[:, 2]), rule=SmoothBreak(np.exp(y[:, WIDTH])))
         if np.isnan(found).any():
             where = ", ".join(f"{x:.9g}" for x in y[np.argmax(np.isnan(found))])
-            raise RuntimeError(f"no length under the smooth rule at (ln H/λc, ln k/K, ν, φ, ε, ln w) = ({where})")
+            raise NotConverged(f"no length under the smooth rule at (ln H/λc, ln k/K, ν, φ, ε, ln w) = ({where})")
         return found
     lanes = y.T.copy()
     lanes[:2] = np.exp(lanes[:2])
@@ -108,7 +109,7 @@ def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
     if lost.any():
         where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(lost)])
         why = ExactStatus(int(found.status[lost][0])).message
-        raise RuntimeError(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
+        raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
     return found.length
 
 

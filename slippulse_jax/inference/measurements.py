@@ -25,7 +25,8 @@ class Measurements:
     Parameters
     ----------
     height, poisson, length : array_like, shape (n,)
-        H/λc, ν, and the measured length in λc. Scalars are repeated.
+        H/λc, ν, and the measured length over λc: numbers of λc, also where `correlation_length` says how many metres that is.
+        (`Slider.from_material`, `design` and a table with ``height_mm`` take metres or millimetres.) Scalars are repeated.
     length_sigma : array_like, shape (n,), optional
         Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest, and meant where there is
         nothing else. Without it the errors are taken as equal and their size from the scatter.
@@ -156,14 +157,24 @@ def set_columns(table: Any, names: Sequence[str]) -> list[str]:
     Raises
     ------
     MeasurementError
-        If they are empty or have more than one axis.
+        Naming the column that holds no numbers, is empty, has more than one axis, or another length than those before it.
     """
     given = [name for name in names if getattr(table, name) is not None]
-    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(table, name), dtype=np.float64)) for name in given))
-    if columns[0].ndim != 1 or columns[0].size == 0:
-        raise MeasurementError(f"{table.source}: must be non-empty one-dimensional columns")
-    for name, column in zip(given, columns, strict=True):
-        object.__setattr__(table, name, np.array(column))
+    n, first = 1, ""
+    for name in given:
+        try:
+            column = np.atleast_1d(np.asarray(getattr(table, name), dtype=np.float64))
+        except (TypeError, ValueError) as error:
+            raise MeasurementError(f"{table.source}, column {name}: must be numbers ({error})") from None
+        if column.ndim != 1 or column.size == 0:
+            raise MeasurementError(f"{table.source}, column {name}: must be a non-empty one-dimensional column")
+        if column.size > 1 and first and column.size != n:
+            raise MeasurementError(f"{table.source}, column {name}: {column.size} entries, where {first} has {n}")
+        if column.size > 1 and not first:
+            n, first = column.size, name
+        object.__setattr__(table, name, column)
+    for name in given:
+        object.__setattr__(table, name, np.array(np.broadcast_to(getattr(table, name), n)))
     return given
 
 
@@ -205,7 +216,9 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
     """
 
     def refuse(name: str, requirement: str) -> None:
-        column, text = columns.get(name, (name, f"{values[name]:g}"))
+        column, text = columns.get(
+            name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in ("height", "length")))
+        )
         raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
 
     if kind not in KINDS:

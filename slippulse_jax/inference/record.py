@@ -20,13 +20,14 @@ from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.plain import plain
 
 
 def to_dict(result: FitResult) -> dict[str, Any]:
     """Everything of the result; open ends and missing numbers are None."""
     q = result.parameters
     units = {one.label: one.unit for one in q.free}
-    return {
+    content = {
         "identifiability": result.identifiability.name.lower(),
         "statement": result.identifiability.value,
         "reason": result.reason or None,
@@ -45,18 +46,17 @@ def to_dict(result: FitResult) -> dict[str, Any]:
         "correlations": [[a, b, value] for (a, b), value in result.correlations.items()],
         "inputs": result.inputs,
         "directions": [
-            {"combination": one.text, "stderr": _finite(one.stderr), "coefficients": one.coefficients.tolist()}
-            for one in result.directions
+            {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in result.directions
         ],
         "roots": [_root(root, result) for root in result.roots],
         "searched": {one.label: [float(one.value(one.low)), float(one.value(one.high))] for one in q.free},
-        "chi2": _finite(result.chi2),
+        "chi2": result.chi2,
         "dof": result.dof,
         "p_value": result.p_value,
         "sigma_scaled_by": math.sqrt(result.variance_factor) if result.scaled else None,
         "measurements": [_measurement(result, i) for i in range(len(result.measurements))],
         "further": [
-            {"observable": one.observable, "place": place, "measured": value, "sigma": sigma, "fitted": _finite(fitted)}
+            {"observable": one.observable, "place": place, "measured": value, "sigma": sigma, "fitted": fitted}
             for one in result.further
             for place, value, sigma, fitted in zip(
                 one.places, one.value.tolist(), one.sigma.tolist(), one.fitted.tolist(), strict=True
@@ -68,6 +68,7 @@ def to_dict(result: FitResult) -> dict[str, Any]:
         "request": as_request(result.request),
         "versions": versions(),
     }
+    return plain(content)
 
 
 def _root(root: Root, result: FitResult) -> dict[str, Any]:
@@ -75,7 +76,7 @@ def _root(root: Root, result: FitResult) -> dict[str, Any]:
         "values": root.values,
         "stderr": root.stderrs,
         "stiffness": float(root.ratio[0]) if np.ptp(root.ratio) <= 1e-12 * root.ratio[0] else None,
-        "delta_chi2": _finite(root.chi2 - result.chi2),
+        "delta_chi2": root.chi2 - result.chi2,
         "rebreaks": bool(root.rebreaks.any()),
     }
 
@@ -88,8 +89,8 @@ def _measurement(result: FitResult, i: int) -> dict[str, Any]:
         "height": float(m.height[i]),
         "poisson": float(m.poisson[i]),
         "measured": float(m.length[i]),
-        "sigma": _finite(float(m.sigma[i])),
-        "fitted": _finite(float(result.fitted.length[i])),
+        "sigma": float(m.sigma[i]),
+        "fitted": float(result.fitted.length[i]),
         "contacts_broken": int(result.fitted.contacts_broken[i]),
         "front_status": FrontStatus(int(result.fitted.status[i])).name.lower(),
         "attainable": float(result.attainable[i]),
@@ -180,10 +181,6 @@ def versions() -> dict[str, str]:
     """What computed the result."""
     packages = ("slippulse_jax", "jax", "numpy", "scipy", "optax")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
-
-
-def _finite(x: float) -> float | None:
-    return x if math.isfinite(x) else None
 
 
 def _ends(piece: Interval) -> list[float | None]:

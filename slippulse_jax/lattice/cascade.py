@@ -168,7 +168,7 @@ def rupture(
     state: State,
     *,
     rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
-    trigger: int | Int[Array, ""] = -1,
+    trigger: int | Int[Array, ""] | None = None,
     max_breaks: int | None = None,
     repin_delay: int = 0,
 ) -> Rupture:
@@ -184,8 +184,9 @@ def rupture(
     state : State
     rule : HardBreak or SmoothBreak
         With ``SmoothBreak(width)``, the differentiable stand-in of `slippulse_jax.lattice.surrogate`.
-    trigger : int
-        Site that breaks first, even if rounding leaves it a digit below its threshold (see `nucleate`); −1 for none.
+    trigger : int, optional
+        Site that breaks first, even if rounding leaves it a digit below its threshold: what `nucleate` returns, where −1 stands
+        for none. By default none.
     max_breaks : int, optional
         Breaks after which the rupture is given up, and room for their record; 20 N by default.
     repin_delay : int
@@ -214,6 +215,7 @@ def rupture(
     check_rule(rule, one=True)
     _check(chain, state)
     check_delay(repin_delay)
+    trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
     if not isinstance(rule, HardBreak):
         if repin_delay:
             raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
@@ -221,7 +223,7 @@ def rupture(
 
         return smooth_rupture(chain, state, rule, trigger)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
-    return _undifferentiated((max_breaks, repin_delay), chain, state, jnp.asarray(trigger, jnp.int32))
+    return _undifferentiated((max_breaks, repin_delay), chain, state, trigger)
 
 
 def length_or_reason(status: Array, length: Array) -> Array:

@@ -68,8 +68,9 @@ class Catalogue(NamedTuple):
     def reach(self, load: ArrayLike) -> np.ndarray:
         """How far from the left edge fronts have come by a load, in λc.
 
-        Straight lines join the events that came farther than all before them. How many events it takes depends on how finely
-        the edge is moved; how far they have come by a load hardly does (``docs/series.md``).
+        Straight lines join the events that came farther than all before them; after the last of these the front stands where it
+        stopped, up to the load at which the series ends. How many events it takes depends on how finely the edge is moved; how
+        far they have come by a load hardly does (``docs/series.md``).
 
         Parameters
         ----------
@@ -79,23 +80,25 @@ class Catalogue(NamedTuple):
         Returns
         -------
         numpy.ndarray
-            0 before the first event, inf from the load at which the last contact breaks, NaN beyond the last event that came
-            farther than all before it.
+            0 before the first event, inf from the load at which the last contact breaks. NaN where it is not known: beyond the
+            load of the last event (unless the series ended because no load breaks a further contact), and from the load of an
+            event that was given up.
 
         Raises
         ------
         ValueError
             If the catalogue is a batch.
         """
-        events = table(self)
-        farther = events["length"] > np.maximum.accumulate(np.append(0, events["length"]))[:-1]
-        at, length = events["load"][farther], events["length"][farther]
-        asked, stopped = np.asarray(load, np.float64), np.isfinite(length)
-        if not stopped.any():
-            found = np.zeros(asked.shape)
+        events, status, asked = table(self), int(self.status), np.asarray(load, np.float64)
+        loads, lengths = events["load"], events["length"]
+        if status == SeriesStatus.LIMIT:
+            loads, lengths, known = loads[:-1], lengths[:-1], asked < loads[-1]
         else:
-            found = np.interp(asked, at[stopped], length[stopped], left=0.0, right=np.nan)
-        return np.where(asked >= at[~stopped].min(initial=np.inf), np.inf, found)
+            known = (asked <= loads.max(initial=0)) | (status == SeriesStatus.NOTHING_LEFT)
+        farther = lengths > np.maximum.accumulate(np.append(0, lengths))[:-1]
+        stopped, spanned = farther & np.isfinite(lengths), loads[np.isinf(lengths)].min(initial=np.inf)
+        found = np.interp(asked, loads[stopped], lengths[stopped], left=0.0) if stopped.any() else np.zeros(asked.shape)
+        return np.select([asked >= spanned, known], [np.inf, found], np.nan)
 
 
 COLUMNS = {

@@ -26,6 +26,7 @@ from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatu
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import NotConverged
 
 HARD = HardBreak()
 
@@ -33,7 +34,7 @@ FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
 
 
-class FrontNotArrested(RuntimeError):
+class FrontNotArrested(NotConverged):
     """The front was still running after the allowed number of breaks: there is no length to return."""
 
 

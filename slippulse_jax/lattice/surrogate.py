@@ -115,7 +115,7 @@ def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Arr
 
 
 @jax.jit
-def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int | Array = -1) -> Rupture:
+def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
     """One rupture of any chain under a smooth rule, differentiable in every field of chain, state and rule.
 
     The front sweeps from the left edge to the right: each contact is reached once, with all that the contacts before it
@@ -135,7 +135,6 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: int |
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
     links, n = propagators(safe), chain.sites
     attached = safe.contact > 0
-    trigger = jnp.asarray(trigger, jnp.int32)
 
     def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
         P, source, stress, threshold, contact, site = here

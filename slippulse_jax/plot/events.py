@@ -1,5 +1,6 @@
 """Pictures of a series of events."""
 
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,13 +47,17 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Every recorded break, by site and load, in the colour of its event's class."""
+    """Every recorded break, by site and load, in the colour of its event's class; warns if some were not recorded."""
     ax = axes(ax)
     c = colours(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)
     recorded = event >= 0
     if not recorded.any():
         raise ValueError("no break was recorded: make the series with recorded_breaks")
+    breaks = int(np.sum(catalogue.breaks))
+    if recorded.sum() < breaks:
+        missing = f"{breaks - recorded.sum()} of {breaks} breaks are not drawn, the latest ones"
+        warnings.warn(f"{missing}: make the series with recorded_breaks={breaks}", RuntimeWarning, stacklevel=3)
     site, event = site[recorded], event[recorded]
     load, kinds = np.asarray(catalogue.load)[event], np.asarray(catalogue.kind)[event]
     for kind, colour in COLOURS.items():

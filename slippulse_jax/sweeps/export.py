@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from slippulse_jax.files import write_atomically
+from slippulse_jax.plain import plain
 
 ROWS = 1 << 16
 """Points read at a time."""
@@ -33,7 +34,7 @@ def write_csv(found: xr.Dataset, file: TextIO) -> None:
     swept = [name for name in found.coords if found[name].ndim]
     table.writerow([*swept, *found.data_vars])
     if not found.sizes:
-        table.writerow(_plain(column.values) for column in found.data_vars.values())
+        table.writerow(column.values.item() for column in found.data_vars.values())
         return
     dims = list(next(iter(found.data_vars.values())).dims)
     step = max(1, ROWS // math.prod(found.sizes[dim] for dim in dims[1:]))
@@ -50,14 +51,14 @@ def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
         "points": math.prod(found.sizes.values()),
         "complete": bool(found.attrs["complete"]),
         "dims": list(found.sizes),
-        "coords": {str(name): _plain(found[name].values) for name in found.coords},
+        "coords": {str(name): plain(found[name].values) for name in found.coords},
         "request": json.loads(found.attrs["request"]),
         "request_sha256": found.attrs["request_sha256"],
         "versions": {name: found.attrs[name] for name in ("slippulse_jax", "jax", "jaxlib")},
         "units": {str(name): found[name].attrs["units"] for name in (*found.coords, *found.data_vars)},
     }
     if values:
-        content["data"] = {str(name): _plain(found[name].values) for name in found.data_vars}
+        content["data"] = {str(name): plain(found[name].values) for name in found.data_vars}
     else:
         content["ranges"] = {str(name): list(_range(found[name])) for name in found.data_vars}
     return content
@@ -88,11 +89,3 @@ def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
         if finite.size:
             low, high = min(low, float(finite.min())), max(high, float(finite.max()))
     return (low, high, missing) if low <= high else (None, None, missing)
-
-
-def _plain(values: np.ndarray) -> Any:
-    """Nested lists, with None for what is not finite."""
-    if values.ndim:
-        return [_plain(part) for part in values]
-    number = values.item()
-    return None if isinstance(number, float) and not math.isfinite(number) else number
