@@ -70,7 +70,7 @@ def view(theta: Array, position: Array) -> View:
         threshold=interface.threshold_at(sites),
         upper=fields.upper,
         layer=fields.interface,
-        stress=fields.stress + interface.prestress_at(sites),
+        stress=fields.stress,
         position=at,
     )
 

@@ -13,7 +13,44 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.quantities import as_float, quantity_field
+
+
+def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
+    """Refuse concrete thresholds and prestresses of contacts, scalars or one a site, outside their domains.
+
+    Raises
+    ------
+    ValueError
+        Naming the value, with `owner` before its name, and the site.
+    """
+    THRESHOLD.check(f"{owner}threshold", threshold)
+    if isinstance(prestress, Tracer) or isinstance(threshold, Tracer):
+        return
+    carried, most = np.broadcast_arrays(np.asarray(prestress, dtype=float), np.asarray(threshold))
+    check_domain(f"{owner}prestress", carried, lambda x: abs(x) < most, "must lie within the threshold of its contact, in σ_s")
+
+
+def _check_delay(interface: "Interface | Profile") -> None:
+    delay = interface.repin_delay
+    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
+        raise ValueError(f"{type(interface).__name__}.repin_delay = {delay!r}: must be a whole number of sites, 0 or more")
+
+
+def check_bulk(interface: "Interface | None") -> None:
+    """Refuse a profile where an interface is numbers that broadcast with the slider's.
+
+    Raises
+    ------
+    TypeError
+        Saying what takes one.
+    """
+    if interface is not None and not isinstance(interface, Interface):
+        raise TypeError(
+            f"interface = {type(interface).__name__}(…): lengths in bulk take an Interface, whose numbers broadcast with the "
+            "slider's. A Profile belongs to one slider: use precursor_length or first_precursor"
+        )
 
 
 class Interface(eqx.Module):
@@ -22,10 +59,11 @@ class Interface(eqx.Module):
     Parameters
     ----------
     prestress : array_like
-        φ = σ_0/σ_s, the stress every contact carries before the left edge is pushed (top shear), in σ_s; in [0, 1).
+        φ = σ_0/σ_s, the stress every contact carries before the left edge is pushed (top shear), in σ_s; in (−1, 1),
+        negative where the top is sheared against the push.
     threshold_slope : array_like
-        ε, by which thresholds rise from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
-        threshold is down to the prestress: a front that gets there is running away (inf).
+        ε > −1, by which thresholds rise from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
+        threshold is down to the prestress, or to nothing: a front that gets there is running away (inf).
     repin_delay : int
         n, how many sites a broken contact stays detached for: contact i repins, at zero stretch, when contact i + n
         breaks. 0 is the paper's immediate repinning.
@@ -45,20 +83,18 @@ class Interface(eqx.Module):
     repin_delay: int = eqx.field(default=0, static=True)
 
     def __check_init__(self) -> None:
-        if isinstance(self.repin_delay, bool) or not isinstance(self.repin_delay, int) or self.repin_delay < 0:
-            raise ValueError(f"Interface.repin_delay = {self.repin_delay!r}: must be a whole number of sites, 0 or more")
-        if not isinstance(self.prestress, Tracer):
-            bad = ~((np.asarray(self.prestress) >= 0) & (np.asarray(self.prestress) < 1))
-            if bad.any():
-                value = np.asarray(self.prestress)[bad].flat[0]
-                raise ValueError(f"Interface.prestress = {value:g}: must lie in [0, 1), in σ_s")
-        if not isinstance(self.threshold_slope, Tracer) and not np.isfinite(np.asarray(self.threshold_slope)).all():
-            raise ValueError(f"Interface.threshold_slope = {self.threshold_slope}: must be finite, in σ_s per site")
+        _check_delay(self)
+        PRESTRESS.check("Interface.prestress", self.prestress)
+        THRESHOLD_SLOPE.check("Interface.threshold_slope", self.threshold_slope)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the batch; () for one interface."""
         return np.broadcast_shapes(np.shape(self.prestress), np.shape(self.threshold_slope))
+
+    def in_domain(self) -> Array:
+        """Whether the values, traced ones included, are those of an interface."""
+        return PRESTRESS.holds(jnp.asarray(self.prestress)) & THRESHOLD_SLOPE.holds(jnp.asarray(self.threshold_slope))
 
     def threshold_at(self, site: Array) -> Array:
         """θ_i, in σ_s."""
@@ -69,10 +105,10 @@ class Interface(eqx.Module):
         return jnp.asarray(self.prestress) + 0.0 * site
 
     def last_site(self) -> Array:
-        """First site whose threshold is no more than its prestress, so that it cannot hold; inf if there is none."""
+        """Where the threshold is down to the prestress, or to nothing, so that no contact holds; inf if nowhere."""
         falling = jnp.asarray(self.threshold_slope) < 0
         fall = jnp.where(falling, -jnp.asarray(self.threshold_slope), 1)
-        return jnp.where(falling, (1 - jnp.asarray(self.prestress)) / fall, jnp.inf)
+        return jnp.where(falling, (1 - jnp.maximum(self.prestress, 0)) / fall, jnp.inf)
 
 
 class Profile(eqx.Module):
@@ -83,9 +119,14 @@ class Profile(eqx.Module):
     threshold : array_like, shape (n,)
         θ_i > 0, in σ_s; the last value holds for all sites beyond.
     prestress : array_like, shape () or (n,)
-        φ_i, in σ_s; likewise. At the first site below its threshold.
+        φ_i, in σ_s; likewise. Within (−θ_i, θ_i): beyond, a contact breaks before the slider is pushed.
     repin_delay : int
         As for `Interface`.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit or a value lies outside its domain, naming it. Of values traced by JAX the lengths are NaN.
 
     Notes
     -----
@@ -99,21 +140,24 @@ class Profile(eqx.Module):
     repin_delay: int = eqx.field(default=0, static=True)
 
     def __check_init__(self) -> None:
-        if np.ndim(self.threshold) != 1:
-            raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,)")
+        _check_delay(self)
+        if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
+            raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with a value at least")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):
             raise ValueError(
                 f"Profile.prestress has shape {np.shape(self.prestress)}: must be () or {np.shape(self.threshold)}"
             )
-        if self.repin_delay < 0:
-            raise ValueError(f"Profile.repin_delay = {self.repin_delay}: must be 0 or more")
-        if not isinstance(self.threshold, Tracer) and not (np.asarray(self.threshold) > 0).all():
-            raise ValueError("Profile.threshold: every value must be positive, in σ_s")
+        check_contacts("Profile.", self.threshold, self.prestress)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """One interface: ()."""
         return ()
+
+    def in_domain(self) -> Array:
+        """Whether the values, traced ones included, are those of a profile."""
+        threshold = jnp.asarray(self.threshold)
+        return (THRESHOLD.holds(threshold) & (jnp.abs(jnp.asarray(self.prestress)) < threshold)).all()
 
     def _at(self, values: Any, site: Array) -> Array:
         values = jnp.asarray(values)

@@ -74,11 +74,10 @@ def animate(
     shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
     positions = np.unique(np.linspace(0, broken, min(broken + 1, MOST_FRAMES)).round().astype(int))
     fields = jax.vmap(precursor.fields_at)(jnp.asarray(positions))
-    prestress = 0.0 if precursor.interface is None else np.asarray(precursor.interface.prestress_at(jnp.arange(shown)))
 
     with style.use(dark=dark, figure__figsize=(5.2, 3.9), figure__dpi=100):
         figure, panels = plt.subplots(2, 1, sharex=True)
-        draw = _scene(panels, fields, positions, prestress, shown)
+        draw = _scene(panels, fields, positions, shown)
         still = [len(positions) - 1] * round(hold * fps)
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)
@@ -91,13 +90,13 @@ def animate(
     return movie
 
 
-def _scene(panels: Any, fields: Fields, positions: np.ndarray, prestress: Any, shown: int) -> Any:
+def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
     """Draw what does not move, and return the function that draws a frame."""
     above, below = panels
     c = style.colours(above)
     x = np.arange(shown)
     upper, layer = (np.asarray(y)[:, :shown] for y in (fields.upper, fields.interface))
-    stress = np.asarray(fields.stress)[:, :shown] + prestress
+    stress = np.asarray(fields.stress)[:, :shown]
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
     below.plot(x, stress[0], ":", color=c.ink, lw=1)

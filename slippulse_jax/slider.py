@@ -11,16 +11,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_domain
 from slippulse_jax.quantities import as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
-# (test, requirement as the user should read it) for each field
-_DOMAIN = {
-    "height": (lambda x: x > 1, "must exceed 1: the height in units of the correlation length λc"),
-    "stiffness": (lambda x: x > 0, "must be positive: the contact stiffness k in units of K = Eλc"),
-    "poisson": (lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
-}
+_DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}
 
 
 class Slider(eqx.Module):
@@ -58,10 +54,8 @@ class Slider(eqx.Module):
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=as_float)
 
     def __check_init__(self) -> None:
-        for name, (inside, requirement) in _DOMAIN.items():
-            value = getattr(self, name)
-            if not isinstance(value, Tracer):
-                check_domain(f"Slider.{name}", np.asarray(value), inside, requirement)
+        for name, domain in _DOMAIN.items():
+            domain.check(f"Slider.{name}", getattr(self, name))
         try:
             self.shape  # noqa: B018
         except ValueError:
@@ -221,22 +215,6 @@ class Slider(eqx.Module):
         z = self.stiffness - self.K_T - self.kappa_T**2
         larger = (self.mode_splitting + jnp.where(z < 0, -z, z)) / 2
         return jnp.where(z < 0, larger, self.K_T * self.stiffness / larger)
-
-
-def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
-    """Refuse values outside a domain, or not finite, naming the first and its index.
-
-    Raises
-    ------
-    ValueError
-        Name, value, index, and `requirement` as the user should read it.
-    """
-    bad = ~(np.isfinite(value) & inside(value))
-    if bad.any():
-        index = [int(i) for i in np.argwhere(bad)[0]]
-        where = f" at index {index[0] if len(index) == 1 else tuple(index)}" if index else ""
-        more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
-        raise ValueError(f"{name} = {value[tuple(index)]:g}{where}{more}: {requirement}")
 
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:

@@ -4,8 +4,12 @@ import jax
 import numpy as np
 import plain_interface
 import pytest
+from dense_chain import Dense, end_stiffness
 
+import slippulse_jax as sp
 from slippulse_jax import FrontStatus, Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax.inference.fitted import recursion_status
+from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.modes import lattice_modes
 
 FIG2 = Slider(25.0, 0.03, 0.3)
@@ -18,7 +22,7 @@ def test_against_dense_chain(delay, right):
     sites = 80
     for _ in range(4):
         slider = (rng.uniform(5, 25), 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0, 0.45))
-        phi, slope = rng.uniform(0, 0.4), rng.uniform(-0.002, 0.01)
+        phi, slope = rng.uniform(-0.9, 0.4), rng.uniform(-0.002, 0.01)
         theta = 1 + slope * np.arange(sites)
         count, excess, load, stress = plain_interface.front(*slider, theta, np.full(sites, phi), delay, sites, right)
         if right == "semi-infinite" and count == sites:
@@ -35,7 +39,7 @@ def test_against_dense_chain(delay, right):
             continue
         assert abs(got.load - load) < 1e-10 * load
         assert abs(got.front_stress[: count + 1] - theta[: count + 1] - excess).max() < 1e-10
-        assert abs(got.arrest.stress + phi - stress).max() < 1e-9
+        assert abs(got.arrest.stress - stress).max() < 1e-9
         assert abs(got.edge_stress - stress[0]) < 1e-9
         if count > 1:
             assert abs(got.length - plain_interface.length(excess)) < 1e-8
@@ -44,14 +48,59 @@ def test_against_dense_chain(delay, right):
 def test_profile_against_dense_chain():
     rng = np.random.default_rng(5)
     for delay in (0, 2):
-        theta, phi = rng.uniform(0.85, 1.15, 100), rng.uniform(0, 0.3, 100)
+        theta, phi = rng.uniform(0.85, 1.15, 100), rng.uniform(-0.3, 0.3, 100)
         theta[0], phi[0] = 0.9, 0.1
         count, excess, load, stress = plain_interface.front(25, 0.03, 0.3, theta, phi, delay, 100)
         got = jax.tree.map(np.asarray, first_precursor(FIG2, interface=Profile(theta, phi, delay), recorded_sites=100))
         assert int(got.contacts_broken) == count
         assert abs(got.load - load) < 1e-10
         assert abs(got.length - plain_interface.length(excess)) < 1e-9
-        assert abs(got.arrest.stress + phi - stress).max() < 1e-9
+        assert abs(got.arrest.stress - stress).max() < 1e-9
+
+
+def test_negative_prestress_in_bulk_and_in_the_cascade():
+    """Sheared against the push: batches, and every break of the general cascade, as dense solves have them."""
+    rng = np.random.default_rng(11)
+    sites, cases = 70, [(rng.uniform(4, 20), 10 ** rng.uniform(-2, -0.5), rng.uniform(0, 0.45)) for _ in range(6)]
+    phi, site = np.linspace(-0.95, -0.05, len(cases)), np.arange(sites)
+    found = precursor_arrests(Slider(*np.transpose(cases)), interface=Interface(phi))
+    for i, (height, stiffness, poisson) in enumerate(cases):
+        even, carried = np.ones(sites), np.full(sites, phi[i])
+        count, excess, _, stress = plain_interface.front(height, stiffness, poisson, even, carried, 0, sites)
+        assert found.contacts_broken[i] == count
+        assert abs(found.edge_stress[i] - stress[0]) < 1e-10
+        assert abs(found.length[i] - (plain_interface.length(excess) if count > 1 else 0)) < 1e-9
+        transverse = 1 / (2 * (1 + poisson) * height)
+        end = end_stiffness("semi-infinite", height, 1.0, transverse, stiffness)
+        bonds, k = np.full(sites - 1, height), np.full(sites, stiffness)
+        dense = Dense(bonds, even[1:], transverse * even, k, even, carried, stiffness, end)
+        load, first = dense.nucleate(0 * even)
+        pinning, order = dense.rupture(0 * even, load, first, 200)
+        chain = sp.chain(Slider(height, stiffness, poisson), sites=sites, prestress=carried)
+        state, trigger = sp.nucleate(chain, sp.relaxed(chain))
+        event = sp.rupture(chain, state, trigger=trigger)
+        assert list(np.asarray(event.order[: len(order)])) == order
+        assert int(event.breaks) == len(order)
+        assert abs(event.state.pinning - pinning).max() < 1e-10
+        assert order == list(site[:count])
+
+
+def test_one_negative_prestress_leaves_the_others_alone():
+    """The same front in any company: at φ = 0.6 nothing stops it, whatever another row carries."""
+    runs, against, plain = ([np.log(25.0), np.log(0.03), 0.3, phi, 0.0] for phi in (0.6, -0.01, 0.0))
+    together = recursion_status(np.array([runs, against, plain, runs]))
+    assert list(together) == [FrontStatus.RUN_AWAY, FrontStatus.ARRESTED, FrontStatus.ARRESTED, FrontStatus.RUN_AWAY]
+
+
+def test_stress_is_all_that_a_contact_carries():
+    """At nucleation contact 0 carries its threshold, prestress included; every site against the exact solution."""
+    front = first_precursor(FIG2, interface=Interface(0.3), recorded_sites=80)
+    assert abs(front.nucleation.stress[0] - 1) < 1e-12
+    for position, fields in ((0, front.nucleation), (int(front.contacts_broken), front.arrest)):
+        exact = sp.exact_fields(FIG2, position, np.arange(80), prestress=0.3)
+        np.testing.assert_allclose(fields.stress, exact.stress, atol=1e-10)
+        assert abs(fields.stress[position] - front.front_stress[position]) < 1e-12, "the contact ahead of the front"
+    assert abs(front.edge_stress - front.arrest.stress[0]) < 1e-12
 
 
 def test_no_prestress_no_slope_no_delay_is_the_papers_interface():
@@ -190,7 +239,8 @@ def test_batches_do_not_depend_on_company():
     ("wrong", "message"),
     [
         ({"prestress": 1.0}, "Interface.prestress = 1"),
-        ({"prestress": -0.1}, "Interface.prestress = -0.1"),
+        ({"prestress": [0.1, -1.0]}, "Interface.prestress = -1 at index 1: must lie in"),
+        ({"threshold_slope": -1.0}, "Interface.threshold_slope = -1"),
         ({"repin_delay": 1.5}, "repin_delay = 1.5"),
         ({"threshold_slope": np.nan}, "threshold_slope = nan"),
     ],
@@ -200,7 +250,54 @@ def test_errors_name_the_field(wrong, message):
         Interface(**wrong)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"threshold": []}, r"Profile.threshold has shape \(0,\)"),
+        ({"threshold": 1.0}, r"Profile.threshold has shape \(\)"),
+        ({"threshold": [1.0, -0.5]}, "Profile.threshold = -0.5 at index 1"),
+        ({"threshold": [1.0, np.inf]}, "Profile.threshold = inf at index 1"),
+        ({"threshold": [1.0, 1.0], "prestress": 1.5}, "Profile.prestress = 1.5 at index 0"),
+        ({"threshold": [0.5, 1.0, 0.4], "prestress": [0.4, 0.4, -0.4]}, "Profile.prestress = -0.4 at index 2"),
+        ({"threshold": [1.0, 1.0], "prestress": [0.1] * 3}, r"Profile.prestress has shape \(3,\)"),
+        ({"threshold": [1.0], "repin_delay": 1.5}, "Profile.repin_delay = 1.5"),
+        ({"threshold": [1.0], "repin_delay": True}, "Profile.repin_delay = True"),
+    ],
+)
+def test_errors_of_a_profile_name_the_field(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        Profile(**wrong)
+
+
+def test_sensitivity_takes_what_a_profile_takes():
+    for wrong, message in (({"threshold": 0.0}, "^threshold = 0"), ({"prestress": np.full(30, -1.0)}, "^prestress = -1")):
+        with pytest.raises(ValueError, match=message):
+            sp.sensitivity(FIG2, sites=30, **wrong)
+
+
+def test_lengths_in_bulk_refuse_a_profile_by_name():
+    for bulk in (precursor_lengths, precursor_arrests, sp.precursor_length_gradients):
+        with pytest.raises(TypeError, match="Profile.*precursor_length"):
+            bulk(FIG2, interface=Profile(np.ones(3)))
+
+
 def test_traced_interface_outside_its_domain_is_nan():
-    lengths = jax.vmap(lambda p: precursor_length(FIG2, interface=Interface(p)))(np.array([0.1, 1.2, -0.5, np.nan]))
-    assert np.isfinite(lengths[0])
-    assert np.isnan(lengths[1:]).all()
+    lengths = jax.vmap(lambda p: precursor_length(FIG2, interface=Interface(p)))(np.array([0.1, -0.5, 1.2, -1.0, np.nan]))
+    assert np.isfinite(lengths[:2]).all()
+    assert np.isnan(lengths[2:]).all()
+    slopes = jax.vmap(lambda e: precursor_length(FIG2, interface=Interface(0.0, e)))(np.array([0.001, -1.0, np.inf]))
+    assert list(np.isnan(slopes)) == [False, True, True]
+
+
+def test_traced_profile_outside_its_domain_is_nan():
+    """As for values that can be looked at, which are refused: prestress beyond a threshold, or no threshold."""
+    theta = np.array([[1.0, 1.0], [1.0, 1.0], [1.0, 0.0], [1.0, np.nan], [1.0, 1.0]])
+    phi = np.array([[0.2, 0.1], [1.5, 0.1], [0.2, 0.1], [0.2, 0.1], [0.2, -1.0]])
+    lengths = jax.vmap(lambda t, p: precursor_length(FIG2, interface=Profile(t, p)))(theta, phi)
+    assert list(np.isnan(lengths)) == [False, True, True, True, True]
+
+
+def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
+    """A threshold below zero holds nothing, though the prestress is lower still."""
+    record = first_precursor(FIG2, interface=Interface(-0.2, -0.05), recorded_sites=80)
+    assert (int(record.status), int(record.contacts_broken)) == (FrontStatus.RUN_AWAY, 20)

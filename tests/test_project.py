@@ -19,7 +19,8 @@ PACKAGE = ROOT / "slippulse_jax"
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "quantities": 0, "derivatives": 0, "files": 0, "plain": 0, "status": 0, "double_series": 0, "style": 0, "devices": 0,
+    "quantities": 0, "derivatives": 0, "domains": 0, "files": 0, "plain": 0, "status": 0, "double_series": 0, "style": 0,
+    "devices": 0,
     "slider": 1, "rules": 1, "interface": 1,
     "lattice": 2, "theory": 2,
     "inference": 3, "sweeps": 3,

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import ArrayLike
 
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.inference.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.knowledge import Knowledge
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.slider import Slider, check_domain
+from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def design(
         Height of the block and standard error of a length measured on it: in λc, or in m where the material is given. σ may be
         0 for counts.
     poisson, prestress, threshold_slope : array_like
-        ν; φ = σ_0/σ_s in [0, 1); ε, rise of the threshold per contact.
+        ν; φ = σ_0/σ_s in (−1, 1); ε, rise of the threshold per contact.
     correlation_length, young : array_like, optional
         λc in m and E in Pa: the material, both or neither.
     kind : {"length", "whole"}
@@ -237,9 +238,8 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
     check_domain("sigma", columns["sigma"], lambda x: x >= 0, "cannot be negative: a standard error")
     ratio = columns["height"] / columns["correlation_length"]
     check_domain("height over correlation length", ratio, lambda x: x > 1, "must exceed 1")
-    check_domain("poisson", columns["poisson"], lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]")
-    check_domain("prestress", columns["prestress"], lambda x: (x >= 0) & (x < 1), "must lie in [0, 1), in σ_s")
-    check_domain("threshold_slope", columns["threshold_slope"], lambda x: x > -1, "must exceed -1")
+    for name, domain in (("poisson", POISSON), ("prestress", PRESTRESS), ("threshold_slope", THRESHOLD_SLOPE)):
+        domain.check(name, columns[name])
 
 
 def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

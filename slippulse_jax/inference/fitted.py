@@ -56,6 +56,5 @@ def recursion_status(y: np.ndarray) -> np.ndarray:
     """What the recursion says of each front, with its contacts broken one by one."""
     distinct, own = np.unique(y[:, :5], axis=0, return_inverse=True)
     slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
-    plain = not distinct[:, 3:].any() or (distinct[:, 3] < 0).any()
-    interface = None if plain else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
+    interface = None if not distinct[:, 3:].any() else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
     return np.asarray(precursor_arrests(slider, interface=interface).status)[own.ravel()]

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import ArrayLike
 
+from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES
 from slippulse_jax.inference.resolve import ratio_per_unit, softest
 from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.slider import Slider, check_domain
+from slippulse_jax.slider import Slider
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult

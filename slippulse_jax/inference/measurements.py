@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+
 if TYPE_CHECKING:
     from slippulse_jax.inference.gauges import Gauges
 
@@ -37,7 +39,7 @@ class Measurements:
     kind : sequence of str, optional
         One of `KINDS` a measurement; "length" by default.
     prestress, threshold_slope : array_like, shape (n,), optional
-        Known conditions: φ = σ_0/σ_s in [0, 1), and the relative rise of the threshold per contact.
+        Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
         Standard errors of the inputs, in their units (of the height in λc). 0 means exactly known.
     displacement, displacement_sigma : array_like, shape (n,), optional
@@ -187,7 +189,7 @@ NUMERIC = tuple(
 # quantity -> (test, requirement)
 _DOMAIN: dict[str, tuple[Any, str]] = {
     "height": (lambda x: x > 1, "the height must exceed the correlation length λc"),
-    "poisson": (lambda x: -1 < x <= 0.5, "Poisson's ratio must lie in (-1, 0.5]"),
+    "poisson": (POISSON.holds, POISSON.requirement),
     "length": (lambda x: x > 0, "a length must be positive"),
     "length_sigma": (lambda x: x >= 0, "a standard error cannot be negative"),
     "correlation_length": (
@@ -195,8 +197,8 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
         "the correlation length must be positive, and no less than an atom's size, 0.1 nm",
     ),
     "young": (lambda x: 0 < x <= 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's"),
-    "prestress": (lambda x: 0 <= x < 1, "the prestress must lie in [0, 1), in σ_s"),
-    "threshold_slope": (lambda x: x > -1, "the rise of the threshold per contact must exceed -1"),
+    "prestress": (PRESTRESS.holds, PRESTRESS.requirement),
+    "threshold_slope": (THRESHOLD_SLOPE.holds, THRESHOLD_SLOPE.requirement),
     "displacement": (lambda x: x > 0, "a displacement at nucleation must be positive"),
     "force": (lambda x: x > 0, "a driving force must be positive"),
     "displacement_sigma": (lambda x: x > 0, "the standard error must be positive"),

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.asked import as_asked
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import (
@@ -273,9 +274,9 @@ def _check_domain(parameters: ParameterSet) -> None:
     limits = {
         "log_height": (0.0, np.inf, "H/λc", "must exceed 1"),
         "log_stiffness": (np.log(1e-30), np.log(1e3), "k/K", "must lie in 1e-30 to 1e3"),
-        "poisson": (-1.0, 0.5, "ν", "must lie in (-1, 0.5]"),
-        "prestress": (-1.0, 1.0, "φ", "must lie in (-1, 1)"),
-        "threshold_slope": (-1.0, np.inf, "ε", "must exceed -1"),
+        "poisson": (POISSON.low, POISSON.high, "ν", POISSON.requirement),
+        "prestress": (PRESTRESS.low, PRESTRESS.high, "φ", PRESTRESS.requirement),
+        "threshold_slope": (THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, "ε", THRESHOLD_SLOPE.requirement),
         "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
     }
     logarithms = [i for i, name in enumerate(limits) if name.startswith("log")]

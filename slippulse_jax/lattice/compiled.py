@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import Interface, Profile, check_bulk
 from slippulse_jax.lattice import interface_front
 from slippulse_jax.lattice.batch import Kernel
 from slippulse_jax.lattice.front import Arrest, arrest
@@ -27,6 +27,7 @@ Configuration = tuple[RightEnd, int | None, int]
 
 def fields(slider: Slider, interface: Interface | None) -> tuple[Any, ...]:
     """The numbers a lane is made of: three, or five with prestress and threshold slope."""
+    check_bulk(interface)
     three = slider.height, slider.stiffness, slider.poisson
     return three if interface is None else (*three, interface.prestress, interface.threshold_slope)
 

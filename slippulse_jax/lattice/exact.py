@@ -23,9 +23,10 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series as series
+from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.lattice.exact_crossing import ExactStatus, Plain, differentiable_crossing, front_series, solve_series
 from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.slider import Slider, broadcast, check_domain, of_one_type
+from slippulse_jax.slider import Slider, broadcast, of_one_type
 
 
 class ExactFront(NamedTuple):
@@ -103,7 +104,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
         If a concrete `s` is negative or not finite, or `prestress` outside its domain.
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
-    _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
+    PRESTRESS.check("prestress", prestress)
     return _each(_stress, _is_zero(prestress), *of_one_type(slider, prestress, s))
 
 
@@ -137,7 +138,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
     """
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
-    _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
+    PRESTRESS.check("prestress", prestress)
     return ExactFields(*_each(_fields, _is_zero(prestress), *of_one_type(slider, prestress, s, site)))
 
 
@@ -157,8 +158,8 @@ def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]
 
 def check_interface(prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> None:
     """Refuse concrete values outside their domain."""
-    _require("prestress", prestress, lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s")
-    _require("threshold_slope", threshold_slope, lambda x: x > -1, "must exceed −1: relative rise of the threshold per contact")
+    PRESTRESS.check("prestress", prestress)
+    THRESHOLD_SLOPE.check("threshold_slope", threshold_slope)
 
 
 def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> Any:

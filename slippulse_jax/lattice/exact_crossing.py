@@ -8,6 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from slippulse_jax import double_series as series
+from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
@@ -140,11 +141,12 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
         return lax.while_loop(unfinished, improve, first)
 
     found = solve(jnp.zeros_like(slope), start) if plain[1] else _with_slope(solve, slope, start, plateau)
-    length, steps, runs = found.at, found.steps, found.runs
+    # what stops only where the threshold has fallen below nothing has run away
+    length, steps, runs = found.at, found.steps, found.runs | (1 + slope * found.at < 0)
     given_up = ~(steps < MAX_STEPS) & ~(found.step <= ROUNDED * jnp.maximum(length, 1))
-    valid = in_domain(slider) & jnp.isfinite(theta).all() & (jnp.abs(theta[3]) < 1)
+    valid = in_domain(slider) & PRESTRESS.holds(theta[3]) & THRESHOLD_SLOPE.holds(theta[4])
     status = jnp.select(
-        [~valid | ~(theta[4] > -1) | ~jnp.isfinite(at_edge), at_edge <= 0, runs, given_up],
+        [~valid | ~jnp.isfinite(at_edge), at_edge <= 0, runs, given_up],
         [
             ExactStatus.INVALID,
             ExactStatus.NO_DOMINO,

@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
 from slippulse_jax.lattice.modes import Modes, RightEnd, lattice_modes
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Status
@@ -138,8 +139,7 @@ def arrest(slider: Slider, right: RightEnd, sites: int | None, max_contacts: int
 def in_domain(slider: Slider) -> Array:
     """Whether the values, traced ones included, are those of a slider."""
     height, stiffness, poisson = (jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson))
-    finite = jnp.isfinite(height) & jnp.isfinite(stiffness)
-    return finite & (height > 1) & (stiffness > 0) & (poisson > -1) & (poisson <= 0.5)
+    return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
 
 
 def front_stress(modes: Modes, count: int) -> Float[Array, " count"]:

@@ -137,8 +137,7 @@ def arrest(slider: Slider, interface: Interface | Profile, right: RightEnd, site
     s0, ahead = front.position, excess(front)
     behind = front.stress_before - interface.threshold_at((s0 - 1).astype(front.stress.dtype))
     at_edge = edge_stress(modes, interface, drive, front)
-    phi, slope = (jnp.asarray(x) for x in _uniform_part(interface))
-    valid = in_domain(slider) & jnp.isfinite(ahead) & (phi < 1) & jnp.isfinite(slope) & (phi >= 0)
+    valid = in_domain(slider) & interface.in_domain() & jnp.isfinite(ahead)
     endings = {
         FrontStatus.INVALID: ~valid,
         FrontStatus.RAN_THROUGH: (s0 == sites) if sites is not None else jnp.zeros((), bool),
@@ -161,13 +160,6 @@ def _far_away(interface: Interface | Profile) -> tuple[Array, int, Array]:
     sites = np.shape(interface.threshold)[0]
     last = jnp.asarray(sites - 1)
     return jnp.ones((), bool), sites, interface.prestress_at(last) / interface.threshold_at(last)
-
-
-def _uniform_part(interface: Interface | Profile) -> tuple[Array, Array]:
-    zero = jnp.zeros(())
-    if isinstance(interface, Interface):
-        return jnp.asarray(interface.prestress), jnp.asarray(interface.threshold_slope)
-    return zero, zero
 
 
 def edge_stress(modes: Modes, interface: Interface | Profile, drive: Array, front: DelayedFront) -> Array:

@@ -112,14 +112,17 @@ class Fields(eqx.Module):
     upper: Float[Array, " sites"]  # u_t
     interface: Float[Array, " sites"]  # u
     pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
+    prestress: Float[Array, " sites"]  # φ_i, what the contact carries when u = u_b, in σ_s
 
     @property
     def stress(self) -> Float[Array, " sites"]:
-        """Contact stress σ_c = k(u − u_b)/λc² (label cra06), in σ_s."""
-        return self.interface - self.pinning
+        """All that the contact carries: σ_c = k(u − u_b)/λc² (label cra06), and its prestress, in σ_s."""
+        return self.interface - self.pinning + self.prestress
 
 
-def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"]) -> Fields:
+def equilibrium_fields(
+    modes: Modes, load: Array, pinning: Float[Array, " sites"], prestress: Float[Array, " sites"] | None = None
+) -> Fields:
     """Fields of a uniform chain in equilibrium (labels discr1, discr2), in O(sites).
 
     Parameters
@@ -130,6 +133,8 @@ def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"
         U, displacement of the left edge of the upper layer, in u_s.
     pinning : array, shape (sites,)
         u_b, in u_s.
+    prestress : array, shape (sites,), optional
+        φ_i, in σ_s; none by default. It is balanced from outside (top shear), and moves nothing by itself.
     """
     site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)
     echo, y = jax.vmap(modes.echo_factor)(site), jax.vmap(modes.profile)(site)
@@ -145,7 +150,8 @@ def equilibrium_fields(modes: Modes, load: Array, pinning: Float[Array, " sites"
     endless = echo * up_to + from_here - echo * sources
     amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
     in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
-    return Fields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning)
+    carried = jnp.zeros_like(pinning) if prestress is None else prestress
+    return Fields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning, carried)
 
 
 def check_right_end(right: RightEnd, sites: int | None) -> None:

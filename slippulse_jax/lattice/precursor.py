@@ -54,22 +54,19 @@ class FirstPrecursor(eqx.Module):
     interface: Interface | Profile | None = None
 
     def fields_at(self, front_position: int | Array) -> Fields:
-        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest.
-
-        On an interface with prestress φ the contact stress is `Fields.stress` + φ.
-        """
+        """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
         if self.interface is not None:
             sites = self.front_stress.shape[0]
             pinning = interface_front.pinning(self.modes, self.interface, sites, jnp.asarray(front_position))
-            return equilibrium_fields(self.modes, self.load, pinning)
+            prestress = self.interface.prestress_at(jnp.arange(sites, dtype=pinning.dtype))
+            return equilibrium_fields(self.modes, self.load, pinning, prestress)
         broken = jnp.arange(self.front_stress.shape[0]) < front_position
         return equilibrium_fields(self.modes, self.load, jnp.where(broken, self.front_stress, 0))
 
     @property
     def edge_stress(self) -> Float[Array, ""]:
         """Stress on contact 0 at arrest, the largest behind the front; in σ_s."""
-        loaded = self.arrest.stress[0]
-        return loaded if self.interface is None else loaded + self.interface.prestress_at(jnp.zeros(()))
+        return self.arrest.stress[0]
 
     def __str__(self) -> str:
         if isinstance(self.length, Tracer) or self.length.ndim:
@@ -82,7 +79,7 @@ class FirstPrecursor(eqx.Module):
 
     @property
     def nucleation(self) -> Fields:
-        """Fields when contact 0 carries σ_s and nothing has broken."""
+        """Fields when contact 0 carries its threshold and nothing has broken."""
         return self.fields_at(0)
 
     @property

@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.interface import check_contacts
 from slippulse_jax.lattice.front import advance, nucleate
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
@@ -64,8 +65,14 @@ def sensitivity(
     broken and the one that stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load. A smooth rule spreads
     it over the contacts near their threshold. The prestress of every contact matters under either, since it is released.
     Composes with ``jit`` and ``vmap``.
+
+    Raises
+    ------
+    ValueError
+        If a concrete threshold is not positive, or a prestress not within it.
     """
     check_rule(rule, one=True)
+    check_contacts("", threshold, prestress)
     return _worked_out(slider, sites, rule, threshold, prestress)
 
 

@@ -1,0 +1,51 @@
+"""Where each number of the model may lie, written once; and the refusal of one that does not."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Domain(NamedTuple):
+    """An interval, and what a user is told who leaves it."""
+
+    low: float  # never part of it
+    high: float
+    requirement: str
+    closed: bool = False  # whether `high` is part of it
+
+    def holds(self, x: Any) -> Any:
+        """Whether `x` lies in it, element by element; for numbers, NumPy and JAX arrays, traced ones included."""
+        return (x > self.low) & ((x <= self.high) if self.closed else (x < self.high))
+
+    def check(self, name: str, value: Any) -> None:
+        """Refuse concrete values outside it, as `check_domain` does; traced ones cannot be looked at."""
+        from jax.core import Tracer  # here, because a table of measurements is read without JAX
+
+        if not isinstance(value, Tracer):
+            check_domain(name, np.asarray(value, dtype=float), self.holds, self.requirement)
+
+
+HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
+STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in units of K = Eλc")
+THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
+POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed=True)
+PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
+"""At 1 a contact breaks without a push; at −1 it breaks backwards."""
+THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the threshold from contact to contact, in σ_s")
+"""At −1 contact 1 holds nothing."""
+
+
+def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
+    """Refuse values outside a domain, or not finite, naming the first and its index.
+
+    Raises
+    ------
+    ValueError
+        Name, value, index, and `requirement` as the user should read it.
+    """
+    bad = ~(np.isfinite(value) & inside(value))
+    if bad.any():
+        index = [int(i) for i in np.argwhere(bad)[0]]
+        where = f" at index {index[0] if len(index) == 1 else tuple(index)}" if index else ""
+        more = f" ({int(bad.sum())} such values)" if bad.sum() > 1 else ""
+        raise ValueError(f"{name} = {value[tuple(index)]:g}{where}{more}: {requirement}")
