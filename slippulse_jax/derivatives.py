@@ -1,6 +1,7 @@
-"""Derivatives of functions of few parameters whose loops have no reverse mode."""
+"""Derivatives of functions of few parameters whose loops have no reverse mode; and functions that must have none."""
 
 from collections.abc import Callable
+from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -39,3 +40,24 @@ def by_forward_mode(f: Function) -> Function:
         return both[..., 0], both[..., 1:] @ tangents[0]
 
     return differentiable
+
+
+def without_derivative(f: Callable[..., Any], why: str, nondiff_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
+    """`f`, whose derivative would be silently zero or an artefact: to differentiate it, in any mode, is a TypeError.
+
+    Parameters
+    ----------
+    f : callable
+        Of pytrees of arrays.
+    why : str
+        The message: what is not differentiable, and what to use instead.
+    nondiff_argnums : tuple of int
+        As for ``jax.custom_jvp``.
+    """
+    refusing = jax.custom_jvp(f, nondiff_argnums=nondiff_argnums)
+
+    @refusing.defjvp
+    def _refuse(*arguments: Any) -> NoReturn:  # pyright: ignore[reportUnusedFunction]
+        raise TypeError(why)
+
+    return refusing

@@ -4,10 +4,15 @@ import numpy as np
 from plain_chain import chain_matrix
 
 
-def run(slider, sites, dt, steps, damping, friction=None, right="free"):
-    """First precursor of a relaxed chain; `friction` None: self-healing, else crack-like. Positions, pinning, count, energies."""
+def run(slider, sites, dt, steps, damping, friction=None, right="free", extra=None):
+    """First precursor of a relaxed chain; `friction` None: self-healing, else crack-like. Positions, pinning, count, energies.
+
+    `extra`: stiffness added to the bond of the upper layer to the right of a site ≥ 1, by site.
+    """
     n, q, height = sites, slider[1], slider[0]
     a = chain_matrix(*slider, n, right)
+    for i, more in (extra or {}).items():
+        a[i : i + 2, i : i + 2] += more * np.array([[1, -1], [-1, 1]])
     held = np.linalg.solve(a, np.eye(2 * n)[0])
     load = 1 / held[n]
     x, pin = held * load, np.zeros(n)

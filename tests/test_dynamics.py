@@ -1,12 +1,14 @@
 """The inertial chain against a plain leapfrog, its energy balance, and its limits."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import plain_dynamics
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.dynamics import CrackLike, MotionStatus, SelfHealing, quasi_static_break_time
+from slippulse_jax.lattice.dynamics import _forces, quasi_static_break_time, stable_step
+from slippulse_jax.lattice.motion import CrackLike, MotionStatus, SelfHealing
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
@@ -24,6 +26,51 @@ def test_against_plain_leapfrog(damping, friction):
     assert abs(np.append(got.upper, got.layer) - x).max() < 1e-9
     assert abs(got.state.pinning - pin).max() < 1e-9
     assert abs(np.array([got.broken, got.damped, got.rubbed]) - books).max() < 1e-10
+
+
+def test_a_stiff_bond_makes_no_block_heavier():
+    """Blocks keep the mass of their height; against the plain leapfrog, with one bond of the upper layer five times as stiff."""
+    slider, sites, bond = (10.0, 0.03, 0.3), 30, 6
+    upper = np.full(sites - 1, 10.0)
+    upper[bond] *= 5
+    chain = sp.chain(sp.Slider(*slider), sites=sites, right="free", upper=upper)
+    got = sp.simulate_inertial(chain, duration=60.0)
+    steps = round(float(got.time / got.step))
+    x, pin, count, _ = plain_dynamics.run(slider, sites, float(got.step), steps, 0.0, extra={bond: 40.0})
+    assert np.array_equal(got.breaks, count)
+    assert abs(np.append(got.upper, got.layer) - x).max() < 1e-9
+    assert abs(got.state.pinning - pin).max() < 1e-9
+    assert got.imbalance < 1e-3
+
+
+def test_the_step_is_stable_on_any_chain():
+    """Below 2/ω_max of the dense spectrum, whatever bonds and end; within a fifth of it on the paper's chain."""
+    n = 12
+    for right in ("free", "clamped", "semi-infinite"):
+        for upper, layer in ((25.0, 1.0), (0.1, 0.004), (np.geomspace(0.1, 500, n - 1), np.geomspace(3, 0.01, n - 1))):
+            chain = sp.chain(FIG2, sites=n, right=right, upper=upper, layer=layer)
+            stiffness = -jax.jacfwd(lambda x, c=chain: jnp.append(*_forces(c, (x[:n], x[n:]), np.zeros(n))))(np.zeros(2 * n))
+            root = np.sqrt(np.append(np.full(n, 25.0), np.ones(n)))
+            fastest = np.sqrt(np.linalg.eigvalsh(np.asarray(stiffness)[1:, 1:] / np.outer(root, root)[1:, 1:])[-1])
+            assert stable_step(chain, 1.0) <= 2 / fastest
+            if np.shape(upper) == () and upper == 25.0:
+                assert stable_step(chain, 1.0) > 0.8 * 2 / fastest
+
+
+def test_derivatives_are_refused():
+    """The time of a break is a whole number of steps, and its derivative would be that of the step."""
+
+    def first_break(k):
+        chain = sp.chain(sp.Slider(10.0, k, 0.3), sites=20)
+        return sp.simulate_inertial(chain, duration=20.0).first_break[3]
+
+    chain = sp.chain(FIG2, sites=20)
+    for refused in (
+        lambda: jax.grad(first_break)(0.03),
+        lambda: jax.grad(lambda g: sp.simulate_inertial(chain, duration=5.0, damping=g).damped)(0.1),
+    ):
+        with pytest.raises(TypeError, match="cannot be differentiated.*precursor_length"):
+            refused()
 
 
 def test_energy_balance_to_the_order_of_the_integrator():
@@ -104,11 +151,37 @@ def test_crack_like_fronts_know_the_thresholds_self_healing_ones_do_not():
     assert int(crack_two.extent) > crack[1], "the same friction under twice the threshold"
 
 
-def test_refusals_and_bad_lanes():
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"duration": -1.0}, "duration = -1: must be positive"),
+        ({"duration": np.inf}, "duration = inf"),
+        ({"damping": -0.1}, "damping = -0.1: must be 0 or more"),
+        ({"velocity": np.nan}, "velocity = nan"),
+        ({"safety": 1.0}, "safety = 1: must lie between 0 and 1"),
+        ({"rest": -1.0}, "rest = -1"),
+        ({"trigger": 20}, "trigger = 20: must be −1 … 19"),
+        ({"rule": SelfHealing(-1.0)}, "SelfHealing.break_time = -1"),
+        ({"rule": CrackLike(0.8)}, "CrackLike.friction = 0.8: must be 0 or more and below every threshold"),
+        ({"rule": CrackLike(-0.1)}, "CrackLike.friction = -0.1"),
+    ],
+)
+def test_refusals_name_the_number(wrong, message):
+    chain = sp.chain(FIG2, sites=20, threshold=np.append(1.0, np.full(19, 0.8)))
+    with pytest.raises(ValueError, match=message):
+        sp.simulate_inertial(chain, **({"duration": 1.0} | wrong))
+
+
+def test_bad_lanes():
+    """What cannot be looked at makes its own lane invalid, and no other."""
     chain = sp.chain(FIG2, sites=20)
     with pytest.raises(TypeError, match="rule"):
         sp.simulate_inertial(chain, duration=1.0, rule="slip")  # pyright: ignore
-    with pytest.raises(ValueError, match="duration"):
-        sp.simulate_inertial(chain, duration=-1.0)
-    status = jax.vmap(lambda g: sp.simulate_inertial(chain, duration=5.0, damping=g).status)(np.array([0.1, np.nan]))
-    assert list(status) == [MotionStatus.TIME_OVER, MotionStatus.INVALID]
+
+    def status(duration, damping, friction):
+        return sp.simulate_inertial(chain, duration=duration, damping=damping, rule=CrackLike(friction)).status
+
+    good = (5.0, 0.1, 0.5)
+    wrong = [(5.0, np.nan, 0.5), (5.0, -0.1, 0.5), (-1.0, 0.1, 0.5), (1e12, 0.1, 0.5), (5.0, 0.1, 1.0), (5.0, 0.1, -0.1)]
+    found = jax.vmap(status)(*np.transpose([good, *wrong]))
+    assert list(found) == [MotionStatus.TIME_OVER] + [MotionStatus.INVALID] * len(wrong)

@@ -129,6 +129,7 @@ def discretisation_error(right, sites):
         threshold=jnp.ones(sites),
         prestress=jnp.zeros(sites),
         stiffness=one * k,
+        height=one * K_L,
         end=end,
     )
     found = jax.jit(equilibrium)(cells, State(jnp.asarray(u_b(x)), jnp.asarray(f(x[0]))))

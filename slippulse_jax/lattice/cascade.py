@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.blocks import Moves, all_opened, whole
 from slippulse_jax.lattice.breaks import Broken, check_delay, run
 from slippulse_jax.lattice.chain import Chain, State
@@ -151,16 +152,13 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
     )
 
 
-_undifferentiated = jax.custom_jvp(jax.jit(_hard_rupture, static_argnums=0), nondiff_argnums=(0,))
-
-
-@_undifferentiated.defjvp
-def _refuse(limits, primals, tangents):
-    raise TypeError(
-        "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
-        "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
-        "precursor_length, which has an exact derivative."
-    )
+_undifferentiated = without_derivative(
+    jax.jit(_hard_rupture, static_argnums=0),
+    "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
+    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
+    "precursor_length, which has an exact derivative.",
+    nondiff_argnums=(0,),
+)
 
 
 def rupture(

@@ -44,7 +44,8 @@ class Chain(eqx.Module):
 
     Forces are in K u_s, displacements in u_s and stresses in σ_s, where u_s, σ_s and `stiffness` are those of the
     slider's own λ-contact. The stress on contact i is t_i = (k_i/k) f(u_i − u_b,i) + φ_i, with f(z) = z unless `law`
-    says otherwise; a detached contact (k_i = 0) carries none.
+    says otherwise; a detached contact (k_i = 0) carries none. `height` is that of the slider: the mass of a block of the
+    upper layer over that of one of the interfacial layer, whatever its bonds.
     """
 
     upper: Float[Array, " N-1"] = quantity_field("K_L", "K", "cra03")
@@ -54,6 +55,7 @@ class Chain(eqx.Module):
     threshold: Float[Array, " N"] = quantity_field("\\theta_i", "\\sigma_s")
     prestress: Float[Array, " N"] = quantity_field("\\varphi_i", "\\sigma_s")
     stiffness: Float[Array, ""] = quantity_field("k", "K", "cra41")
+    height: Float[Array, ""] = quantity_field("H/\\lambda_c", "1", "cra41")
     end: Springs = eqx.field(kw_only=True)  # what lies beyond the last site
     law: ForceLaw | None = None
 
@@ -147,6 +149,7 @@ def chain(
         threshold=along("threshold", threshold, sites, "positive, in σ_s", lambda x: x > 0),
         prestress=along("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
         stiffness=q,
+        height=jnp.asarray(slider.height),
         end=ends[right](),
         law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
     )

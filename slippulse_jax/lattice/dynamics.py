@@ -1,86 +1,34 @@
 r"""The chain with inertia: both layers have mass, contacts break in time, and waves run ahead of the front.
 
 A block of the interfacial layer has mass m = 1, one of the upper layer H/λc, so that sound travels one site per time unit
-√(m/K) in both. Positions and velocities go forward by velocity Verlet, which is symplectic, between two exact half steps of
-viscous damping. Every loss is booked where it occurs: the kinetic energy a damping step takes, the stretch a contact loses
-as it breaks, the friction of a contact that slides. What is left over is the integrator's error, of second order in the step.
+√(m/K) in both; a bond stiffer than the rest is faster, and makes no block heavier. Positions and velocities go forward by
+velocity Verlet, which is symplectic, between two exact half steps of viscous damping. Every loss is booked where it occurs:
+the kinetic energy a damping step takes, the stretch a contact loses as it breaks, the friction of a contact that slides.
+What is left over is the integrator's error, of second order in the step.
 
 A general-purpose integrator would not do better here: the right-hand side jumps at every break, which must happen between two
 steps of one fixed size, and a method of higher order loses its order there.
+
+Nothing here has a derivative. A contact breaks at the first whole step after it reached its threshold: the time of a break
+would have the derivative of the step, and all that follows would inherit it.
 """
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.domains import check_domain
 from slippulse_jax.lattice.cascade import nucleate
 from slippulse_jax.lattice.chain import Chain, State, potential_energy, relaxed
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
-from slippulse_jax.status import Status
-
-
-class MotionStatus(Status):
-    """How a simulation ended."""
-
-    AT_REST = 0, "at rest: no contact over threshold, no motion left"
-    TIME_OVER = 1, "time over: still moving after the given duration"
-    SPANNED = 2, "the last contact of the chain broke"
-    INVALID = 3, "no such chain or start, or the motion left the range of numbers"
-
-
-class SelfHealing(eqx.Module):
-    """A contact at its threshold breaks and repins at once with zero stretch: the paper's rule.
-
-    Parameters
-    ----------
-    break_time : float
-        Shortest time between two breaks anywhere, the most overloaded contact first; in √(m/K). The paper's hierarchy of
-        times, sound much faster than the front, is a break time long beside the time the chain takes to relax. 0: a contact
-        breaks the moment it reaches its threshold.
-    """
-
-    break_time: Float[AnyArrayLike, ""] = 0.0
-
-
-class CrackLike(eqx.Module):
-    """A contact at its threshold slides, under a constant friction, and repins when its slip rate vanishes (Amontons–Coulomb).
-
-    Parameters
-    ----------
-    friction : float
-        σ_k, the stress on a sliding contact, in σ_s; below every threshold.
-    """
-
-    friction: Float[AnyArrayLike, ""] = 0.5
-
-
-class Motion(NamedTuple):
-    """A simulation at its end; displacements in u_s, times in √(m/K), energies in K u_s²."""
-
-    state: State
-    upper: Float[Array, " N"]
-    layer: Float[Array, " N"]
-    upper_velocity: Float[Array, " N"]
-    layer_velocity: Float[Array, " N"]
-    first_break: Float[Array, " N"]  # time at which each contact first broke; inf if it did not
-    breaks: Int[Array, " N"]
-    extent: Int[Array, ""]  # sites from the left edge to the rightmost broken contact, which is among them
-    time: Float[Array, ""]
-    step: Float[Array, ""]
-    kinetic: Float[Array, ""]
-    potential: Float[Array, ""]
-    work: Float[Array, ""]  # of the left edge
-    broken: Float[Array, ""]  # stretch lost by breaking contacts
-    damped: Float[Array, ""]
-    rubbed: Float[Array, ""]  # friction of sliding contacts
-    imbalance: Float[Array, ""]  # largest error of the energy balance at any step
-    status: Int[Array, ""]
+from slippulse_jax.lattice.motion import Asked, CrackLike, Motion, MotionStatus, SelfHealing, domains
 
 
 class _Now(NamedTuple):
@@ -97,25 +45,30 @@ class _Now(NamedTuple):
     worst: Array
 
 
-def stable_step(chain: Chain, safety: float = 0.2) -> Array:
+def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
     """`safety` times the largest stable step 2/ω_max of velocity Verlet, ω_max² bounded by Gershgorin's discs."""
-    height = chain.upper.max()
-    upper = (4 * chain.upper.max() + 2 * (chain.across.max() + chain.end.across)) / height
-    layer = 4 * chain.layer.max() + 2 * (chain.across.max() + chain.end.across) + chain.contact.max()
-    return safety * 2 / jnp.sqrt(jnp.maximum(upper, layer))
+
+    def bonds(inner: Array, beyond: Array) -> Array:
+        """Diagonal and off-diagonal of a row, of two bonds or of one and what lies beyond the end."""
+        return 2 * inner.max() + jnp.maximum(2 * inner.max(), beyond)
+
+    across = 2 * (chain.across.max() + chain.end.across)
+    upper = (bonds(chain.upper, chain.end.upper) + across) / chain.height
+    layer = bonds(chain.layer, chain.end.layer) + across + chain.contact.max()
+    return 2 * jnp.asarray(safety) / jnp.sqrt(jnp.maximum(upper, layer))
 
 
 def simulate_inertial(
     chain: Chain,
     state: State | None = None,
     *,
-    duration: float,
+    duration: AnyArrayLike,
     damping: AnyArrayLike = 0.0,
     rule: SelfHealing | CrackLike = SelfHealing(),  # noqa: B008 - a constant
     velocity: AnyArrayLike = 0.0,
     trigger: int | Int[Array, ""] | None = None,
-    safety: float = 0.2,
-    rest: float = 1e-12,
+    safety: AnyArrayLike = 0.2,
+    rest: AnyArrayLike = 1e-12,
 ) -> Motion:
     """Motion of a chain from rest.
 
@@ -133,9 +86,9 @@ def simulate_inertial(
     velocity : float
         Of the left edge of the upper layer; 0 holds it where it is, as fast fronts find it.
     trigger : int, optional
-        Contact that breaks at time 0. By default that of the nucleation, or none if `state` is given.
+        Contact that breaks at time 0; −1 for none. By default that of the nucleation, or none if `state` is given.
     safety : float
-        Step over the largest stable one.
+        Step over the largest stable one; between 0 and 1.
     rest : float
         Kinetic energy, in K u_s², below which a damped chain without overloaded contact is taken to be at rest.
 
@@ -143,20 +96,30 @@ def simulate_inertial(
     -------
     Motion
         With a status (`MotionStatus`) instead of an exception; composes with ``jit`` and ``vmap``.
+
+    Raises
+    ------
+    ValueError
+        If a number lies outside its domain, naming it; traced by JAX it makes the motion `MotionStatus.INVALID`.
+    TypeError
+        If the rule is none of these, or a derivative is taken: it would be that of the time step.
     """
     if chain.law is not None:
         raise ValueError("the inertial chain needs linear contacts: this chain has a force law")
     if not isinstance(rule, SelfHealing | CrackLike):
         raise TypeError(f"rule = {rule!r}: must be SelfHealing(break_time) or CrackLike(friction)")
-    if not (duration > 0 and 0 < safety < 1):
-        raise ValueError(f"duration = {duration}, safety = {safety}: must be positive, and safety below 1")
+    first = -1 if trigger is None else trigger
+    asked = Asked(chain, rule, duration, damping, velocity, safety, rest, first)
+    for name, (value, holds, requirement) in domains(asked).items():
+        if not any(isinstance(x, Tracer) for x in (value, holds(value))):
+            check_domain(name, np.asarray(value), holds, requirement)
     if state is None:
         state, found = nucleate(chain, relaxed(chain))
-        trigger = found if trigger is None else trigger
-    trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
-    return _simulate(
-        safety, chain, state, jnp.asarray(duration), jnp.asarray(damping), rule, jnp.asarray(velocity), trigger, rest
-    )
+        first = found if trigger is None else trigger
+    dtype = chain.contact.dtype
+    numbers = {name: jnp.asarray(getattr(asked, name), dtype) for name in ("duration", "damping", "velocity", "safety", "rest")}
+    rule = jax.tree.map(lambda x: jnp.asarray(x, dtype), rule)
+    return _undifferentiated(asked._replace(rule=rule, trigger=jnp.asarray(first, jnp.int32), **numbers), state)
 
 
 def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
@@ -175,22 +138,14 @@ def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array
     return on_upper, on_layer - chain.contact * (layer - pinning)
 
 
-@eqx.filter_jit
-def _simulate(
-    safety: float,
-    chain: Chain,
-    state: State,
-    duration: Array,
-    damping: Array,
-    rule: SelfHealing | CrackLike,
-    velocity: Array,
-    trigger: Array,
-    rest: float,
-) -> Motion:
+def _simulate(asked: Asked, state: State) -> Motion:
+    chain, rule, duration, damping, velocity, safety, rest, trigger = asked
     start = equilibrium(chain, state)
     dt = stable_step(chain, safety)
-    steps = jnp.ceil(duration / dt).astype(jnp.int32)
-    mass = (chain.upper.max(), jnp.ones_like(dt))
+    number = jnp.ceil(duration / dt)
+    valid = (number < 2**31) & jnp.stack([holds(x) & jnp.isfinite(x) for x, holds, _ in domains(asked).values()]).all()
+    steps = jnp.where(valid, number, 0).astype(jnp.int32)
+    mass = (chain.height, jnp.ones_like(dt))
     keep = jnp.exp(-damping * dt / 2)
     k = chain.stiffness
     attached = chain.contact > 0
@@ -291,7 +246,7 @@ def _simulate(
     extent = jnp.where(broke, sites + 1, 0).max()
     work, broken, damped, rubbed = now.books
     moving = kinetic(now.v)
-    finite = jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
+    finite = valid & jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
     endings = [~finite, extent == chain.sites, now.n >= steps]
     status = jnp.select(endings, [MotionStatus.INVALID, MotionStatus.SPANNED, MotionStatus.TIME_OVER], MotionStatus.AT_REST)
     return Motion(
@@ -316,6 +271,14 @@ def _simulate(
     )
 
 
+_undifferentiated = without_derivative(
+    jax.jit(_simulate),
+    "simulate_inertial cannot be differentiated: contacts break at whole time steps, so that the derivative of all that "
+    "follows would be that of the step. For the length of a first precursor without inertia, precursor_length has an exact "
+    "derivative.",
+)
+
+
 def quasi_static_break_time(chain: Chain, damping: float) -> float:
     """A break time after which even the slowest motion of a chain has decayed by e^{−30}, from the chain's spectrum.
 
@@ -323,7 +286,7 @@ def quasi_static_break_time(chain: Chain, damping: float) -> float:
     """
     n = chain.sites
     flat = jax.jacfwd(lambda x: jnp.concatenate(_forces(chain, (x[:n], x[n:]), jnp.zeros(n))))(jnp.zeros(2 * n))
-    root = np.sqrt(np.append(np.full(n, float(chain.upper.max())), np.ones(n)))
+    root = np.sqrt(np.append(np.full(n, float(chain.height)), np.ones(n)))
     squares = np.linalg.eigvalsh(-np.asarray(flat)[1:, 1:] / np.outer(root[1:], root[1:]))
     slowest = squares.min()
     rate = damping / 2 if damping**2 < 4 * slowest else damping / 2 - np.sqrt(damping**2 / 4 - slowest)

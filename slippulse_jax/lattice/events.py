@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.ageing import Ageing
 from slippulse_jax.lattice.blocks import all_opened
 from slippulse_jax.lattice.breaks import check_delay
@@ -165,9 +166,8 @@ def _one_series(
     )
 
 
-_hard_series = jax.custom_jvp(jax.jit(_series, static_argnums=0), nondiff_argnums=(0,))
-
-
-@_hard_series.defjvp
-def _refuse(shape, primals, tangents):
-    raise TypeError("a series of hard events cannot be differentiated: which contact breaks next is a comparison")
+_hard_series = without_derivative(
+    jax.jit(_series, static_argnums=0),
+    "a series of hard events cannot be differentiated: which contact breaks next is a comparison",
+    nondiff_argnums=(0,),
+)
