@@ -8,17 +8,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slippulse_jax.domains import POISSON, PRESTRESS, Domain
 from slippulse_jax.double_series import overlap
-from slippulse_jax.slider import Slider, check_domain, each_slider
+from slippulse_jax.slider import Slider, each_slider
 from slippulse_jax.theory.crossing import crossing
 
 _DOMAIN = {
-    "b": (lambda x: x > 0, "must be positive: areal stiffness times height over shear modulus"),
-    "poisson": (lambda x: (x > -1) & (x <= 0.5), "must lie in (-1, 0.5]: Poisson's ratio ν"),
-    "prestress": (lambda x: abs(x) < 1, "must lie in (−1, 1): σ_0/σ_s"),
+    "b": Domain(0, np.inf, "must be positive: areal stiffness times height over shear modulus"),
+    "poisson": POISSON,
+    "prestress": PRESTRESS,
 }
 
 TERMS = 20
@@ -84,9 +84,8 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
 
         e^{−p(z)} [1 + φ ∫_0^z e^{p(y)} dy] = (1 + β)/2;     without prestress  p(z) = ln[2/(1 + β)].
     """
-    for (name, (inside, requirement)), value in zip(_DOMAIN.items(), (b, poisson, prestress), strict=True):
-        if not isinstance(value, Tracer):
-            check_domain(name, np.asarray(value, dtype=float), inside, requirement)
+    for (name, domain), value in zip(_DOMAIN.items(), (b, poisson, prestress), strict=True):
+        domain.check(name, value)
     b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
     return _macroscopic(b, nu, phi)
 
@@ -108,7 +107,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
         z = crossing(excess, (beta, released, phi), jnp.zeros_like(b), far)
         # beyond, inf by a function without a finite derivative; before, one that reverse mode can multiply by zero
         z = jnp.where(plateau < 1, z, -jnp.log(jnp.maximum(1 - plateau, 0)))
-        good = [inside(x) for (inside, _), x in zip(_DOMAIN.values(), (b, nu, phi), strict=True)]
+        good = [domain.holds(x) for domain, x in zip(_DOMAIN.values(), (b, nu, phi), strict=True)]
         return z * jnp.sqrt(2 * (1 + nu) / released) * jnp.where(jnp.stack(good).all(), 1, jnp.nan)
 
     return jnp.vectorize(one)(b, nu, phi)
