@@ -51,10 +51,6 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.distribution import ForceLaw as ForceLaw
     from slippulse_jax.lattice.distribution import ThresholdDistribution as ThresholdDistribution
     from slippulse_jax.lattice.distribution import force_law as force_law
-    from slippulse_jax.lattice.dynamics import CrackLike as CrackLike
-    from slippulse_jax.lattice.dynamics import Motion as Motion
-    from slippulse_jax.lattice.dynamics import MotionStatus as MotionStatus
-    from slippulse_jax.lattice.dynamics import SelfHealing as SelfHealing
     from slippulse_jax.lattice.dynamics import simulate_inertial as simulate_inertial
     from slippulse_jax.lattice.equilibrium import Equilibrium as Equilibrium
     from slippulse_jax.lattice.equilibrium import EquilibriumStatus as EquilibriumStatus
@@ -74,6 +70,10 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
     from slippulse_jax.lattice.front import FrontStatus as FrontStatus
     from slippulse_jax.lattice.modes import Fields as Fields
+    from slippulse_jax.lattice.motion import CrackLike as CrackLike
+    from slippulse_jax.lattice.motion import Motion as Motion
+    from slippulse_jax.lattice.motion import MotionStatus as MotionStatus
+    from slippulse_jax.lattice.motion import SelfHealing as SelfHealing
     from slippulse_jax.lattice.precursor import FirstPrecursor as FirstPrecursor
     from slippulse_jax.lattice.precursor import FrontNotArrested as FrontNotArrested
     from slippulse_jax.lattice.precursor import first_precursor as first_precursor
@@ -96,7 +96,7 @@ _HOME = {
     "Candidate": "inference.design",
     "Catalogue": "lattice.catalogue",
     "Chain": "lattice.chain",
-    "CrackLike": "lattice.dynamics",
+    "CrackLike": "lattice.motion",
     "Design": "inference.design",
     "Determination": "inference.fields",
     "Equilibrium": "lattice.equilibrium",
@@ -121,15 +121,15 @@ _HOME = {
     "LengthGradient": "lattice.bulk",
     "MeasurementError": "inference.measurements",
     "Measurements": "inference.measurements",
-    "Motion": "lattice.dynamics",
-    "MotionStatus": "lattice.dynamics",
+    "Motion": "lattice.motion",
+    "MotionStatus": "lattice.motion",
     "Parameter": "inference.parameters",
     "Posterior": "inference.bayes",
     "Profile": "interface",
     "RecoveredProfile": "inference.fields",
     "Rupture": "lattice.cascade",
     "RuptureStatus": "lattice.cascade",
-    "SelfHealing": "lattice.dynamics",
+    "SelfHealing": "lattice.motion",
     "Sensitivity": "lattice.sensitivity",
     "SeriesStatus": "lattice.catalogue",
     "Slider": "slider",
