@@ -2,16 +2,22 @@
 
 from pathlib import Path
 
+import numpy as np
+
 import slippulse_jax as sp
 
 PRINTED_STIFFNESS = 0.03  # k/K of the numerical solution the length was read from
 
 
 def main() -> sp.FitResult:
-    """Fit, print the report, and check that the stiffness in the paper is among those allowed."""
+    """Fit, print the report, and check that the two ranges are those of 26 contacts, and hold the stiffness in the paper."""
     result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
     print(result.report())
-    assert any(piece.low < PRINTED_STIFFNESS < piece.high for piece in result.intervals["stiffness"][0.6827])
+    pieces = result.intervals["stiffness"][0.95]
+    assert any(piece.low < PRINTED_STIFFNESS < piece.high for piece in pieces)
+    ends = np.array([end for piece in pieces for end in piece[:2]])
+    # as finely as the ends are searched for
+    assert np.allclose(sp.precursor_lengths(sp.Slider(25.0, ends, 0.3)), [25, 26, 26, 25], atol=5e-3)
     return result
 
 
