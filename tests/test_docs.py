@@ -153,6 +153,15 @@ def test_examples_of_a_page_run(page, tmp_path, monkeypatch):
     plt.close("all")
 
 
+def test_every_how_to_ends_in_an_assertion_of_its_point():
+    """In its last program; the page on clusters has none that runs here."""
+    listed = re.search(r":caption: How to\n(.+?)\n```", (DOCS / "index.md").read_text(encoding="utf-8"), flags=re.S)[1].split()
+    assert len(listed) >= 13
+    for page in set(listed) - {"clusters"}:
+        *_, (_, last) = documented.blocks(DOCS / f"{page}.md", "python")
+        assert re.search(r"^\s*assert ", last, flags=re.M), page
+
+
 def test_what_is_not_run_says_so():
     """Blocks of another kind than those above are output, are put in from elsewhere, or need a cluster."""
     for path in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"), ROOT / "README.md"):

@@ -21,7 +21,7 @@ def command(numbers: tuple[str, ...], write: Path | None, as_json: bool) -> None
         for result in examine(list(numbers) or None):
             results.append(result)
             if not as_json:
-                click.echo(f"{result.number}  {result.says}\n    {result.measured}\n    {result.verdict.upper()}\n")
+                click.echo(f"{result.number}  {result.says}\n    holds if {result.criteria}\n    {result.measured}\n    {result.verdict.upper()}\n")
     except ValueError as error:
         refuse(error)
     if as_json:

@@ -1,0 +1,44 @@
+"""A claim of the paper, what decides whether it holds, and what was found."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+from slippulse_jax.slider import Slider
+
+Verdict = Literal["holds", "holds within limits", "does not hold as worded"]
+
+HOLDS: Verdict = "holds"
+WITHIN: Verdict = "holds within limits"
+FAILS: Verdict = "does not hold as worded"
+
+
+class Finding(NamedTuple):
+    """What was measured of one claim, and the verdict that its criteria give on that."""
+
+    measured: str
+    verdict: Verdict
+
+
+class Claim(NamedTuple):
+    """One claim; `holds` and `limits` are the criteria of the verdicts *holds* and *holds within limits*."""
+
+    number: str
+    says: str
+    holds: str
+    limits: str  # empty where there is nothing between holding and failing
+    measure: Callable[[], Finding]
+
+
+def claim(number: str, *, holds: str, limits: str = "") -> Callable[[Callable[[], Finding]], Claim]:
+    """Make a measurement, whose docstring is what the paper says, a `Claim`."""
+    return lambda measure: Claim(number, (measure.__doc__ or "").rstrip("."), holds, limits, measure)
+
+
+def judge(holds: bool, within: bool = False) -> Verdict:
+    """Verdict of the two criteria."""
+    return HOLDS if holds else WITHIN if within else FAILS
+
+
+def fig2() -> Slider:
+    """The slider of the paper's Fig. 2."""
+    return Slider(25.0, 0.03, 0.3)
