@@ -91,7 +91,7 @@ def by_slope(rate):
         (front, "first_precursor", lambda _: precursor(27), "C1", WITHIN),
         (front, "first_precursor", lambda _: precursor(28), "C1", FAILS),
         (front, "precursor_lengths", lengths(lambda s, _: 9 + np.log(s.stiffness) + 0 * s.height), "C5", HOLDS),
-        (front, "precursor_lengths", lengths(lambda s, _: np.log(s.stiffness) + (s.height > 30) * s.stiffness * 99), "C5", WITHIN),
+        (front, "precursor_lengths", lengths(lambda s, _: np.log(s.stiffness) * (s.height < 30) - s.stiffness), "C5", WITHIN),
         (front, "precursor_lengths", lengths(lambda s, _: 0 * s.height - np.log(s.stiffness)), "C5", FAILS),
         (discussion, "precursor_length", by_slope(-1), "C9", HOLDS),
         (discussion, "precursor_length", by_slope(-60), "C9", WITHIN),

@@ -21,8 +21,8 @@ def command(numbers: tuple[str, ...], write: Path | None, as_json: bool) -> None
         for result in examine(list(numbers) or None):
             results.append(result)
             if not as_json:
-                lines = f"{result.number}  {result.says}", f"holds if {result.criteria}", result.measured, result.verdict.upper()
-                click.echo("\n    ".join(lines) + "\n")
+                click.echo(f"{result.number}  {result.says}\n    holds if {result.criteria}")
+                click.echo(f"    {result.measured}\n    {result.verdict.upper()}\n")
     except ValueError as error:
         refuse(error)
     if as_json:
