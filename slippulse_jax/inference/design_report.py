@@ -178,26 +178,31 @@ def draw_lengths(found: "Design", ax: "Axes | None") -> "Axes":
     theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
     length = lengths_of(found.candidates, theta)[0]
     shown = found.ranking[: len(c.data)]
-    top = 0.0
+    top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):
         one = found.candidates[i]
         height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
         share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
         ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
-        top = max(top, np.nanmax(share, initial=0.0))
+        top = max(top, np.nanmax(share + sigma / height, initial=0.0))
+        low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
+    # the density stands in a strip of its own, below the lengths
+    strip = 0.35 * (top - low) if low < top else 0.0
+    base = max(low - strip, 0.0) if strip else 0.0
     heaps = list(_densities(found.knowledge))
     highest = max(density.max() for _, density in heaps)
     for number, (middle, density) in enumerate(heaps):
-        height = 0.25 * top * density / highest
-        ax.fill_between(np.exp(middle), height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known")
+        height = 0.8 * (strip or 0.3 * top) * density / highest
+        ax.fill_between(np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known")
     ax.set(
         xscale="log",
         xlabel="areal stiffness $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "stiffness $k/K$",
         ylabel="length over height, $\\ell/H$",
-        ylim=(0, 1.15 * top if top > 0 else 1),
+        ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
     )
-    ax.legend(frameon=False, fontsize="small")
+    # lengths and density leave no corner free
+    ax.legend(frameon=False, fontsize="small", loc="lower left", bbox_to_anchor=(0, 1), ncols=3, columnspacing=1.2)
     return ax
 
 
