@@ -39,6 +39,12 @@ def test_everything_follows_without_compiling_again(widget):
     assert explorer.view._cache_size() == compiled
 
 
+def test_stress_is_all_that_the_contacts_carry():
+    seen = explorer.view(np.array([25.0, 0.03, 0.3, 0.3, 0.0]), np.asarray(0))
+    assert seen.stress[0] == pytest.approx(1, abs=1e-12), "at its threshold, before anything has broken"
+    assert seen.stress[-1] == pytest.approx(0.3, abs=0.01), "far away its prestress alone"
+
+
 def test_slopes_are_those_of_the_length():
     theta = np.array([25.0, 0.03, 0.3, 0.1, 0.001])
     seen = explorer.view(theta, np.asarray(-1))

@@ -17,6 +17,7 @@ from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.result import Identifiability
 from slippulse_jax.lattice.exact_lanes import solve_lanes
+from slippulse_jax.lattice.front import FrontStatus
 
 
 def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
@@ -178,6 +179,18 @@ def test_uncertain_inputs_widen_the_error_as_propagation_says():
     assert wide.log_stderr == pytest.approx(expected, rel=0.05)
     low, high = wide.theta_intervals["areal_stiffness"][0.6827][0][:2]
     assert (high - low) / 2 == pytest.approx(expected, rel=0.05)
+
+
+def test_prestress_of_either_sign_beside_a_front_that_ran_away():
+    """The truth back; and each row's front ends as its own conditions have it, whatever those of the others are."""
+    phi = np.array([-0.3, 0.0, 0.3, -0.01, 0.6])
+    length = model(HEIGHTS, 0.01, prestress=phi)
+    assert np.isinf(length[4])
+    assert (np.diff(model(30.0, 0.01, prestress=np.linspace(-0.9, 0.5, 8))) > 0).all()
+    known = {"poisson": 0.3, "length_sigma": 0.1, "kind": ["length"] * 4 + ["at_least"], "prestress": phi}
+    result = fit(Measurements(height=HEIGHTS, length=np.where(np.isfinite(length), length, 200.0), **known), ["stiffness"])
+    assert result.values["stiffness"] == pytest.approx(0.01, rel=1e-6)
+    assert list(result.fitted.status) == [FrontStatus.ARRESTED] * 4 + [FrontStatus.RUN_AWAY]
 
 
 def test_two_parameters_are_found_and_correlated():
