@@ -27,7 +27,7 @@ def front_stress(height, stiffness, poisson, *, prestress=0.0, sites=None, most=
     return np.array(stress)
 
 
-def length(stress, threshold=1.0):
+def length(stress, threshold: "float | np.ndarray" = 1.0):
     """Where the front stress, drawn as straight lines, falls below the threshold, in λc; inf if it does not."""
     excess = stress - threshold
     stopped = np.nonzero(excess[1:] < 0)[0]

@@ -4,7 +4,7 @@ The paper's own interface is relaxed, uniform and repins at once; its Discussion
 first precursor. All three are exact in the fast recursion (`slippulse_jax.lattice.interface_front`).
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
-from slippulse_jax.quantities import as_float, quantity_field
+from slippulse_jax.quantities import Numbers, as_float, quantity_field
 
 
 def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
@@ -82,6 +82,10 @@ class Interface(eqx.Module):
     threshold_slope: Float[AnyArrayLike, "..."] = quantity_field("\\epsilon", "\\sigma_s", default=0.0, converter=as_float)
     repin_delay: int = eqx.field(default=0, static=True)
 
+    if TYPE_CHECKING:  # what the converters take
+
+        def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None: ...
+
     def __check_init__(self) -> None:
         _check_delay(self)
         PRESTRESS.check("Interface.prestress", self.prestress)
@@ -138,6 +142,10 @@ class Profile(eqx.Module):
     threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s", converter=as_float)
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0, converter=as_float)
     repin_delay: int = eqx.field(default=0, static=True)
+
+    if TYPE_CHECKING:  # what the converters take
+
+        def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None: ...
 
     def __check_init__(self) -> None:
         _check_delay(self)

@@ -8,6 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
+from numpy.typing import ArrayLike
+
+Numbers = Array | ArrayLike
+"""A number or many: what a constructor takes, sequences among them, and holds as an array."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 

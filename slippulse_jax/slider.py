@@ -3,7 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_domain
-from slippulse_jax.quantities import as_float, quantity, quantity_field
+from slippulse_jax.quantities import Numbers, as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -52,6 +52,10 @@ class Slider(eqx.Module):
     height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=as_float)
     stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", converter=as_float)
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=as_float)
+
+    if TYPE_CHECKING:  # what the converters take
+
+        def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None: ...
 
     def __check_init__(self) -> None:
         for name, domain in _DOMAIN.items():

@@ -15,6 +15,7 @@ def main() -> sp.FitResult:
     print(naive.report())
     (interval,) = naive.intervals["stiffness"][0.95]
     assert interval.low > 1.5 * TRUE_STIFFNESS  # wrong by far more than the error bar …
+    assert naive.p_value is not None
     assert naive.p_value > 0.05  # … and nothing in the data objects
     informed = sp.fit(data, free=("stiffness", "discrepancy"), fixed={"model_factor": INERTIA})
     print(informed.report())

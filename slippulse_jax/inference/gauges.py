@@ -8,8 +8,10 @@ both; blank where one was not measured. Lines that start with ``#`` are comments
 import dataclasses
 import os
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slippulse_jax.inference.csv_text import labelled_table
 from slippulse_jax.inference.measurements import MeasurementError, set_columns
@@ -51,6 +53,20 @@ class Gauges:
     stress_sigma: np.ndarray | None = None
     lines: tuple[int, ...] = ()
     source: str = "gauges"
+
+    if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
+
+        def __init__(
+            self,
+            row: ArrayLike,
+            position: ArrayLike,
+            slip: ArrayLike | None = None,
+            slip_sigma: ArrayLike | None = None,
+            stress: ArrayLike | None = None,
+            stress_sigma: ArrayLike | None = None,
+            lines: Sequence[int] = (),
+            source: str = "gauges",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         set_columns(self, NUMERIC)

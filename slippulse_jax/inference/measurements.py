@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 
@@ -88,6 +89,36 @@ class Measurements:
     lines: tuple[int, ...] = ()
     source: str = "measurements"
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+
+    if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
+
+        def __init__(
+            self,
+            height: ArrayLike,
+            poisson: ArrayLike,
+            length: ArrayLike,
+            length_sigma: ArrayLike | None = None,
+            correlation_length: ArrayLike | None = None,
+            young: ArrayLike | None = None,
+            kind: Sequence[str] = (),
+            prestress: ArrayLike | None = None,
+            threshold_slope: ArrayLike | None = None,
+            height_sigma: ArrayLike | None = None,
+            poisson_sigma: ArrayLike | None = None,
+            correlation_length_sigma: ArrayLike | None = None,
+            young_sigma: ArrayLike | None = None,
+            displacement: ArrayLike | None = None,
+            displacement_sigma: ArrayLike | None = None,
+            force: ArrayLike | None = None,
+            force_sigma: ArrayLike | None = None,
+            specimen: Sequence[str] = (),
+            provenance: Sequence[str] = (),
+            label: Sequence[str] = (),
+            gauges: Gauges | None = None,
+            lines: Sequence[int] = (),
+            source: str = "measurements",
+            other: Mapping[str, Sequence[str]] = {},
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         given = set_columns(self, NUMERIC)
