@@ -80,17 +80,6 @@ def test_numbers_that_are_not_finite_are_null():
     assert content == {"a": [1, [None, None]], "b": [[1.5, None]], "c": 3, "d": "inf"}
 
 
-def test_fit_to_a_front_that_nothing_stops_as_json(tmp_path):
-    """Beyond run-away there is no longest attainable length."""
-    path = tmp_path / "lengths.csv"
-    path.write_text("height,poisson,length,length_sigma,kind,prestress\n25,0.3,20,1,length,0\n25,0.3,60,,at_least,0.7\n")
-    done = slippulse("fit", str(path), "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)["measurements"]
-    assert found[0]["attainable"] == pytest.approx(26.2, abs=0.2)
-    assert found[1]["attainable"] is None
-
-
 @pytest.mark.parametrize(
     ("arguments", "place"),
     [

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -67,6 +68,18 @@ def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
     done = CliRunner().invoke(command, [str(path)])
     assert done.stderr.startswith("before fitting: 1 of 2 lengths lie within 3% of the longest attainable")
     assert run("--free", "stiffness", "--json").stderr == ""
+
+
+def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
+    """As beyond run-away, where no stiffness stops the front."""
+
+    def endless(q, theta):
+        return (np.full(len(q.base), np.inf),) * 2
+
+    monkeypatch.setattr("slippulse_jax.inference.fit.attainable", endless)
+    done = run("--json")
+    assert done.exit_code == 0, done.output
+    assert {one["attainable"] for one in json.loads(done.stdout)["measurements"]} == {None}
 
 
 def test_calibrated_intervals_are_advised_where_profiles_cover_too_seldom(tmp_path):

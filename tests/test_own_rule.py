@@ -61,7 +61,7 @@ RULE = EvenBreak(width=0.03, lean=0.5)
 
 
 def test_every_function_uses_it(plain):
-    default = sp.precursor_length(FIG2, rule=sp.SmoothBreak(width=0.03))
+    default = sp.precursor_lengths(FIG2, rule=sp.SmoothBreak(width=0.03))
     assert abs(default - plain.length) > 0.1, "or a rule that is not used would not be seen"
     assert sp.precursor_length(FIG2, rule=RULE) == pytest.approx(plain.length, abs=1e-9)
     assert sp.precursor_lengths(FIG2, rule=RULE) == pytest.approx(plain.length, abs=1e-9)
@@ -84,6 +84,13 @@ def test_derivatives_in_its_own_numbers():
     assert isinstance(found, EvenBreak)
     np.testing.assert_allclose(found.width, by_width, rtol=1e-5)
     np.testing.assert_allclose(found.lean, by_lean, rtol=1e-5)
+    bulk = sp.precursor_length_gradients(FIG2, rule=batch)
+    assert isinstance(bulk.rule, EvenBreak)
+    np.testing.assert_allclose(bulk.rule.width, found.width, rtol=1e-10)
+    np.testing.assert_allclose(bulk.rule.lean.sum(), found.lean, rtol=1e-10)
+    np.testing.assert_allclose(bulk.length, sp.precursor_lengths(FIG2, rule=batch), rtol=1e-13)
+    up, down = (sp.precursor_lengths(sp.Slider(25.0 + e, 0.03, 0.3), rule=batch) for e in (h, -h))
+    np.testing.assert_allclose(bulk.height, (up - down) / (2 * h), rtol=1e-5)
 
 
 def test_batches_and_bulk():
@@ -92,7 +99,6 @@ def test_batches_and_bulk():
     found = sp.precursor_lengths(FIG2, rule=rule)
     assert found.shape == (2, 3)
     assert found[1, 1] == pytest.approx(Plain(0.03, 0.5).length, abs=1e-9)
-    np.testing.assert_allclose(found, sp.precursor_length(FIG2, rule=rule), rtol=1e-12)
     sp.precursor_lengths(FIG2, rule=sp.SmoothBreak(width=0.03))
     assert sp.precursor_lengths(FIG2, rule=EvenBreak(width=0.03)) == found[1, 0]
 
@@ -124,6 +130,7 @@ CHAIN = sp.chain(FIG2, sites=10)
 TAKERS = [
     lambda rule: sp.precursor_length(FIG2, rule=rule),
     lambda rule: sp.precursor_lengths(FIG2, rule=rule),
+    lambda rule: sp.precursor_length_gradients(FIG2, rule=rule),
     lambda rule: sp.sensitivity(FIG2, sites=SITES, rule=rule),
     lambda rule: sp.rupture(CHAIN, sp.relaxed(CHAIN), rule=rule),
 ]
@@ -143,7 +150,7 @@ def test_what_would_not_be_used_is_refused(taker):
 
 def test_one_rule_where_one_is_taken():
     batch = EvenBreak(width=np.array([0.01, 0.03]))
-    for taker in TAKERS[2:]:
+    for taker in TAKERS[3:]:
         with pytest.raises(ValueError, match=r"EvenBreak\.width has shape \(2,\)"):
             taker(batch)
 

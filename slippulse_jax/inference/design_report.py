@@ -49,9 +49,10 @@ def report(found: "Design") -> str:
     scale, name = _scale(found)
     for place, i in enumerate(found.ranking, 1):
         mean, sd = found.expected_length[i] * scale[i]
+        span = f"{mean:8.4g} ± {sd:<6.2g}{name}" if np.isfinite(mean) else "never stops"
         last = f" {found.told_apart[i]:11.0%}" if several else ""
         lines.append(
-            f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} {mean:8.4g} ± {sd:<6.2g}{name} "
+            f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} {span:{17 + len(name)}} "
             f"{found.information[i] / BIT:6.3f} ± {_small(found.information_error[i] / BIT)} bit "
             f"{found.d_optimal[i] / BIT:6.3f} bit {found.log_stderr[i]:11.3g}{last}"
         )

@@ -1,6 +1,6 @@
 """First precursors by the million: NumPy in and out, double precision, every lane by itself."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -70,12 +70,8 @@ def lengths(
     """`precursor_lengths` without warnings."""
     check_rule(rule)
     if isinstance(rule, SmoothBreak):
-        if right != "semi-infinite" or interface is not None:
-            raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
-        check_max_contacts(max_contacts)
-        numbers, kind = jax.tree.flatten((slider, rule))
-        columns, shape = _columns(*numbers)
-        return over_lanes(compiled.smooth_kernel, (kind, max_contacts), columns, (np.float64,), ANY)[0].reshape(shape)
+        columns, shape, statics = _smooth_lanes(slider, rule, interface, right, max_contacts)
+        return over_lanes(compiled.smooth_kernel, statics, columns, (np.float64,), ANY)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
         check_max_contacts(max_contacts)
@@ -109,7 +105,7 @@ def precursor_arrests(
 
 
 class LengthGradient(NamedTuple):
-    """Lengths of a batch and their derivatives, of the shape of the batch; in λc (the slope: λc per σ_s a site)."""
+    """Lengths of a batch and their derivatives, of the shape of the batch; in λc (threshold slope: λc per σ_s a site)."""
 
     length: np.ndarray
     height: np.ndarray
@@ -117,12 +113,14 @@ class LengthGradient(NamedTuple):
     poisson: np.ndarray
     prestress: np.ndarray | None = None
     threshold_slope: np.ndarray | None = None
+    rule: SmoothBreak | None = None  # with the derivatives in its numbers in their places
 
 
 def precursor_length_gradients(
     slider: Slider,
     *,
     interface: Interface | None = None,
+    rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -131,14 +129,15 @@ def precursor_length_gradients(
 
     The derivatives are those of `precursor_length` (its kinks at whole contacts included), computed lane by lane as in
     `precursor_lengths`; parameters and errors as there. Not finite where the length is not. With an `interface`, the
-    derivatives with respect to prestress and threshold slope too.
+    derivatives with respect to prestress and threshold slope too; with a smooth rule, those in its numbers.
 
     Returns
     -------
     LengthGradient
         NumPy float64, of the shape of the batch; a warning where a length is NaN.
     """
-    found = length_gradients(slider, interface=interface, right=right, sites=sites, max_contacts=max_contacts)
+    options: Any = {"interface": interface, "rule": rule, "right": right, "sites": sites, "max_contacts": max_contacts}
+    found = length_gradients(slider, **options)
     _warn_of_missing(found.length, slider, max_contacts)
     return found
 
@@ -147,11 +146,19 @@ def length_gradients(
     slider: Slider,
     *,
     interface: Interface | None = None,
+    rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> LengthGradient:
     """`precursor_length_gradients` without warnings."""
+    check_rule(rule)
+    if isinstance(rule, SmoothBreak):
+        columns, shape, statics = _smooth_lanes(slider, rule, interface, right, max_contacts)
+        found = over_lanes(compiled.smooth_gradient_kernel, statics, columns, (np.float64,) * (1 + len(columns)), ANY)
+        length, *slopes = (column.reshape(shape) for column in found)
+        in_slider, in_rule = jax.tree.unflatten(statics[0], slopes)
+        return LengthGradient(length, in_slider.height, in_slider.stiffness, in_slider.poisson, rule=in_rule)
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     columns, shape = _lanes(slider, interface)
@@ -161,7 +168,8 @@ def length_gradients(
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
         found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, ANY)
-    return LengthGradient(*(column.reshape(shape) for column in found))
+    length_and_slopes: Any = [column.reshape(shape) for column in found]
+    return LengthGradient(*length_and_slopes)
 
 
 def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> None:
@@ -199,6 +207,17 @@ def _is_simple(interface: Interface | None, right: RightEnd) -> bool:
 
 def _lanes(slider: Slider, interface: Interface | None) -> tuple[Columns, tuple[int, ...]]:
     return _columns(*fields(slider, interface))
+
+
+def _smooth_lanes(
+    slider: Slider, rule: SmoothBreak, interface: Interface | None, right: RightEnd, max_contacts: int
+) -> tuple[Columns, tuple[int, ...], tuple[Any, int]]:
+    """Lanes, shape of the batch, and what else a program for a smooth rule is made of."""
+    if right != "semi-infinite" or interface is not None:
+        raise ValueError("a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
+    check_max_contacts(max_contacts)
+    numbers, kind = jax.tree.flatten((slider, rule))
+    return *_columns(*numbers), (kind, max_contacts)
 
 
 def _columns(*numbers: object) -> tuple[Columns, tuple[int, ...]]:

@@ -82,25 +82,27 @@ def arrest_kernel(delay: int, configuration: Configuration) -> Kernel:
 
 def gradient_kernel(delay: int, configuration: Configuration) -> Kernel:
     """ℓ of a chunk of lanes of any configuration, and its derivative in every field."""
-
-    def one(lane: Array) -> tuple[Array, ...]:
-        def length(x: Array) -> tuple[Array, Array]:
-            value = jnp.asarray(arrest_of(x, delay, configuration).length)
-            return value, value
-
-        gradient, value = jax.jacfwd(length, has_aux=True)(lane)
-        return value, *gradient
-
-    return jax.vmap(one, in_axes=1)
+    return _with_derivatives(lambda lane: jnp.asarray(arrest_of(lane, delay, configuration).length))
 
 
 def smooth_kernel(kind: Any, max_contacts: int) -> Kernel:
     """ℓ_w of a chunk of lanes: the numbers of a slider and of a rule, which `kind` puts together."""
+    return lambda lanes: (smooth_length(*jax.tree.unflatten(kind, list(lanes)), max_contacts=max_contacts)[0],)
 
-    def lengths(lanes: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        return (smooth_length(*jax.tree.unflatten(kind, list(lanes)), max_contacts=max_contacts)[0],)
 
-    return lengths
+def smooth_gradient_kernel(kind: Any, max_contacts: int) -> Kernel:
+    """ℓ_w likewise, and its derivative in every number of slider and rule."""
+    return _with_derivatives(lambda x: smooth_length(*jax.tree.unflatten(kind, list(x)), max_contacts=max_contacts)[0])
+
+
+def _with_derivatives(length: Callable[[Array], Array]) -> Kernel:
+    """Of a function of one lane: its value, and its derivative in every field."""
+
+    def one(lane: Array) -> tuple[Array, ...]:
+        gradient, value = jax.jacfwd(lambda x: (length(x),) * 2, has_aux=True)(lane)
+        return value, *gradient
+
+    return jax.vmap(one, in_axes=1)
 
 
 @functools.cache
