@@ -180,7 +180,7 @@ def rupture(
     chain : Chain
         With linear contacts.
     state : State
-    rule : HardBreak or SmoothBreak
+    rule : HardBreak or SmoothBreak, or one derived from it
         With ``SmoothBreak(width)``, the differentiable stand-in of `slippulse_jax.lattice.surrogate`.
     trigger : int, optional
         Site that breaks first, even if rounding leaves it a digit below its threshold: what `nucleate` returns, where −1 stands

@@ -112,7 +112,7 @@ def precursor_length(
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
-    rule : HardBreak or SmoothBreak
+    rule : HardBreak or SmoothBreak, or one derived from it
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
         length has no kinks, a bias that the documentation gives, and a derivative in the width too; semi-infinite chains only.
     right : {"semi-infinite", "free", "clamped"}
