@@ -95,6 +95,12 @@ def test_statuses_and_fields_have_words():
     assert described(sp.Slider) == []  # its docstring lists them
 
 
+def test_the_map_of_the_lattice_has_every_module():
+    lattice = module_of("slippulse_jax.lattice")
+    on_the_map = re.findall(r"`(\w+)`", lattice.__doc__)
+    assert sorted(on_the_map) == sorted(m.name for m in pkgutil.iter_modules(lattice.__path__))
+
+
 def sections(doc):
     """Sections of a numpydoc docstring, by title."""
     parts = re.split(r"^(\w[\w ]*)\n-{3,}$\n?", doc, flags=re.M)

@@ -1,1 +1,44 @@
-"""The discrete model: blocks, springs and contacts that break one by one."""
+"""The discrete model: blocks, springs and contacts that break one by one.
+
+A map of the modules, in the order in which they build on each other within each group.
+
+The uniform chain, one slider: everything rests on its two modes.
+    `modes`             the Green's function: two modes, and their reflection at the ends
+    `front`             the first precursor by a recursion of fixed-size state, on the relaxed interface
+    `interface_front`   the same with prestress, varying thresholds, delayed repinning
+    `surrogate`         the same with the smooth break rule
+    `compiled`          these three, compiled for each configuration, with their derivatives
+    `precursor`         what users call: the length, and the full record
+    `sensitivity`       the derivative in the threshold and prestress of every contact
+
+The same front in closed form (the series itself is `slippulse_jax.double_series`).
+    `exact_crossing`    the search for where the front stress falls to the threshold, and its derivative
+    `exact`             what users call: length, record, stress and fields
+    `readings`          slip and stress along the interface, as gauges would read them
+
+Many sliders at once. A *lane* is one slider of a batch; its result depends on it alone. The `lane_…` modules are the maths above,
+written a second time for speed: number by number, without Python objects inside the loops.
+    `kernel`            a loop as one function, several results from one loop: what XLA does not do by itself
+    `batch`             lanes of like length put together, in few fixed shapes, on every core
+    `lane_modes`, `lanes`                   the recursion for lanes: modes by hand, and chunks that advance in step
+    `lane_series`, `lane_crossing`          the closed form for lanes: the series, and the search for the crossing
+    `mode_jets`, `lane_derivatives`         its first and second derivatives, in NumPy
+    `long_fronts`       lengths ℓ of long fronts by that closed form
+    `bulk`, `exact_lanes`                   what users call: ℓ and ℓ* by the million
+
+Any chain: springs, contacts and thresholds may differ from site to site.
+    `chain`             the chain and its state
+    `contacts`          what loading a contact and breaking it do to the chain
+    `elimination`       O(N) solution, site after site
+    `equilibrium`       forces in balance, with derivatives
+    `distribution`      contacts of many junctions, their force law and stability
+    `response`          what one break does to every other contact
+    `blocks`, `breaks`  stresses while contacts break, block by block; break after break at a fixed load
+    `one_by_one`        batches whose lanes cannot tell that they are in one
+    `cascade`           one rupture
+    `ageing`            thresholds that grow with age
+    `loading`           from event to event
+    `catalogue`         the record of the events, and its files
+    `events`            what users call: a series
+    `motion`, `dynamics`                    the chain with inertia: what is asked and given, and how it is worked out
+"""
