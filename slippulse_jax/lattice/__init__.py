@@ -16,8 +16,8 @@ The same front in closed form (the series itself is `slippulse_jax.double_series
     `exact`             what users call: length, record, stress and fields
     `readings`          slip and stress along the interface, as gauges would read them
 
-Many sliders at once. A *lane* is one slider of a batch; its result depends on it alone. The `lane_…` modules are the maths above,
-written a second time for speed: number by number, without Python objects inside the loops.
+Many sliders at once. A *lane* is one slider of a batch; its result depends on it alone. The `lane_…` modules are the above
+formulas written a second time, for speed: number by number, without Python objects inside the loops.
     `kernel`            a loop as one function, several results from one loop: what XLA does not do by itself
     `batch`             lanes of like length put together, in few fixed shapes, on every core
     `lane_modes`, `lanes`                   the recursion for lanes: modes by hand, and chunks that advance in step
