@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
+import plain_interface
 import pytest
 from lattice_mp import Chain, random_sliders
 
@@ -345,6 +346,26 @@ def test_no_domino_is_length_zero():
     assert (length[0], contacts_broken[0], status[0]) == (0, 1, ExactStatus.NO_DOMINO)
     assert length[1] == 0
     assert 0 < length[length > 0][0] < 0.2
+
+
+def test_falling_thresholds_met_in_a_shallow_dip():
+    """The stress falls below its threshold for a few contacts only, which no step of the search may leap over: dense solves."""
+    rows = [
+        [2.515172213422015, 0.1177717076674809, 0.39352012331160885, -0.1743272564839421, -0.062254966938787445],
+        [9.013787037722954, 0.0008064571635537513, 0.013209338640513268, -0.30508982283810615, -0.008165159521624043],
+        [5.534470614529353, 0.018771391982251102, 0.26314398235743425, -0.8457750246788698, -0.04673045947740861],
+        [6.787054713991983, 0.017951923131668643, 0.2930854308484969, 0.0, -0.01684573287334711],
+        [5.507319985084529, 0.0009564850241100305, 0.3756775468053286, 0.4, -0.004112285559740533],
+        [3.0503803678348365, 0.03226742783825884, 0.4221603076314818, 0.0, -0.0309391219715589],
+    ]
+    site, expected = np.arange(90), []
+    for *slider, phi, slope in rows:
+        expected.append(plain_interface.front(*slider, 1 + slope * site, np.full(90, phi), 0, 90)[0])
+    length, contacts_broken, _, status = fronts(*rows)
+    assert list(contacts_broken) == expected
+    assert (status == ExactStatus.ARRESTED).all()
+    length, _, _, status = fronts([25.0, 0.03, 0.3, -0.2, -0.05])
+    assert (np.isinf(length[0]), status[0]) == (True, ExactStatus.NEVER_STOPS), "no threshold is left at contact 20"
 
 
 def test_differentiation_agrees_in_every_mode():

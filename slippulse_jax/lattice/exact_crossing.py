@@ -124,15 +124,21 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
             by_log = jnp.log1p(jnp.maximum(excess, -0.9)) * (1 + excess) / rate
             by_line = (excess - slope * s) / (rate - slope)
             newton = jnp.minimum(s - jnp.where((slope == 0) & (plateau < 1), by_log, by_line), 4 * s + 10)
-            inside = (newton > 0) & (newton >= low) & (newton <= high)
-            further = jnp.where((slope < 0) | (plateau >= 1), 1.25 * s + 0.25, 2 * s + 1)
-            fallback = jnp.where(jnp.isfinite(high), (low + high) / 2, further)
             # where the threshold falls, a stress that no longer gains on it from above never meets it
             runs = jnp.zeros((), bool)
             if plain != (True, True):
                 bend = jax.jvp(lambda x: rise(x)[1], (s,), (jnp.ones_like(s),))[1]
                 gone = (rate >= slope) & (bend >= 0) | (s * roots.root_rate[1] > 60)
-                runs = over & ((slope < 0) | (plateau >= 1) & (slope <= 0)) & gone
+                careful = over & ((slope < 0) | (plateau >= 1) & (slope <= 0))
+                runs = careful & gone
+                # it may meet it in a shallow dip alone, over which no step must leap: the stress, bent downward near the edge
+                # and upward from there on, lies above its parabola in the one part and above its tangent in the other
+                above, loss = jnp.maximum(excess - slope * s, 0), slope - rate
+                fall = loss + jnp.sqrt(loss**2 - 2 * above * jnp.minimum(bend, 0))
+                newton = jnp.where(careful, s + 2 * above / jnp.where(fall > 0, fall, jnp.inf), newton)
+            inside = (newton > 0) & (newton >= low) & (newton <= high)
+            further = jnp.where((slope < 0) | (plateau >= 1), 1.25 * s + 0.25, 2 * s + 1)
+            fallback = jnp.where(jnp.isfinite(high), (low + high) / 2, further)
             after = jnp.where(inside, newton, fallback)
             return _Search(after, low, high, jnp.abs(after - s), search.steps + 1, runs)
 
