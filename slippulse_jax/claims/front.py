@@ -3,7 +3,7 @@
 import numpy as np
 
 from slippulse_jax import theory
-from slippulse_jax.claims.claim import Finding, claim, fig2, judge
+from slippulse_jax.claims.claim import Finding, Verdict, claim, fig2, judge
 from slippulse_jax.interface import Profile
 from slippulse_jax.lattice.bulk import precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor
@@ -57,10 +57,11 @@ def stress() -> Finding:
     return Finding(text, judge(falling and int(after.argmax()) == broken))
 
 
-def _straightness(x: np.ndarray, length: np.ndarray) -> float:
-    """R² of a straight line, with the sign of its slope."""
-    r = np.corrcoef(x, length)[0, 1]
-    return float(r * abs(r))
+def _straight(x: np.ndarray, lengths: np.ndarray) -> tuple[str, Verdict]:
+    """R² of a straight line through each row of lengths, with the sign of its slope, and what that makes of a claim."""
+    r = np.array([np.corrcoef(x, length)[0, 1] for length in lengths])
+    r2 = r * abs(r)
+    return f"R² = {', '.join(f'{one:.4f}' for one in r2)}", judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any()))
 
 
 @claim(
@@ -72,10 +73,9 @@ def height() -> Finding:
     """Λ grows almost linearly with H."""
     heights = np.linspace(10, 50, 41)
     lengths = precursor_lengths(Slider(heights, np.array([[0.003], [0.01], [0.03]]), 0.3))
-    r2 = np.array([_straightness(heights, length) for length in lengths])
+    r2, verdict = _straight(heights, lengths)
     slopes = [np.polyfit(heights, length, 1)[0] for length in lengths]
-    text = f"R² = {', '.join(f'{r:.4f}' for r in r2)}; slopes {', '.join(f'{slope:.3f}' for slope in slopes)}"
-    return Finding(text, judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any())))
+    return Finding(f"{r2}; slopes {', '.join(f'{slope:.3f}' for slope in slopes)}", verdict)
 
 
 @claim(
@@ -88,14 +88,14 @@ def stiffness() -> Finding:
     drawn = np.geomspace(0.003, 0.03, 41)
     heights = np.array([10.0, 25.0, 50.0])
     lengths = precursor_lengths(Slider(heights[:, None], drawn, 0.3))
-    r2 = np.array([_straightness(np.log(drawn), length) for length in lengths])
+    r2, verdict = _straight(np.log(drawn), lengths)
     beyond = np.geomspace(0.003, 0.3, 201)
     peaks = beyond[precursor_lengths(Slider(heights[:, None], beyond, 0.3)).argmax(axis=1)]
     text = (
-        f"R² = {', '.join(f'{r:.4f}' for r in r2)}: the taller the slider, the more the line bends; Λ is largest at k/K = "
+        f"{r2}: the taller the slider, the more the line bends; Λ is largest at k/K = "
         f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond, so that it is not monotonic"
     )
-    return Finding(text, judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any())))
+    return Finding(text, verdict)
 
 
 @claim(
