@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from slippulse_jax.plain import plain
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -49,8 +51,6 @@ def leave_when_interrupted() -> None:
 
 def print_json(content: dict[str, Any]) -> None:
     """Print strict JSON, with null for every number that is not finite."""
-    from slippulse_jax.plain import plain
-
     click.echo(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 

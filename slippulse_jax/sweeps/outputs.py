@@ -15,7 +15,6 @@ from slippulse_jax.lattice.exact import exact_front
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
-from slippulse_jax.lattice.surrogate import smooth_length
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Status
@@ -199,17 +198,8 @@ def _exact_of(height: Any, stiffness: Any, poisson: Any, prestress: Any = 0.0, t
 
 
 def _smooth(request: Request, columns: Columns) -> Columns:
-    length = _smooth_of(request.max_contacts)
-    return _in_blocks(length, columns, "height", "stiffness", "poisson", "width")
-
-
-@functools.cache
-def _smooth_of(max_contacts: int) -> Callable[..., Any]:
-    def lengths(height: Any, stiffness: Any, poisson: Any, width: Any) -> Any:
-        found = smooth_length(Slider(height, stiffness, poisson), SmoothBreak(width), max_contacts=max_contacts)
-        return {"smooth_length": found[0]}
-
-    return jax.jit(lengths)
+    rule = SmoothBreak(columns["width"])
+    return {"smooth_length": bulk.lengths(_slider(columns), rule=rule, max_contacts=request.max_contacts)}
 
 
 _THEORY = {
