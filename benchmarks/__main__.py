@@ -20,8 +20,9 @@ import numpy as np
 
 from benchmarks import lengths as others
 from slippulse_jax import Slider, precursor_length, precursor_length_gradients, precursor_lengths
-from slippulse_jax.lattice import batch, lanes
-from slippulse_jax.lattice.bulk import LENGTHS
+from slippulse_jax.bulk import chunks as batch
+from slippulse_jax.lattice import lanes
+from slippulse_jax.lattice.lengths import LENGTHS
 
 HERE = Path(__file__).resolve().parent
 RESULTS, PAGE, FIGURE = (
@@ -228,7 +229,7 @@ def _gradients(ratio: float) -> list[str]:
     return [
         f"The value with its three derivatives takes {ratio:.1f} times as long as the value. A break takes some 25 operations a "
         "lane, the derivative of it in one parameter some 15 more, all in one loop over the lanes "
-        "(`slippulse_jax.lattice.kernel.in_one_loop`). Half of the time goes into memory: 43 numbers a lane are read and written "
+        "(`slippulse_jax.bulk.compiler.in_one_loop`). Half of the time goes into memory: 43 numbers a lane are read and written "
         "every six breaks.", "",
     ]  # fmt: skip
 
@@ -272,7 +273,7 @@ def draw(found: dict) -> None:
     """Cost against contacts, and against the number of points."""
     from matplotlib.figure import Figure
 
-    from slippulse_jax import style
+    from slippulse_jax.plot import style
 
     with style.use():
         figure = Figure(figsize=(style.PAGE, 2.6))

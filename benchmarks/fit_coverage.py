@@ -19,8 +19,8 @@ from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.inference.attainable import longest_over
 from slippulse_jax.inference.calibrate import calibrated
 from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.identifiability import LEVELS, Identifiability
 from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")

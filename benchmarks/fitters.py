@@ -24,11 +24,11 @@ from scipy.optimize import curve_fit
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
 from slippulse_jax.inference.attainable import longest_over
-from slippulse_jax.inference.identifiability import LEVELS
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.verdict import LEVELS
 
 STARTS = np.log([1e-5, 1.0])
 REGIMES = ("three, identifiable", "three, near the plateau", "one, two roots", "one, above the ceiling")

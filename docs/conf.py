@@ -69,7 +69,7 @@ def gather(app: object) -> None:
 
 def command_line() -> str:
     """The help of every command, as a page."""
-    from slippulse_jax.cli import slippulse
+    from slippulse_jax.cli.main import slippulse
 
     root = click.Context(slippulse, info_name="slippulse")
     parts = [

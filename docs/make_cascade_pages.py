@@ -15,7 +15,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.front import arrest
-from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.lattice.smooth import smooth_length
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent

@@ -1,7 +1,7 @@
 """The interface: what loads, holds and re-forms the contacts of a uniform slider.
 
 The paper's own interface is relaxed, uniform and repins at once; its Discussion asks what each of the three does to the
-first precursor. All three are exact in the fast recursion (`slippulse_jax.lattice.interface_front`).
+first precursor. All three are exact in the fast recursion (`slippulse_jax.lattice.delayed`).
 """
 
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
-from slippulse_jax.quantities import Numbers, as_float, quantity_field
+from slippulse_jax.units import Numbers, as_float, quantity_field
 
 
 def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:

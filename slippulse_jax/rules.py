@@ -11,7 +11,7 @@ from jax.nn import sigmoid
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.quantities import quantity_field
+from slippulse_jax.units import quantity_field
 
 
 class HardBreak(eqx.Module):

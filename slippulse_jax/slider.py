@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_domain
-from slippulse_jax.quantities import Numbers, as_float, quantity, quantity_field
+from slippulse_jax.units import Numbers, as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 

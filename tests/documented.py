@@ -21,7 +21,7 @@ def run_python(text, page, scope):
 
 def run_shell(text):
     """Commands of this package and programs of a folder, in the current folder; a mistake is an error here."""
-    from slippulse_jax.cli import slippulse
+    from slippulse_jax.cli.main import slippulse
 
     for line in text.replace("\\\n", " ").splitlines():
         program, *words = shlex.split(line, comments=True)

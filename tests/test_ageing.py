@@ -50,7 +50,7 @@ def test_infinitely_fast_ageing_is_none():
 
 def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
     """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
-    import plain_series
+    from oracles import plain_series
 
     plain = plain_series.PlainSeries((10.0, 0.03, 0.3), np.ones(30), np.zeros(30), "free", lambda a: 0.5 + 0 * a)
     chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=30, right="free")

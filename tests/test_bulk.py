@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice import batch, bulk, compiled, lanes, long_fronts
+from slippulse_jax.bulk import chunks as batch
+from slippulse_jax.lattice import compiled, lanes, long_fronts
+from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FrontStatus
 
 MOST = 10_000_000

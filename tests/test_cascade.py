@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from random_chain import batch, both_chains
+from oracles.random_chain import batch, both_chains
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.cascade import RuptureStatus, nucleate, rupture
 from slippulse_jax.lattice.chain import State, chain, relaxed
 from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.response import dense, response
+from slippulse_jax.lattice.rupture import RuptureStatus, nucleate, rupture
 from slippulse_jax.rules import SmoothBreak
 
 ENDS = ("semi-infinite", "free", "clamped")
@@ -211,7 +211,7 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
     from jax.sharding import PartitionSpec
     jax.config.update("jax_enable_x64", True)
     import slippulse_jax as sp
-    from slippulse_jax.lattice.cascade import rupture
+    from slippulse_jax.lattice.rupture import rupture
     from slippulse_jax.lattice.chain import State, chain
     devices = jax.devices()
     assert len(devices) == 2

@@ -23,7 +23,7 @@ FIG2 = ["--height", "25", "--stiffness", "0.03", "--poisson", "0.3"]
 
 def slippulse(*arguments, **kwargs):
     return subprocess.run(
-        [sys.executable, "-m", "slippulse_jax.cli", *arguments],
+        [sys.executable, "-m", "slippulse_jax.cli.main", *arguments],
         capture_output=True, text=True, cwd=kwargs.pop("cwd", ROOT), timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)}, **kwargs
     )  # fmt: skip
 
@@ -31,7 +31,7 @@ def slippulse(*arguments, **kwargs):
 def test_help_and_version_do_not_import_jax():
     code = (
         "import sys; sys.argv = ['slippulse', '--help']\n"
-        "from slippulse_jax.cli import main\n"
+        "from slippulse_jax.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit as e:\n    assert e.code == 0\n"
         "assert 'jax' not in sys.modules and 'numpy' not in sys.modules and 'matplotlib' not in sys.modules"
     )
@@ -84,7 +84,7 @@ def test_numbers_that_are_not_finite_are_null():
     ("arguments", "place"),
     [
         (["fit", PMMA], "slippulse_jax.inference.forward.solve_lanes"),
-        (["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"], "slippulse_jax.inference.design.exact_lengths"),
+        (["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"], "slippulse_jax.inference.design.design.exact_lengths"),
     ],
 )
 def test_what_is_not_found_is_one_line_and_exit_3(arguments, place, monkeypatch, capsys):
@@ -179,7 +179,7 @@ def test_interrupted():
     code = (
         "import signal, sys; sys.argv = ['slippulse', 'fit', 'fit_examples/pmma_block/lengths.csv']\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored where the tests run in the background
-        "from slippulse_jax.cli import main\n"
+        "from slippulse_jax.cli.main import main\n"
         "print('ready', flush=True)\n"
         "main()"
     )
@@ -198,7 +198,7 @@ def test_interrupted():
 
 def test_reader_that_hangs_up_is_not_an_error_message():
     done = subprocess.run(
-        f"{sys.executable} -m slippulse_jax.cli length --height 25 --stiffness 0.03 --poisson 0.3 | head -c 0",
+        f"{sys.executable} -m slippulse_jax.cli.main length --height 25 --stiffness 0.03 --poisson 0.3 | head -c 0",
         shell=True, capture_output=True, text=True, cwd=ROOT,
     )  # fmt: skip
     assert "Traceback" not in done.stderr

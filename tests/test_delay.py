@@ -2,12 +2,12 @@
 
 import jax
 import numpy as np
-import plain_delay
 import pytest
+from oracles import plain_delay
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.cascade import RuptureStatus
 from slippulse_jax.lattice.catalogue import SeriesStatus
+from slippulse_jax.lattice.rupture import RuptureStatus
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 

@@ -3,11 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import plain_chain
 import pytest
+from oracles import plain_chain
 
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.lattice.bulk import precursor_arrests
+from slippulse_jax.lattice.lengths import precursor_arrests
 
 STEP = 1e-30
 

@@ -3,16 +3,24 @@
 import json
 
 import numpy as np
-import plain_interface
 import pytest
 from click.testing import CliRunner
+from oracles import plain_interface
 from scipy.integrate import quad
 from scipy.special import ndtr
 
 import slippulse_jax as sp
-from slippulse_jax.commands.design import command
-from slippulse_jax.commands.shared import BAD_INPUT
-from slippulse_jax.inference.information import Prior, draw, expected_gain, joint_gain, likelihood, log_likelihoods, outcomes
+from slippulse_jax.cli.design import command
+from slippulse_jax.cli.shared import BAD_INPUT
+from slippulse_jax.inference.design.information import (
+    Prior,
+    draw,
+    expected_gain,
+    joint_gain,
+    likelihood,
+    log_likelihoods,
+    outcomes,
+)
 
 
 def normal_prior(sd, nodes=801):

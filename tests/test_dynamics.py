@@ -3,11 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import plain_dynamics
 import pytest
+from oracles import plain_dynamics
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.dynamics import _forces, quasi_static_break_time, stable_step
+from slippulse_jax.lattice.inertia import _forces, quasi_static_break_time, stable_step
 from slippulse_jax.lattice.motion import CrackLike, MotionStatus, SelfHealing
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
@@ -127,7 +127,7 @@ def test_inertia_lengthens_the_precursor_and_leaves_nucleation_alone():
 
 def test_breaking_at_exactly_the_threshold_shortens_the_overdamped_front():
     """With instantaneous breaks a contact gives up exactly σ_s, not the overload of the quasi-static picture: fewer than 26."""
-    from plain_chain import responses
+    from oracles.plain_chain import responses
 
     load, pinning = responses(25, 0.03, 0.3, 200, "semi-infinite", 60)
     s = 1

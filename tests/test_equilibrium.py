@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from dense_chain import end_stiffness
 from jax.tree_util import Partial
-from random_chain import batch, both_chains
+from oracles.dense_chain import end_stiffness
+from oracles.random_chain import batch, both_chains
 from scipy.optimize import fsolve
 
 import slippulse_jax as sp

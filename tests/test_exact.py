@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
-import plain_interface
 import pytest
-from lattice_mp import Chain, random_sliders
+from oracles import plain_interface
+from oracles.lattice_mp import Chain, random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax import explorer
+from slippulse_jax.plot import explorer
 
 
 @pytest.fixture(scope="module")
 def widget():
-    return sp.explore()
+    return sp.plot.explore()
 
 
 def shown_length(text):
@@ -67,10 +67,10 @@ def test_a_front_that_never_stops_is_said_to(widget):
 
 
 def test_a_dark_page():
-    assert bytes(sp.explore(dark=True).picture.value).startswith(b"\x89PNG")
+    assert bytes(sp.plot.explore(dark=True).picture.value).startswith(b"\x89PNG")
 
 
 def test_without_ipywidgets_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     with pytest.raises(ImportError, match=r"slippulse_jax\[explore\]"):
-        sp.explore()
+        sp.plot.explore()

@@ -4,17 +4,17 @@ import json
 
 import jax
 import numpy as np
-import plain_interface
 import pytest
+from oracles import plain_interface
 from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
-from slippulse_jax.inference.fields import Determination
-from slippulse_jax.inference.profile_model import profile_model
-from slippulse_jax.inference.profile_search import LEVEL
-from slippulse_jax.inference.smooth_prior import Smoothness, condition, mixture, squared_exponential
+from slippulse_jax.inference.recover.model import profile_model
+from slippulse_jax.inference.recover.prior import Smoothness, condition, mixture, squared_exponential
+from slippulse_jax.inference.recover.recovery import Determination
+from slippulse_jax.inference.recover.search import LEVEL
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.interface_front import front_stress
+from slippulse_jax.lattice.delayed import front_stress
 from slippulse_jax.lattice.modes import lattice_modes
 
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 64

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slippulse_jax import figures
-from slippulse_jax.commands.figures import command
+from slippulse_jax.cli.figures import command
+from slippulse_jax.paper import figures
 
 
 def test_fig2_is_the_papers(tmp_path):

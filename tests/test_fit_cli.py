@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slippulse_jax.commands.fit import command
+from slippulse_jax.cli.fit import command
 
 DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
 

@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-import plain_chain
 import pytest
+from oracles import plain_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from slippulse_jax import FitResult, Measurements, Parameter, fit, read_measurements
-from slippulse_jax.commands.fit import command
+from slippulse_jax.cli.fit import command
 from slippulse_jax.inference import bayes
 from slippulse_jax.inference.forward import lengths
 from slippulse_jax.inference.likelihood import Loss

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.inference.identifiability import Identifiability
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHTS = np.array([12.0, 15.0, 20.0, 30.0, 45.0, 70.0])
 RATIO, WIDTH = 0.01, 0.01

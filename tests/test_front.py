@@ -3,14 +3,14 @@
 import jax
 import mpmath
 import numpy as np
-import plain_chain
 import pytest
-from lattice_mp import Chain
+from oracles import plain_chain
+from oracles.lattice_mp import Chain
 
 from slippulse_jax import FrontNotArrested, FrontStatus, Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.bulk import precursor_arrests
 from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.lengths import precursor_arrests
 
 # physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
 PRINTED = [

@@ -6,20 +6,20 @@ import json
 import jax
 import jax.numpy as jnp
 import numpy as np
-import plain_chain
 import pytest
 from click.testing import CliRunner
+from oracles import plain_chain
 
 import slippulse_jax as sp
-from slippulse_jax.commands.fit import command
+from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.bayes import log_density
 from slippulse_jax.inference.forward_gauges import slips, stresses
-from slippulse_jax.inference.identifiability import Identifiability
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.table import read_measurements
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.lattice.readings import readings
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11

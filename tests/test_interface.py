@@ -2,13 +2,13 @@
 
 import jax
 import numpy as np
-import plain_interface
 import pytest
-from dense_chain import Dense, end_stiffness
+from oracles import plain_interface
+from oracles.dense_chain import Dense, end_stiffness
 
 import slippulse_jax as sp
 from slippulse_jax import FrontStatus, Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice.bulk import precursor_arrests
+from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.modes import lattice_modes
 
 FIG2 = Slider(25.0, 0.03, 0.3)
@@ -115,7 +115,7 @@ def test_lengths_under_prestress():
 
 def test_runaway_threshold_to_a_millionth():
     """φ_c = (1 + G_00)/2, with G_00 from a dense endless chain: finite just below, endless at and above."""
-    from plain_chain import chain_matrix
+    from oracles.plain_chain import chain_matrix
 
     sites, middle = 801, 400
     matrix = chain_matrix(25, 0.03, 0.3, sites)

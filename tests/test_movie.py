@@ -18,7 +18,7 @@ def front():
 
 def test_gif_has_a_frame_for_every_break(front, tmp_path):
     path = tmp_path / "front.gif"
-    movie = sp.animate(front, path, fps=10, hold=1.0)
+    movie = sp.plot.animate(front, path, fps=10, hold=1.0)
     with Image.open(path) as gif:
         durations = []
         for frame in range(gif.n_frames):
@@ -37,7 +37,7 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
 
 
 def test_html_and_notebooks(front, tmp_path):
-    movie = sp.animate(front, tmp_path / "front.html", sites=14, dark=True)
+    movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)
     page = (tmp_path / "front.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
     assert page.count("data:image/png") >= 11
@@ -46,18 +46,18 @@ def test_html_and_notebooks(front, tmp_path):
 
 def test_refusals(front, tmp_path):
     with pytest.raises(ValueError, match=r"front\.avi: an animation is written as \.gif"):
-        sp.animate(front, tmp_path / "front.avi")
+        sp.plot.animate(front, tmp_path / "front.avi")
     run_away = sp.first_precursor(
         sp.Slider(10.0, 0.03, 0.3), interface=sp.Interface(prestress=0.9), recorded_sites=20, max_contacts=20
     )
     with pytest.raises(ValueError, match="did not stop"):
-        sp.animate(run_away)
+        sp.plot.animate(run_away)
     with pytest.raises(ValueError, match="fps = 0"):
-        sp.animate(front, fps=0)
+        sp.plot.animate(front, fps=0)
     batch = sp.FirstPrecursor(**{**vars(front), "contacts_broken": jnp.array([1, 2])})
     with pytest.raises(ValueError, match="not a batch"):
-        sp.animate(batch)
+        sp.plot.animate(batch)
     if not mpl.animation.FFMpegWriter.isAvailable():
         with pytest.raises(RuntimeError, match="ffmpeg"):
-            sp.animate(front, tmp_path / "front.mp4")
+            sp.plot.animate(front, tmp_path / "front.mp4")
     assert not list(tmp_path.iterdir())

@@ -10,8 +10,8 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import plot
-from slippulse_jax.lattice.cascade import nucleate, rupture
 from slippulse_jax.lattice.chain import chain, relaxed
+from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)

@@ -2,12 +2,14 @@
 
 import jax
 import numpy as np
-import plain_chain
 import pytest
+from oracles import plain_chain
 
 from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import batch, bulk, compiled
-from slippulse_jax.lattice.batch import over_lanes
+from slippulse_jax.bulk import chunks as batch
+from slippulse_jax.bulk.chunks import over_lanes
+from slippulse_jax.lattice import compiled
+from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import Arrest
 
 

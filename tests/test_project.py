@@ -19,13 +19,11 @@ PACKAGE = ROOT / "slippulse_jax"
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "quantities": 0, "derivatives": 0, "domains": 0, "files": 0, "plain": 0, "status": 0, "double_series": 0, "style": 0,
-    "devices": 0,
+    "units": 0, "derivatives": 0, "domains": 0, "files": 0, "plain": 0, "status": 0, "double_series": 0, "bulk": 0,
     "slider": 1, "rules": 1, "interface": 1,
     "lattice": 2, "theory": 2,
     "inference": 3, "sweeps": 3,
-    "plot": 4, "movie": 4, "explorer": 4, "claims": 4, "figures": 4,
-    "commands": 5,
+    "plot": 4, "paper": 5,
     "cli": 6,
 }  # fmt: skip
 

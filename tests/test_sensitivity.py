@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.cascade import nucleate, rupture
 from slippulse_jax.lattice.chain import chain, relaxed
 from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
-from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import HardBreak, SmoothBreak
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)

@@ -2,8 +2,8 @@
 
 import jax
 import numpy as np
-import plain_series
 import pytest
+from oracles import plain_series
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus

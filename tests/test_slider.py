@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.quantities import quantities
+from slippulse_jax.units import quantities
 
 
 def formulas(height, stiffness, poisson):

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from slippulse_jax import style
+from slippulse_jax.plot import style
 
 # Machado, Oliveira and Fernandes (2009), severity 1: what a dichromat sees, in linear RGB
 SIGHT = {

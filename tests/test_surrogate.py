@@ -8,10 +8,10 @@ from scipy.integrate import quad
 from scipy.special import expit
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.cascade import RuptureStatus, nucleate, rupture
 from slippulse_jax.lattice.chain import chain, relaxed
 from slippulse_jax.lattice.front import FrontStatus, arrest
-from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.lattice.rupture import RuptureStatus, nucleate, rupture
+from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import SmoothBreak
 
 

@@ -16,7 +16,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import slippulse_jax as sp
-from slippulse_jax.cli import slippulse
+from slippulse_jax.cli.main import slippulse
 
 ROOT = Path(__file__).resolve().parent.parent
 GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
@@ -129,7 +129,7 @@ def test_interrupt_leaves_a_store_to_resume(tmp_path):
         "4",
     ]
     # the signal is ignored where the tests run in the background
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slippulse_jax.cli import main; main()"
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from slippulse_jax.cli.main import main; main()"
     with subprocess.Popen(
         [sys.executable, "-c", code, "sweep", *arguments, "--store", str(store)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,

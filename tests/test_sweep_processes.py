@@ -101,7 +101,7 @@ def test_the_tasks_of_a_slurm_job_find_each_other(reference, tmp_path):
         "SLURM_JOB_ID": "7", "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2", "SLURM_STEP_NUM_TASKS": "2",
         "JAX_COORDINATOR_ADDRESS": f"localhost:{port}",  # the port by itself follows from the number of the job
     }  # fmt: skip
-    code = f"import sys; sys.argv = ['slippulse', 'sweep', *{arguments}]\nfrom slippulse_jax.cli import main\nmain()"
+    code = f"import sys; sys.argv = ['slippulse', 'sweep', *{arguments}]\nfrom slippulse_jax.cli.main import main\nmain()"
     finish([child(code, **slurm, SLURM_PROCID=str(index), SLURM_LOCALID=str(index)) for index in range(2)])
     together = sp.open_sweep(store)
     assert together.attrs["complete"] == 1

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lattice_mp import random_sliders
+from oracles.lattice_mp import random_sliders
 from scipy.integrate import quad, solve_ivp
 
 import slippulse_jax as sp

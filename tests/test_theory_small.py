@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from lattice_mp import Chain, Line, random_sliders
+from oracles.lattice_mp import Chain, Line, random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import theory

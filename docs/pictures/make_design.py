@@ -3,9 +3,10 @@
 import io
 from pathlib import Path
 
+from slippulse_jax.inference.design_report import design_figure
+
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.design_report import design_figure
 
 FIRST = sp.Measurements(height=25.0, poisson=0.3, length=25.9, length_sigma=0.1)
 

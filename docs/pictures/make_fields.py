@@ -34,7 +34,7 @@ def main():
         sp.recover_profile(measured(0, threshold=threshold), stiffness=STIFFNESS),
         sp.recover_profile(measured(0, prestress=prestress), stiffness=STIFFNESS, kind="prestress"),
     ]
-    with sp.style.use(figure__figsize=(7, 5)):
+    with sp.plot.style.use(figure__figsize=(7, 5)):
         figure, rows = plt.subplots(2, 2)
         for row, result, truth in zip(rows, found, (threshold, prestress), strict=True):
             result.plot(ax=row[0])

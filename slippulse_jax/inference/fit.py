@@ -8,7 +8,6 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.attainable import attainable
 from slippulse_jax.inference.calibrate import calibrated
-from slippulse_jax.inference.identifiability import LEVELS, Evidence, Identifiability, Verdict, judge
 from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Problem, make_problem
@@ -18,6 +17,7 @@ from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, prof
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.search import Found, same, search
+from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
 
 SIGMAS = ("absolute", "relative")
 INTERVALS = ("profile", "calibrated")

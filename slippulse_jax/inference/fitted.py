@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.bulk import precursor_arrests
+from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.slider import Slider
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.inference.parameters import WIDTH
-from slippulse_jax.lattice import bulk
+from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import solve_lanes
 from slippulse_jax.lattice.modes import lattice_modes

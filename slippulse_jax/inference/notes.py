@@ -6,11 +6,11 @@ import numpy as np
 
 from slippulse_jax.inference.attainable import longest_over
 from slippulse_jax.inference.calibrate import can_be_calibrated
-from slippulse_jax.inference.identifiability import IMPROBABLE, PLATEAU, Identifiability
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFEST
 from slippulse_jax.inference.resolve import softest
 from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
 
 REMARKED = 0.05  # probability of χ² below which the scatter is remarked on
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from slippulse_jax.inference.identifiability import Identifiability
 from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.verdict import Identifiability
 
 
 def report(result: FitResult) -> str:

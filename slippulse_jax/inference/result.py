@@ -9,12 +9,12 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.fitted import Fitted, Further, Root, recursion_status
 from slippulse_jax.inference.gauges import READINGS
-from slippulse_jax.inference.identifiability import Identifiability, Verdict, directions, gravest
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.parameters import ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.search import Found, describe
+from slippulse_jax.inference.verdict import Identifiability, Verdict, directions, gravest
 from slippulse_jax.lattice.front import FrontStatus
 
 if TYPE_CHECKING:
@@ -283,25 +283,25 @@ class FitResult:
 
     def plot(self) -> "Figure":
         """Figure of data, fitted curve with its band, attainable range, and length against stiffness."""
-        from slippulse_jax.inference.figure import draw_fit
+        from slippulse_jax.plot.fits import draw_fit
 
         return draw_fit(self)
 
     def plot_profiles(self) -> "Figure":
         """Figure of the profile of every parameter, and the residuals."""
-        from slippulse_jax.inference.figure import draw_profiles
+        from slippulse_jax.plot.fits import draw_profiles
 
         return draw_profiles(self)
 
     def plot_gauges(self) -> "Figure":
         """Figure of slip and stress along the interface, as the gauges read them and as fitted."""
-        from slippulse_jax.inference.gauge_figure import draw_gauges
+        from slippulse_jax.plot.gauges import draw_gauges
 
         return draw_gauges(self)
 
     def plot_corner(self, samples: np.ndarray | None = None) -> "Figure":
         """Figure of the allowed region of every pair of parameters, over `samples` of θ if given."""
-        from slippulse_jax.inference.figure import draw_corner
+        from slippulse_jax.plot.fits import draw_corner
 
         return draw_corner(self, samples)
 

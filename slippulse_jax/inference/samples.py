@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from slippulse_jax.inference.identifiability import LEVELS
+from slippulse_jax.inference.verdict import LEVELS
 
 
 class Samples:

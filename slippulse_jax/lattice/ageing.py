@@ -19,7 +19,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.quantities import quantity_field
+from slippulse_jax.units import quantity_field
 
 Law = Literal["exponential", "logarithmic"]
 

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.lattice.modes import RightEnd
-from slippulse_jax.quantities import quantity_field
 from slippulse_jax.slider import Slider
+from slippulse_jax.units import quantity_field
 
 ForceLaw = Callable[[Float[Array, " N"]], Float[Array, " N"]]
 

@@ -11,13 +11,13 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile, check_bulk
-from slippulse_jax.lattice import interface_front
-from slippulse_jax.lattice.batch import Kernel
+from slippulse_jax.lattice import delayed as interface_front
 from slippulse_jax.lattice.front import Arrest, arrest
 from slippulse_jax.lattice.modes import RightEnd
-from slippulse_jax.lattice.surrogate import smooth_length
+from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 

@@ -28,8 +28,8 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import imbalance
 from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.quantities import quantity_field
 from slippulse_jax.slider import Slider
+from slippulse_jax.units import quantity_field
 
 Kind = Literal["normal", "uniform", "weibull"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.devices import compiled_once, spread
+from slippulse_jax.bulk.threads import compiled_once, spread
 from slippulse_jax.lattice import lane_crossing, lane_derivatives, lane_series
 from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front
 from slippulse_jax.slider import Slider

@@ -11,7 +11,7 @@ where R is symmetric (a pinning point at i moves site j as one at j moves site i
 
 where Z_m' is the new Z_m. What else a loop over lanes costs was read off the compiled program:
 
-- A turn is one loop over the lanes that computes every number once (`slippulse_jax.lattice.kernel.in_one_loop`).
+- A turn is one loop over the lanes that computes every number once (`slippulse_jax.bulk.compiler.in_one_loop`).
 - A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS` are taken in a turn and two turns between two
   looks, the second writing where the first has read.
 - What the edge adds, R_mn r_m^s r_n^s, is three geometric sequences, begun anew from r_m^s in each turn; their coefficients
@@ -27,11 +27,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from slippulse_jax.bulk.chunks import Kernel
+from slippulse_jax.bulk.compiler import in_one_loop
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.batch import Kernel
+from slippulse_jax.lattice.delayed import APPROACH, runaway_prestress, slowest_approach
 from slippulse_jax.lattice.front import FrontStatus
-from slippulse_jax.lattice.interface_front import APPROACH, runaway_prestress, slowest_approach
-from slippulse_jax.lattice.kernel import in_one_loop
 from slippulse_jax.lattice.lane_modes import LaneRates, Number, Pair, lane_modes, lane_rates
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
@@ -186,7 +186,7 @@ def _nucleate_rate(lane: Lane, drive: Number | int, Z: Pair, rate: LaneRates) ->
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
-    """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.interface_front`)."""
+    """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.delayed`)."""
     interface = Interface(parameters[3], parameters[4])
     with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
         modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))

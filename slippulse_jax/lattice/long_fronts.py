@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bulk.chunks import Kernel, Layout
 from slippulse_jax.lattice import lane_crossing, lane_series
-from slippulse_jax.lattice.batch import Kernel, Layout
 
 LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""

@@ -1,4 +1,4 @@
-"""What a simulation with inertia is asked for, and what it gives; `slippulse_jax.lattice.dynamics` works it out."""
+"""What a simulation with inertia is asked for, and what it gives; `slippulse_jax.lattice.inertia` works it out."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

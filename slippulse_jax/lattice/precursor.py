@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import interface_front
+from slippulse_jax.lattice import delayed as interface_front
 from slippulse_jax.lattice.compiled import (
     Configuration,
     arrest_function,

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.lattice.chain import Chain, Springs
 from slippulse_jax.lattice.elimination import Pair, beside, eliminate, solve_pair, through
-from slippulse_jax.lattice.one_by_one import lane_by_lane
 
 
 class Response(NamedTuple):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, table
-from slippulse_jax.style import DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.style import DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ COLOURS = {
     EventClass.INTERIOR: "green",
     EventClass.SPANNING: "vermilion",
 }
-"""Of the class of an event: a name in `slippulse_jax.style.Colours`."""
+"""Of the class of an event: a name in `slippulse_jax.plot.style.Colours`."""
 
 
 @drawn

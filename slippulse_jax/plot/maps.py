@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax import style
+from slippulse_jax.plot import style
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.lattice.cascade import Rupture
 from slippulse_jax.lattice.chain import Chain
 from slippulse_jax.lattice.equilibrium import Equilibrium
+from slippulse_jax.lattice.rupture import Rupture
 from slippulse_jax.lattice.sensitivity import Sensitivity
-from slippulse_jax.style import DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.style import DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from slippulse_jax import theory
-from slippulse_jax.devices import spread
+from slippulse_jax.bulk.threads import spread
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import bulk
+from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.exact import exact_front
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.front import FrontStatus

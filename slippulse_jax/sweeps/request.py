@@ -11,9 +11,9 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
 from slippulse_jax.lattice.precursor import check_max_contacts
-from slippulse_jax.quantities import Quantity, quantities
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
+from slippulse_jax.units import Quantity, quantities
 
 Columns = dict[str, np.ndarray]
 """One value a point for each parameter, or for each output."""

@@ -1,0 +1,1 @@
+"""Everything about machines and nothing about friction: chunks, threads, devices, habits of the compiler."""

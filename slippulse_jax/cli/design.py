@@ -1,0 +1,122 @@
+"""``slippulse design``."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slippulse_jax.cli.shared import as_json, figure_path, print_json, refuse, save_figure
+
+
+class Numbers(click.ParamType):
+    """Numbers parted by commas."""
+
+    name = "numbers"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        """To a list of floats."""
+        if isinstance(value, list):
+            return value
+        try:
+            return [float(x) for x in value.split(",")]
+        except ValueError:
+            self.fail(f"{value!r}: numbers parted by commas are expected, such as 10,25,50", param, ctx)
+
+
+@click.command()
+@click.option("--height", type=Numbers(), metavar="H/λc,…", help="Heights of the blocks there are, over λc.")
+@click.option("--sigma", type=Numbers(), metavar="σ/λc,…", help="Standard error of a length, one or one a candidate, in λc.")
+@click.option("--height-mm", type=Numbers(), metavar="MM,…", help="Heights, in SI form.")
+@click.option("--sigma-mm", type=Numbers(), metavar="MM,…", help="Standard error of a length, in SI form.")
+@click.option("--correlation-length-um", type=Numbers(), metavar="UM,…", help="Correlation length λc, in SI form.")
+@click.option("--young-gpa", type=Numbers(), metavar="GPA,…", help="Young's modulus, in SI form.")
+@click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
+@click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
+@click.option(
+    "--stiffness", type=Numbers(), metavar="K,…", help="What is known: k/K, or in SI form k/λc² in Pa/m; several roots in turn."
+)
+@click.option("--log-sd", type=Numbers(), metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
+@click.option(
+    "--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they sharpen what is known."
+)
+@click.option("--whole", is_flag=True, help="Whole contacts are counted, to σ (0 allowed).")
+@click.option(
+    "--next", "experiments", type=click.IntRange(1, 12), default=1, show_default=True, help="How many to plan in turn."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random shifts in evaluating two and more.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the gains and the lengths; .png, .pdf or .svg.")
+@as_json
+def command(
+    stiffness: list[float] | None,
+    log_sd: list[float] | None,
+    measured: str | None,
+    whole: bool,
+    experiments: int,
+    seed: int,
+    figure: Path | None,
+    as_json: bool,
+    **conditions: list[float] | None,
+) -> None:
+    """Which experiment to do next: candidates ranked by what they are expected to tell about the interface stiffness.
+
+    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa; lists parted by
+    commas, of equal lengths or single values, one entry a candidate. What is known comes from --stiffness with --log-sd, from
+    --measured, or from both.
+    """
+    from slippulse_jax.inference.design.design import design
+
+    candidates = _conditions(conditions)
+    if measured is None and stiffness is None:
+        raise click.UsageError("missing --stiffness (with --log-sd) or --measured: what is known already")
+    if (stiffness is None) != (log_sd is None):
+        raise click.UsageError("--stiffness and --log-sd belong together")
+    try:
+        known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
+        found = design(known, **candidates, kind="whole" if whole else "length", experiments=experiments, seed=seed)
+    except ValueError as error:
+        refuse(error)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        click.echo(found.report())
+    if figure is not None:
+        from slippulse_jax.inference.design.report import design_figure
+
+        save_figure(design_figure(found), figure)
+
+
+def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
+    """The conditions of the candidates, as `design` takes them."""
+    forms = {"plain": ("height", "sigma"), "si": ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")}
+    chosen = [name for name, columns in forms.items() if any(given[c] is not None for c in columns)]
+    if len(chosen) > 1:
+        raise click.UsageError("--height and --height-mm belong to two forms of the candidates: give one")
+    columns = forms[chosen[0] if chosen else "plain"]
+    missing = ["--" + c.replace("_", "-") for c in columns if given[c] is None]
+    if missing:
+        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
+    units = {"mm": 1e-3, "um": 1e-6, "gpa": 1e9}
+    result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}
+    for column in columns:
+        name, _, unit = column.rpartition("_") if column.split("_")[-1] in units else (column, "", "")
+        result[name] = [x * units.get(unit, 1.0) for x in given[column] or []]
+    return result
+
+
+def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool) -> Any:
+    import numpy as np
+
+    from slippulse_jax.inference.design.knowledge import Knowledge
+    from slippulse_jax.inference.table import read_measurements
+
+    prior = None
+    if stiffness is not None and log_sd is not None:
+        if len(log_sd) not in (1, len(stiffness)):
+            raise ValueError(f"--log-sd: {len(log_sd)} values for {len(stiffness)} roots")
+        prior = Knowledge.lognormal(np.array(stiffness), np.array(log_sd), in_si=in_si)
+    if measured is None:
+        return prior
+    measurements = read_measurements(measured)
+    if measurements.in_si != in_si:
+        raise ValueError(f"{measured}: the measurements and the candidates must both be in SI form, or neither")
+    return Knowledge.from_measurements(measurements, prior=prior)

@@ -1,0 +1,140 @@
+"""``slippulse fit``."""
+
+from typing import Any
+
+import click
+
+from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
+
+
+def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, list[float]]:
+    """``poisson=0.3,0.02`` as {"poisson": [0.3, 0.02]}."""
+    found = {}
+    for text in values:
+        name, _, numbers = text.partition("=")
+        try:
+            found[name.strip()] = [float(x) for x in numbers.split(",")]
+        except ValueError:
+            raise click.BadParameter(f"{text!r}: NAME=NUMBER or NAME=NUMBER,NUMBER", ctx, parameter) from None
+    return found
+
+
+@click.command()
+@click.argument("csv", metavar="LENGTHS.CSV")
+@click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, to fit too.")
+@click.option("--free", multiple=True, metavar="NAME", help="What to fit; repeat for several. Default: stiffness.")
+@click.option(
+    "--bounds",
+    type=float,
+    nargs=2,
+    metavar="LOW HIGH",
+    help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
+)
+@click.option("--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Independent knowledge.")
+@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range searched.")
+@click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option("--each-specimen", multiple=True, metavar="NAME", help="A value of its own for every specimen.")
+@click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="What a residual costs.")
+@click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Whether the size of σ is believed, or only ratios.")
+@click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
+@click.option("--intervals", type=click.Choice(["profile", "calibrated"]), help="From chi-squared, or from simulations.")
+@click.option("--seed", type=int, help="Of starts and bootstrap.")
+@click.option(
+    "--request", metavar="FILE", help="TOML file of parameters and settings, or the JSON of an earlier fit to repeat."
+)
+@click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
+@click.option("--case", is_flag=True, help="Bootstrap by drawing the measurements with replacement.")
+@click.option(
+    "--posterior",
+    type=click.IntRange(min=2),
+    metavar="COUNT",
+    help="Sample the posterior by NUTS, this many in each of 4 chains.",
+)
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
+@click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
+@click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
+@click.option("--gauge-figure", callback=figure_path, metavar="FILE", help="Draw slip and stress along the interface and fit.")
+@as_json
+@click.pass_context
+def command(ctx: click.Context, csv: str, **options: Any) -> None:
+    """Fit the interface to measured first precursors.
+
+    LENGTHS.CSV has one precursor a line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
+    length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
+    among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), prestress, force and
+    displacement at nucleation, specimen, provenance, label.
+
+    GAUGES.CSV has one reading a line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
+    stress_sigma_MPa. Then fit strength too: --free stiffness --free strength.
+
+    A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
+    max_steps. Options are added to it.
+
+    Exit status: 0 also when the data cannot tell a parameter, which is then said; 3 if the search did not converge.
+    """
+    from slippulse_jax.inference.bootstrap import bootstrap
+    from slippulse_jax.inference.fit import fit
+    from slippulse_jax.inference.notes import before_fit
+    from slippulse_jax.inference.record import from_request, read_request
+    from slippulse_jax.inference.table import read_measurements
+
+    _check(options)
+    try:
+        request = read_request(options["request"]) if options["request"] else {}
+        measurements = read_measurements(csv, gauges=options["gauges"])
+        asked = from_request(_asked(request, options))
+        for warning in before_fit(measurements):
+            click.echo(f"before fitting: {warning}", err=True)
+        result = fit(measurements, bounds=options["bounds"] or None, **asked)
+        more = {}
+        if options["bootstrap"]:
+            kind = "case" if options["case"] else "parametric"
+            more["bootstrap"] = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
+        if options["posterior"]:
+            more["posterior"] = result.posterior(samples=options["posterior"], seed=result.request["seed"])
+    except (ValueError, ModuleNotFoundError) as error:
+        refuse(error)
+    if options["as_json"]:
+        print_json(result.to_dict() | {name: drawn.to_dict() for name, drawn in more.items()})
+    else:
+        click.echo("\n\n".join([result.report(), *map(str, more.values())]))
+    samples = next((drawn.theta.reshape(-1, result.problem.p) for drawn in more.values()), None)
+    pictures = {
+        "figure": result.plot,
+        "profiles": result.plot_profiles,
+        "gauge_figure": result.plot_gauges,
+        "corner": lambda: result.plot_corner(samples),
+    }
+    for name, draw in pictures.items():
+        if options[name] is not None:
+            save_figure(draw(), options[name])
+    if not result.converged:
+        ctx.exit(NOT_CONVERGED)
+
+
+def _check(options: dict[str, Any]) -> None:
+    """Refuse options that go with another one without it."""
+    if options["gauge_figure"] and not options["gauges"]:
+        raise click.UsageError("--gauge-figure needs --gauges")
+    if options["case"] and not options["bootstrap"]:
+        raise click.UsageError("--case says how --bootstrap draws: give --bootstrap COUNT too")
+
+
+def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """The request with the options added."""
+    parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
+    for name in options["free"]:
+        parameters.setdefault(name, {})
+    if not parameters and not options["free"]:
+        parameters["stiffness"] = {}
+    for name, values in options["fix"].items():
+        if len(values) != 1:
+            raise ValueError(f"--fix {name}: one value is needed")
+        parameters.setdefault(name, {})["value"] = values[0]
+    for key, given in (("prior", options["prior"]), ("bounds", options["ranges"])):
+        for name, values in given.items():
+            parameters.setdefault(name, {})[key] = values
+    for name in options["each_specimen"]:
+        parameters.setdefault(name, {})["each"] = "specimen"
+    settings = {name: options[name] for name in ("loss", "sigma", "method", "seed", "intervals") if options[name] is not None}
+    return {**request, **settings, "parameters": parameters}

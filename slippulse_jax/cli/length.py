@@ -1,0 +1,118 @@
+"""``slippulse length``."""
+
+import math
+from typing import Any
+
+import click
+
+from slippulse_jax.cli.shared import BadInput, as_json, print_json, refuse
+
+DIMENSIONLESS = ("height", "stiffness")
+SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
+
+
+@click.command()
+@click.option("--height", type=float, metavar="H/λc", help="Height of the slider over the correlation length.")
+@click.option("--stiffness", type=float, metavar="k/K", help="Contact stiffness over that of an interfacial bond, K = Eλc.")
+@click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
+@click.option("--height-mm", type=float, metavar="MM", help="Height of the slider, in SI form.")
+@click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
+@click.option("--areal-stiffness", type=float, metavar="PA/M", help="Shear stiffness of the interface per area, k/λc².")
+@click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
+@click.option(
+    "--right",
+    type=click.Choice(["semi-infinite", "free", "clamped"]),
+    default="semi-infinite",
+    show_default=True,
+    help="Right end of the chain.",
+)
+@click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
+@as_json
+def command(poisson: float, right: str, sites: int | None, as_json: bool, **given: float | None) -> None:
+    """Length of the first precursor of one slider.
+
+    Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
+    """
+    import jax
+
+    form = _form(given)
+    with jax.enable_x64(True):
+        result = _length(form, poisson, right, sites)
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(_text(result))
+
+
+def _form(given: dict[str, float | None]) -> dict[str, float]:
+    """The options of the one form that was given, complete."""
+    si, plain = ([name for name in names if given[name] is not None] for names in (SI, DIMENSIONLESS))
+    if si and plain:
+        raise click.UsageError(f"{_option(si[0])} and {_option(plain[0])} belong to two forms of the slider: give one")
+    form = {name: given[name] for name in (SI if si else DIMENSIONLESS)}
+    missing = [_option(name) for name, value in form.items() if value is None]
+    if missing:
+        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the slider: see --help)")
+    return {name: value for name, value in form.items() if value is not None}
+
+
+def _length(form: dict[str, float], poisson: float, right: Any, sites: int | None) -> dict[str, Any]:
+    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, FrontStatus, arrest
+    from slippulse_jax.lattice.modes import check_right_end, lattice_modes
+    from slippulse_jax.slider import Slider
+    from slippulse_jax.status import NotConverged
+
+    try:
+        check_right_end(right, sites)
+        if "height" in form:
+            slider = Slider(form["height"], form["stiffness"], poisson)
+        else:
+            slider = Slider.from_material(
+                height=form["height_mm"] * 1e-3,
+                correlation_length=form["correlation_length_um"] * 1e-6,
+                areal_stiffness=form["areal_stiffness"],
+                poisson=poisson,
+                young=form["young_gpa"] * 1e9,
+            )
+    except ValueError as error:
+        refuse(error)
+    ended = arrest(slider, right, sites, DEFAULT_MAX_CONTACTS)
+    status = FrontStatus(int(ended.status))
+    if status is FrontStatus.LIMIT:
+        raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
+    if status is FrontStatus.INVALID:
+        raise BadInput(status.message)
+    result = {
+        "height": float(slider.height),
+        "stiffness": float(slider.stiffness),
+        "poisson": poisson,
+        "right": right,
+        "sites": sites,
+        "length": float(ended.length),
+        "contacts_broken": int(ended.contacts_broken),
+        "load": float(lattice_modes(slider, right, sites).load),
+        "edge_stress": float(ended.edge_stress),
+        "status": status.name.lower(),
+        "message": status.message,
+    }
+    if "correlation_length_um" in form:
+        result["length_mm"] = result["length"] * form["correlation_length_um"] * 1e-3
+    return result
+
+
+def _text(result: dict[str, Any]) -> str:
+    in_mm = f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""
+    count = f"Λ   = {result['contacts_broken']} λc"
+    lines = [
+        f"slider: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
+        f"right end {result['right']}" + (f", {result['sites']} sites" if result["sites"] else ""),
+        f"ℓ   = {result['length']:.6f} λc{in_mm}" if math.isfinite(result["length"]) else "ℓ   = none",
+        f"{count:20s} whole contacts broken",
+        f"U0  = {result['load']:.6g} u_s".ljust(20) + " displacement of the left edge at nucleation",
+        f"status: {result['message']}",
+    ]
+    return "\n".join(lines)
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

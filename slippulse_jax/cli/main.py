@@ -1,0 +1,89 @@
+"""The command ``slippulse``: data on stdout, messages on stderr, and an exit status that says what happened.
+
+0 done; 1 failure; 2 bad usage or input; 3 did not converge; 4 sweep incomplete; 130 interrupted. Nothing heavy is imported
+here: each command is imported when it is run, so that ``--help`` and ``--version`` answer at once.
+"""
+
+import importlib
+import os
+import sys
+
+import click
+
+from slippulse_jax.cli.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_when_interrupted
+from slippulse_jax.status import NotConverged
+
+COMMANDS = {
+    "series": "A series of precursors, as a catalogue of events.",
+    "claims": "Measure the claims of the paper, one by one.",
+    "design": "Which experiment to do next, to learn the interface stiffness.",
+    "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
+    "sweep": "First precursors over ranges of parameters, labelled, into a table or a store.",
+    "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
+    "length": "Length of the first precursor of one slider.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are modules of slippulse_jax.cli, imported when asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all commands."""
+        return sorted(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the command."""
+        if cmd_name not in COMMANDS:
+            return None
+        return importlib.import_module(f"slippulse_jax.cli.{cmd_name}").command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(sorted(COMMANDS.items()))
+
+
+def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        click.echo(f"slippulse {version('slippulse_jax')}")
+        ctx.exit()
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_version, help="Show the version and exit."
+)
+def slippulse() -> None:
+    """Self-healing slip pulses at the onset of frictional sliding."""
+
+
+def main() -> None:
+    """Run the command line and exit with its status."""
+    leave_when_interrupted()
+    try:
+        slippulse.main(standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.Exit as leaving:
+        sys.exit(leaving.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except NotConverged as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(NOT_CONVERGED)
+    except click.Abort:
+        click.echo("interrupted", err=True)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        # whoever read our output has closed it: not an error of ours, and nothing more can be written there
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(FAILURE)
+    except OSError as error:
+        click.echo(f"Error: {error}", err=True)
+        sys.exit(FAILURE)
+
+
+if __name__ == "__main__":
+    main()

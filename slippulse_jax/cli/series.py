@@ -1,0 +1,94 @@
+"""``slippulse series``."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure, table_path
+
+if TYPE_CHECKING:
+    from slippulse_jax.lattice.catalogue import Catalogue
+
+BREAKS_AN_EVENT = 50
+"""For which there is room at first, where breaks are drawn."""
+
+
+@click.command()
+@click.option("--height", type=float, required=True, metavar="H/λc", help="Height of the slider over the correlation length.")
+@click.option("--stiffness", type=float, required=True, metavar="k/K", help="Contact stiffness over that of a bond.")
+@click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
+@click.option("--sites", type=click.IntRange(min=2), default=150, show_default=True, help="Contacts of the chain.")
+@click.option("--events", type=click.IntRange(min=1), default=100, show_default=True, help="Events.")
+@click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
+@click.option("--step", type=float, metavar="U_S", help="Load in finite steps of this size; adiabatically by default.")
+@click.option("--spring", type=float, metavar="K", help="Drive through a spring of this stiffness.")
+@click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")
+@click.option("--recovery", type=float, metavar="U_S", help="Ageing: load over which thresholds recover.")
+@click.option(
+    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks for which a contact stays detached."
+)
+@click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw friction curve and space–time map.")
+@as_json
+def command(
+    height: float, stiffness: float, poisson: float, sites: int, events: int, right: str, step: float | None,
+    spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
+    out: Path | None, figure: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """A series of precursors of one slider, as a catalogue of events (CSV on stdout)."""
+    _check(step, spring, newborn, recovery)
+    import jax
+
+    from slippulse_jax.lattice.ageing import Ageing
+    from slippulse_jax.lattice.catalogue import SeriesStatus, table, to_csv, write_series
+    from slippulse_jax.lattice.chain import chain
+    from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, series
+    from slippulse_jax.slider import Slider
+
+    with jax.enable_x64(True):
+        try:
+            protocol = Steps(step) if step is not None else Spring(spring) if spring is not None else Adiabatic()
+            ageing = None if newborn is None or recovery is None else Ageing(newborn, recovery)
+            one = chain(Slider(height, stiffness, poisson), sites=sites, right=right)  # pyright: ignore[reportArgumentType]
+            run = partial(series, one, protocol, events=events, ageing=ageing, repin_delay=repin_delay)
+            room = BREAKS_AN_EVENT * events if figure else 0
+            found = run(recorded_breaks=room)
+            breaks = int(found.breaks.sum())
+            if figure and breaks > room:  # the same series again, with room for all that the figure shows
+                found = run(recorded_breaks=breaks)
+        except ValueError as error:
+            refuse(error)
+        status = SeriesStatus(int(found.status))
+        if out is not None:
+            write_series(out, found)
+        if figure is not None:
+            _draw(found, figure)
+        if as_json:
+            print_json({"status": status.name.lower(), **table(found)})
+        elif out is None:
+            click.echo(to_csv(found), nl=False)
+    click.echo(status.message, err=True)
+    if status == SeriesStatus.LIMIT:
+        raise SystemExit(NOT_CONVERGED)
+
+
+def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None) -> None:
+    """Refuse options that do not go together, before anything is computed."""
+    if step is not None and spring is not None:
+        raise click.UsageError("--step and --spring are two protocols: give one")
+    if (newborn is None) != (recovery is None):
+        raise click.UsageError("ageing needs both --newborn and --recovery")
+
+
+def _draw(found: "Catalogue", path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    from slippulse_jax.plot import friction_curve, space_time
+
+    picture = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right_axes = picture.subplots(1, 2)
+    friction_curve(found, ax=left)
+    space_time(found, ax=right_axes)
+    save_figure(picture, path)

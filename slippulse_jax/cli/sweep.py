@@ -1,0 +1,152 @@
+"""``slippulse sweep``."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slippulse_jax.cli.shared import as_json, figure_path, last_words, print_json, refuse, save_figure, table_path
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+
+class Incomplete(click.ClickException):
+    """Part of the sweep is in its store and the rest is not; exit status 4."""
+
+    exit_code = 4
+
+
+class Values(click.ParamType):
+    """A number, a list ``a,b,c``, or a range ``first:last:count``, with ``:log`` for even steps of the logarithm."""
+
+    name = "values"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
+        """Array of shape () or (n,)."""
+        import numpy as np
+
+        parts = str(value).split(":")
+        try:
+            if len(parts) == 1:
+                numbers = [float(x) for x in parts[0].split(",")]
+                return np.array(numbers[0] if len(numbers) == 1 else numbers)
+            first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+            if count < 1 or parts[3:] not in ([], ["log"]) or (parts[3:] and min(first, last) <= 0):
+                raise ValueError
+        except (ValueError, IndexError):
+            self.fail(f"{value!r} is not a number, a list a,b,c or a range first:last:count[:log]", param, ctx)
+        return np.geomspace(first, last, count) if parts[3:] else np.linspace(first, last, count)
+
+
+VALUES = Values()
+
+
+def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    try:
+        index, count = (int(x) for x in value.split("/"))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not index/number, such as 0/4", ctx, parameter) from None
+    return index, count
+
+
+@click.command()
+@click.option("--height", type=VALUES, required=True, metavar="H/λc", help="Height of the slider: 25, 10,25,50 or 10:50:41.")
+@click.option("--stiffness", type=VALUES, required=True, metavar="k/K", help="Contact stiffness, likewise: 1e-3:0.1:60:log.")
+@click.option("--poisson", type=VALUES, required=True, metavar="ν", help="Poisson's ratio, likewise.")
+@click.option("--prestress", type=VALUES, metavar="φ", help="Prestress of the contacts, in σ_s, likewise.")
+@click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s a site, likewise.")
+@click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin, likewise.")
+@click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
+@click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="What to compute at each point.")
+@click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
+@click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
+@click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
+@click.option("--store", type=click.Path(), metavar="FOLDER", help="Write the result to this folder as it is computed.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on with the sweep that --store holds, if any.")
+@click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Points a file of the store.")
+@click.option("--share", callback=_pair, metavar="I/N", help="Compute only the I-th of N shares (I from 0) into the store.")
+@click.option("--distributed", is_flag=True, help="Share with the processes of a SLURM or MPI job, through jax.distributed.")
+@click.option("--out", callback=table_path, metavar="FILE", help="Write the result to .csv or .nc.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output: a map, or a family of lines.")
+@as_json
+def command(
+    outputs: str, points: bool, right: Any, sites: int | None, store: str | None, resume: bool, chunk: int | None,
+    share: tuple[int, int] | None, distributed: bool, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
+) -> None:  # fmt: skip
+    """Precursors over ranges of parameters; CSV on stdout, or into a store that survives interruption.
+
+    A name in --outputs may also be gradients, theory or validity, for several at once.
+    """
+    if store is None and (share or distributed or chunk):
+        raise click.UsageError("--share, --distributed and --chunk go with --store")
+    import jax
+
+    if distributed:
+        jax.distributed.initialize()
+    found = _sweep(
+        store,
+        **values,
+        outputs=outputs.split(","),
+        points=points,
+        right=right,
+        sites=sites,
+        resume=resume,
+        chunk=chunk,
+        share=share,
+    )
+    if jax.process_index() == 0:
+        _hand_over(found, out, figure, as_json, store)
+
+
+def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
+    """Run it, and turn what can happen to it into messages and exit statuses."""
+    from slippulse_jax.sweeps.run import sweep
+
+    if store is not None:
+        last_words.append(_kept(store))
+    try:
+        found = sweep(store=store, **request)
+    except ValueError as error:
+        refuse(error)
+    except OSError as error:
+        if store is None:
+            raise
+        raise Incomplete(f"{error}; {_kept(store)}") from None
+    if not found.attrs["complete"]:
+        raise Incomplete(f"other shares of {store} are not there yet; {_kept(str(store))}")
+    return found
+
+
+def _kept(store: str) -> str:
+    return f"what was computed is kept in {store}; the same command goes on"
+
+
+def _hand_over(found: "xr.Dataset", out: Path | None, figure: Path | None, as_json: bool, store: str | None) -> None:
+    from slippulse_jax.sweeps import export
+
+    if out is not None:
+        export.write(found, out)
+    if figure is not None:
+        from matplotlib.figure import Figure
+
+        from slippulse_jax import plot
+        from slippulse_jax.plot import style
+
+        with style.use():
+            picture = Figure(figsize=(4.6, 3.2))
+            try:
+                plot.sweep(found, ax=picture.subplots())
+            except ValueError as error:
+                refuse(error)
+            save_figure(picture, figure)
+    if as_json:
+        print_json(export.as_json(found, values=store is None and out is None))
+    elif store is None and out is None:
+        export.write_csv(found, sys.stdout)
+    else:
+        click.echo(export.summary(found, str(out or store)))

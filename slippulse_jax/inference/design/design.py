@@ -1,0 +1,280 @@
+r"""Which experiment to do next: what each candidate would tell about the stiffness, given what is known.
+
+Two answers side by side. The **expected information** is Bayesian and global: it sees that two roots will be told apart, that a
+length saturates, that a front may never stop (`information`). The **D-optimal** gain is local: with
+J = dℓ/d ln k, s the standard deviation of ln k within a root and σ the error of the length,
+
+    D = E[ ½ ln(1 + s²J²/σ²) ],
+
+what a straight line through each sample would give. They agree where ℓ is straight over the prior; a candidate for which the
+first is large and the second small tells roots apart, one for which both are small sits on the plateau of Λ/H.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
+from slippulse_jax.inference.design.knowledge import Knowledge
+from slippulse_jax.lattice.exact_crossing import ExactStatus
+from slippulse_jax.lattice.exact_lanes import exact_lengths
+from slippulse_jax.slider import Slider
+from slippulse_jax.status import NotConverged
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_EXPERIMENTS = 12
+
+
+class Candidate(NamedTuple):
+    """An experiment that could be done; lengths in λc, in m where `correlation_length` is given."""
+
+    height: float
+    sigma: float
+    poisson: float
+    prestress: float
+    threshold_slope: float
+    correlation_length: float | None  # m
+    young: float | None  # Pa
+    kind: Kind
+
+
+class Step(NamedTuple):
+    """One experiment of a sequence, and what is expected of it and all before it together."""
+
+    candidate: int
+    gain: Gain
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Design:
+    """Outcome of `design`: one entry a candidate, in the order given. Information is in nats."""
+
+    knowledge: Knowledge
+    candidates: list[Candidate]
+    information: np.ndarray  # (c,) expected
+    information_error: np.ndarray  # (c,) of its quadrature
+    d_optimal: np.ndarray  # (c,) E ½ ln(1 + s²J²/σ²)
+    log_stderr: np.ndarray  # (c,) expected standard error of ln k afterwards, over all roots
+    told_apart: np.ndarray  # (c,) probability that one root is left with 95 %
+    length: np.ndarray  # (m, c) of every sample, in λc
+    sequence: list[Step]  # greedy; each adds most to what those before it tell
+
+    @property
+    def ranking(self) -> np.ndarray:
+        """Candidates from the most informative to the least."""
+        return np.argsort(-self.information, kind="stable")
+
+    @property
+    def best(self) -> int:
+        """The candidate of most expected information."""
+        return int(self.ranking[0])
+
+    @property
+    def expected_length(self) -> np.ndarray:
+        """Mean and standard deviation of the finite lengths of each candidate, in λc, NaN where none is; shape (c, 2)."""
+        w = self.knowledge.probability[:, None] * np.isfinite(self.length)
+        mass = np.where(w.any(axis=0), w.sum(axis=0), np.nan)
+        finite = np.where(np.isfinite(self.length), self.length, 0)
+        mean = (w * finite).sum(axis=0) / mass
+        return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
+
+    def report(self) -> str:
+        """Text to read."""
+        from slippulse_jax.inference.design.report import report
+
+        return report(self)
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def __repr__(self) -> str:
+        return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the samples as plain Python values, ready for JSON."""
+        from slippulse_jax.inference.design.report import to_dict
+
+        return to_dict(self)
+
+    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Expected information of every candidate beside the D-optimal gain, in bits."""
+        from slippulse_jax.inference.design.report import draw_information
+
+        return draw_information(self, ax)
+
+    def plot_lengths(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Length of the best candidates over stiffness with ± σ, above what is known: why each tells what it tells."""
+        from slippulse_jax.inference.design.report import draw_lengths
+
+        return draw_lengths(self, ax)
+
+
+def design(
+    knowledge: Knowledge,
+    *,
+    height: ArrayLike,
+    sigma: ArrayLike,
+    poisson: ArrayLike = 0.3,
+    prestress: ArrayLike = 0.0,
+    threshold_slope: ArrayLike = 0.0,
+    correlation_length: ArrayLike | None = None,
+    young: ArrayLike | None = None,
+    kind: Kind = "length",
+    experiments: int = 1,
+    seed: int = 0,
+) -> Design:
+    """Rank candidate experiments by what they are expected to tell about the interface stiffness.
+
+    The conditions broadcast against each other, and each entry is a candidate.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        What is known of the stiffness: of k/K, or of the areal stiffness where the material is given.
+    height, sigma : array_like, shape () or (c,)
+        Height of the block and standard error of a length measured on it: in λc, or in m where the material is given. σ may be
+        0 for counts.
+    poisson, prestress, threshold_slope : array_like
+        ν; φ = σ_0/σ_s in (−1, 1); ε, rise of the threshold per contact.
+    correlation_length, young : array_like, optional
+        λc in m and E in Pa: the material, both or neither.
+    kind : {"length", "whole"}
+        Whether a length is measured, or whole contacts are counted.
+    experiments : int
+        How many to plan: a sequence in which each adds most to those before it. A candidate may be taken again.
+    seed : int
+        Of the random shifts by which sequences of two and more are evaluated.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    ValueError
+        If a value lies outside its domain, the shapes do not broadcast, or the knowledge is of another kind of stiffness.
+    NotConverged
+        If the exact solution did not converge for a candidate; never seen.
+
+    Notes
+    -----
+    The information of outcomes that are independent given the stiffness is submodular: the greedy sequence has at least
+    1 − 1/e of that of the best set.
+    """
+    candidates = _candidates(height, sigma, poisson, prestress, threshold_slope, correlation_length, young, kind)
+    if knowledge.in_si != (correlation_length is not None):
+        known, needed = ("areal stiffness in Pa/m", "give correlation_length and young") if knowledge.in_si else (
+            "k/K", "it must be areal (in_si=True) where the material is given"
+        )  # fmt: skip
+        raise ValueError(f"the knowledge is of {known}: {needed}")
+    if not 1 <= experiments <= MOST_EXPERIMENTS:
+        raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
+    prior = Prior(knowledge.theta, knowledge.probability, knowledge.labels)
+    length, slope = lengths_of(candidates, knowledge.theta)
+    error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
+    gains = [expected_gain(prior, column, s, kind) for column, s in zip(length.T, error, strict=True)]
+    # a count is a length with an error of a contact's width besides
+    variance = error**2 + (kind == "whole") / 12
+    local = 0.5 * np.log1p(knowledge.within_sd**2 * slope**2 / variance)
+    information, information_error, log_stderr, told_apart = (np.array(x) for x in zip(*gains, strict=True))
+    return Design(
+        knowledge=knowledge,
+        candidates=candidates,
+        information=information,
+        information_error=information_error,
+        d_optimal=prior.weight @ local,
+        log_stderr=log_stderr,
+        told_apart=told_apart,
+        length=length,
+        sequence=_greedy(prior, length, error, kind, gains, experiments, seed),
+    )
+
+
+def _candidates(
+    height: ArrayLike,
+    sigma: ArrayLike,
+    poisson: ArrayLike,
+    prestress: ArrayLike,
+    threshold_slope: ArrayLike,
+    correlation_length: ArrayLike | None,
+    young: ArrayLike | None,
+    kind: str,
+) -> list[Candidate]:
+    if kind not in get_args(Kind):
+        raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}")
+    if (correlation_length is None) != (young is None):
+        raise ValueError("correlation_length and young: give both, or neither")
+    given = {
+        "height": height, "sigma": sigma, "poisson": poisson, "prestress": prestress, "threshold_slope": threshold_slope,
+        "correlation_length": 1.0 if correlation_length is None else correlation_length,
+        "young": 1.0 if young is None else young,
+    }  # fmt: skip
+    columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items()}
+    try:
+        columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
+    except ValueError:
+        shapes = ", ".join(f"{name} {x.shape}" for name, x in columns.items())
+        raise ValueError(f"the conditions of the candidates must broadcast together: {shapes}") from None
+    if columns["height"].ndim != 1 or columns["height"].size == 0:
+        raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
+    _check_columns(columns, kind)
+    si = correlation_length is not None
+    return [
+        Candidate(*(float(x) for x in row[:5]), *(float(x) if si else None for x in row[5:]), kind)  # pyright: ignore
+        for row in zip(*columns.values(), strict=True)
+    ]
+
+
+def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
+    for name, requirement in (("correlation_length", "must be positive, in m"), ("young", "must be positive, in Pa")):
+        check_domain(name, columns[name], lambda x: x > 0, requirement)
+    if kind == "length":
+        check_domain("sigma", columns["sigma"], lambda x: x > 0, "must be positive: the standard error of a length")
+    check_domain("sigma", columns["sigma"], lambda x: x >= 0, "cannot be negative: a standard error")
+    ratio = columns["height"] / columns["correlation_length"]
+    check_domain("height over correlation length", ratio, lambda x: x > 1, "must exceed 1")
+    for name, domain in (("poisson", POISSON), ("prestress", PRESTRESS), ("threshold_slope", THRESHOLD_SLOPE)):
+        domain.check(name, columns[name])
+
+
+def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ* and dℓ*/d ln k at every ln(stiffness) and of every candidate, in λc; the slope is 0 where the front never stops."""
+    numbers = np.array([c[:5] for c in candidates])
+    scale = np.array([c.correlation_length or 1.0 for c in candidates])
+    per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
+    ratio = np.exp(theta)[:, None] * per_unit
+    slider = Slider(numbers[:, 0] / scale, ratio, numbers[:, 2])
+    found = exact_lengths(slider, prestress=numbers[:, 3], threshold_slope=numbers[:, 4], derivatives=1)
+    lost = found.status == ExactStatus.NOT_CONVERGED
+    if lost.any():
+        i, j = np.argwhere(lost)[0]
+        raise NotConverged(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {ExactStatus.NOT_CONVERGED.message}")
+    assert found.gradient is not None
+    return found.length, np.where(np.isfinite(found.length), found.gradient[..., 1] * ratio, 0)
+
+
+def _greedy(
+    prior: Prior, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
+) -> list[Step]:
+    best = int(np.argmax([g.information for g in gains]))
+    steps = [Step(best, gains[best])]
+    if experiments == 1:
+        return steps
+    drawn = draw(prior, experiments, seed)
+    so_far = log_likelihoods(drawn, 0, length[:, best], error[best], kind)
+    for step in range(1, experiments):
+        taken: tuple[Gain, int, np.ndarray] | None = None
+        for j in range(length.shape[1]):
+            together = so_far + log_likelihoods(drawn, step, length[:, j], error[j], kind)
+            gain = joint_gain(prior, drawn, together)
+            if taken is None or gain.information > taken[0].information:
+                taken = gain, j, together
+        assert taken is not None
+        gain, best, so_far = taken
+        steps.append(Step(best, gain))
+    return steps

@@ -1,0 +1,215 @@
+"""What a design says, in words, as plain values and as pictures."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slippulse_jax.plain import plain
+from slippulse_jax.plot.style import axes, colours
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from slippulse_jax.inference.design.design import Candidate, Design
+    from slippulse_jax.inference.design.knowledge import Knowledge
+
+BIT = np.log(2)
+
+
+def label(one: "Candidate", many: list["Candidate"]) -> str:
+    """A candidate by what sets it apart from the others."""
+    name = f"H = {one.height:.5g} λc" if one.correlation_length is None else f"H = {one.height * 1e3:.5g} mm"
+    others = {
+        "poisson": f"ν = {one.poisson:g}",
+        "prestress": f"φ = {one.prestress:g}",
+        "threshold_slope": f"ε = {one.threshold_slope:g}",
+        "sigma": f"σ = {one.sigma:.3g} λc" if one.correlation_length is None else f"σ = {one.sigma * 1e3:.3g} mm",
+        "correlation_length": f"λc = {(one.correlation_length or 0) * 1e6:.4g} µm",
+        "young": f"E = {(one.young or 0) * 1e-9:.4g} GPa",
+    }
+    return ", ".join([name, *(text for field, text in others.items() if len({getattr(c, field) for c in many}) > 1)])
+
+
+def report(found: "Design") -> str:
+    """Text to read."""
+    k = found.knowledge
+    unit = " Pa/m" if k.in_si else ""
+    symbol = "k/λc²" if k.in_si else "k/K"
+    several = len(k.roots) > 1
+    lines = [f"Known: {symbol} " + (" or " if several else "").join(
+        f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots
+    )]  # fmt: skip
+    lines.append(f"       standard deviation of ln k, all together: {k.log_sd:.3g}")
+    wide = max(len(label(c, found.candidates)) for c in found.candidates)
+    apart = f" {'told apart':>11}" if several else ""
+    lines.append(f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'D-optimal':>10} {'se of ln k':>11}{apart}")
+    scale, name = _scale(found)
+    for place, i in enumerate(found.ranking, 1):
+        mean, sd = found.expected_length[i] * scale[i]
+        span = f"{mean:8.4g} ± {sd:<6.2g}{name}" if np.isfinite(mean) else "never stops"
+        last = f" {found.told_apart[i]:11.0%}" if several else ""
+        lines.append(
+            f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} {span:{17 + len(name)}} "
+            f"{found.information[i] / BIT:6.3f} ± {_small(found.information_error[i] / BIT)} bit "
+            f"{found.d_optimal[i] / BIT:6.3f} bit {found.log_stderr[i]:11.3g}{last}"
+        )
+    lines.append(_by_root(found))
+    if len(found.sequence) > 1:
+        lines.append("Sequence, each adding most to those before it:")
+        for place, (i, gain) in enumerate(found.sequence, 1):
+            last = f", roots told apart {gain.told_apart:.0%}" if several else ""
+            lines.append(
+                f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} together {gain.information / BIT:.3f} ± "
+                f"{_small(gain.error / BIT)} bit, se of ln k {gain.log_stderr:.3g}{last}"
+            )
+    lines += [f"  {note}" for note in notes(found)]
+    return "\n".join(lines)
+
+
+def _by_root(found: "Design") -> str:
+    """What the first candidate would measure under each root."""
+    k, best = found.knowledge, found.best
+    scale, name = _scale(found)
+    seen = []
+    for root, (_, value, _) in enumerate(k.roots):
+        own = (k.labels == root) & np.isfinite(found.length[:, best])
+        weight = k.probability[own]
+        length = weight @ found.length[own, best] / weight.sum() if weight.sum() > 0 else np.inf
+        seen.append(f"{length * scale[best]:.4g} {name} if {'k/λc²' if k.in_si else 'k/K'} = {value:.3g}")
+    return f"Next: {label(found.candidates[best], found.candidates)}; expect {', '.join(seen)}."
+
+
+def notes(found: "Design") -> list[str]:
+    """What a careful reader should know before going to the laboratory."""
+    said = []
+    if (found.information_error > 0.1 * np.maximum(found.information, 0.05)).any():
+        said.append("Note: the samples are too few for an error this small; give more (nodes, or a longer chain).")
+    endless = found.knowledge.probability @ np.isinf(found.length)
+    for i in np.flatnonzero(endless > 1e-3).tolist():
+        said.append(f"Note: {label(found.candidates[i], found.candidates)}: with {endless[i]:.0%} the front never stops.")
+    if found.information.max() < 0.1:
+        said.append("Note: no candidate tells anything much: the lengths are on their plateau, or known to within σ already.")
+    return said
+
+
+def _small(x: float) -> str:
+    return f"{x:.3f}" if x >= 5e-4 else "0.001" if x > 1e-4 else "0.000"
+
+
+def _scale(found: "Design") -> tuple[np.ndarray, str]:
+    if found.knowledge.in_si:
+        return np.array([(c.correlation_length or 0) * 1e3 for c in found.candidates]), "mm"
+    return np.ones(len(found.candidates)), "λc"
+
+
+def to_dict(found: "Design") -> dict[str, Any]:
+    """Everything but the samples as plain Python values, ready for JSON; information in nats."""
+    lengths = found.expected_length
+    content = {
+        "knowledge": {
+            "unit": "Pa/m" if found.knowledge.in_si else "",
+            "log_sd": found.knowledge.log_sd,
+            "roots": [{"probability": p, "stiffness": k, "log_sd": sd} for p, k, sd in found.knowledge.roots],
+        },
+        "units": {"information": "nat", "length": "λc", "height": "m" if found.knowledge.in_si else "λc"},
+        "candidates": [
+            {
+                **c._asdict(),
+                "label": label(c, found.candidates),
+                "rank": int(np.flatnonzero(found.ranking == i)[0]) + 1,
+                "length": lengths[i, 0],
+                "length_sd": lengths[i, 1],
+                "never_stops": found.knowledge.probability @ np.isinf(found.length[:, i]),
+                **{
+                    name: getattr(found, name)[i]
+                    for name in ("information", "information_error", "d_optimal", "log_stderr", "told_apart")
+                },
+            }
+            for i, c in enumerate(found.candidates)
+        ],
+        "sequence": [{"candidate": s.candidate, **s.gain._asdict()} for s in found.sequence],
+        "notes": notes(found),
+    }
+    return plain(content)
+
+
+def design_figure(found: "Design") -> "Figure":
+    """Gains beside the lengths they come from."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 1.6 + max(2.2, 0.42 * len(found.candidates))), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    draw_information(found, left)
+    draw_lengths(found, right)
+    return figure
+
+
+def draw_information(found: "Design", ax: "Axes | None") -> "Axes":
+    """Bars of the expected information and the D-optimal gain of every candidate, the most informative on top."""
+    ax = axes(ax)
+    c = colours(ax)
+    order = found.ranking[::-1]
+    y = np.arange(len(order))
+    ax.barh(y + 0.19, found.information[order] / BIT, 0.36, color=c.blue, label="expected information")
+    ax.barh(y - 0.19, found.d_optimal[order] / BIT, 0.36, color=c.orange, label="D-optimal (local)")
+    most = max(found.information.max(), found.d_optimal.max()) / BIT
+    for place, i in zip(y, order, strict=True):
+        said = f"se {found.log_stderr[i]:.2g}"
+        if len(found.knowledge.roots) > 1:
+            said += f", apart {found.told_apart[i]:.0%}"
+        longer = max(found.information[i], found.d_optimal[i]) / BIT
+        ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
+    ax.set_yticks(y, [label(found.candidates[i], found.candidates) for i in order])
+    room = 1.6 if len(found.knowledge.roots) > 1 else 1.35
+    ax.set(xlabel="gain, bits", xlim=(0, room * most))
+    ax.legend(frameon=False, fontsize="small", loc="lower right")
+    return ax
+
+
+def draw_lengths(found: "Design", ax: "Axes | None") -> "Axes":
+    """Lengths over stiffness, ℓ/H with the band of ± σ, and the density of what is known below."""
+    from slippulse_jax.inference.design.design import lengths_of
+
+    ax = axes(ax)
+    c = colours(ax)
+    known = found.knowledge.theta
+    theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
+    length = lengths_of(found.candidates, theta)[0]
+    shown = found.ranking[: len(c.data)]
+    top, low = 0.0, np.inf
+    for i, color in zip(shown, c.data, strict=False):
+        one = found.candidates[i]
+        height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
+        share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
+        ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
+        ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
+        top = max(top, np.nanmax(share + sigma / height, initial=0.0))
+        low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
+    # the density stands in a strip of its own, below the lengths
+    strip = 0.35 * (top - low) if low < top else 0.0
+    base = max(low - strip, 0.0) if strip else 0.0
+    heaps = list(_densities(found.knowledge))
+    highest = max(density.max() for _, density in heaps)
+    for number, (middle, density) in enumerate(heaps):
+        height = 0.8 * (strip or 0.3 * top) * density / highest
+        ax.fill_between(np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known")
+    ax.set(
+        xscale="log",
+        xlabel="areal stiffness $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "stiffness $k/K$",
+        ylabel="length over height, $\\ell/H$",
+        ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
+    )
+    # lengths and density leave no corner free
+    ax.legend(frameon=False, fontsize="small", loc="lower left", bbox_to_anchor=(0, 1), ncols=3, columnspacing=1.2)
+    return ax
+
+
+def _densities(knowledge: "Knowledge") -> "Iterator[tuple[np.ndarray, np.ndarray]]":
+    """Density of ln(stiffness) about each root, where it is more than a trifle."""
+    for root in range(len(knowledge.roots)):
+        own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
+        weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])
+        yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)

@@ -1,0 +1,1 @@
+"""A threshold or prestress that varies along the interface, from measured lengths."""

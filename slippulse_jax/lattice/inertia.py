@@ -1,0 +1,293 @@
+r"""The chain with inertia: both layers have mass, contacts break in time, and waves run ahead of the front.
+
+A block of the interfacial layer has mass m = 1, one of the upper layer H/λc, so that sound travels one site per time unit
+√(m/K) in both; a bond stiffer than the rest is faster, and makes no block heavier. Positions and velocities go forward by
+velocity Verlet, which is symplectic, between two exact half steps of viscous damping. Every loss is booked where it occurs:
+the kinetic energy a damping step takes, the stretch a contact loses as it breaks, the friction of a contact that slides.
+What is left over is the integrator's error, of second order in the step.
+
+A general-purpose integrator would not do better here: the right-hand side jumps at every break, which must happen between two
+steps of one fixed size, and a method of higher order loses its order there.
+
+Nothing here has a derivative. A contact breaks at the first whole step after it reached its threshold: the time of a break
+would have the derivative of the step, and all that follows would inherit it.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Int
+from jaxtyping import ArrayLike as AnyArrayLike
+
+from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.domains import check_domain
+from slippulse_jax.lattice.chain import Chain, State, potential_energy, relaxed
+from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
+from slippulse_jax.lattice.motion import Asked, CrackLike, Motion, MotionStatus, SelfHealing, domains
+from slippulse_jax.lattice.rupture import nucleate
+
+
+class _Now(NamedTuple):
+    x: tuple[Array, Array]
+    v: tuple[Array, Array]
+    pull: tuple[Array, Array]
+    pinning: Array
+    sliding: Bool[Array, " N"]
+    first_break: Array
+    breaks: Array
+    n: Array
+    since: Array  # time since the last break
+    books: tuple[Array, Array, Array, Array]  # work, broken, damped, rubbed
+    worst: Array
+
+
+def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
+    """`safety` times the largest stable step 2/ω_max of velocity Verlet, ω_max² bounded by Gershgorin's discs."""
+
+    def bonds(inner: Array, beyond: Array) -> Array:
+        """Diagonal and off-diagonal of a row, of two bonds or of one and what lies beyond the end."""
+        return 2 * inner.max() + jnp.maximum(2 * inner.max(), beyond)
+
+    across = 2 * (chain.across.max() + chain.end.across)
+    upper = (bonds(chain.upper, chain.end.upper) + across) / chain.height
+    layer = bonds(chain.layer, chain.end.layer) + across + chain.contact.max()
+    return 2 * jnp.asarray(safety) / jnp.sqrt(jnp.maximum(upper, layer))
+
+
+def simulate_inertial(
+    chain: Chain,
+    state: State | None = None,
+    *,
+    duration: AnyArrayLike,
+    damping: AnyArrayLike = 0.0,
+    rule: SelfHealing | CrackLike = SelfHealing(),  # noqa: B008 - a constant
+    velocity: AnyArrayLike = 0.0,
+    trigger: int | Int[Array, ""] | None = None,
+    safety: AnyArrayLike = 0.2,
+    rest: AnyArrayLike = 1e-12,
+) -> Motion:
+    """Motion of a chain from rest.
+
+    Parameters
+    ----------
+    chain : Chain
+        With linear contacts. A semi-infinite end holds as an endless chain at rest would; waves are reflected by it.
+    state : State, optional
+        Pinning points and load of a chain in equilibrium. By default the relaxed chain, loaded until its first contact breaks.
+    duration : float
+        In √(m/K).
+    damping : float
+        γ ≥ 0: every block loses momentum at the rate γ, per time.
+    rule : SelfHealing or CrackLike
+    velocity : float
+        Of the left edge of the upper layer; 0 holds it where it is, as fast fronts find it.
+    trigger : int, optional
+        Contact that breaks at time 0; −1 for none. By default that of the nucleation, or none if `state` is given.
+    safety : float
+        Step over the largest stable one; between 0 and 1.
+    rest : float
+        Kinetic energy, in K u_s², below which a damped chain without overloaded contact is taken to be at rest.
+
+    Returns
+    -------
+    Motion
+        With a status (`MotionStatus`) instead of an exception; composes with ``jit`` and ``vmap``.
+
+    Raises
+    ------
+    ValueError
+        If a number lies outside its domain, naming it; traced by JAX it makes the motion `MotionStatus.INVALID`.
+    TypeError
+        If the rule is none of these, or a derivative is taken: it would be that of the time step.
+    """
+    if chain.law is not None:
+        raise ValueError("the inertial chain needs linear contacts: this chain has a force law")
+    if not isinstance(rule, SelfHealing | CrackLike):
+        raise TypeError(f"rule = {rule!r}: must be SelfHealing(break_time) or CrackLike(friction)")
+    first = -1 if trigger is None else trigger
+    asked = Asked(chain, rule, duration, damping, velocity, safety, rest, first)
+    for name, (value, holds, requirement) in domains(asked).items():
+        if not any(isinstance(x, Tracer) for x in (value, holds(value))):
+            check_domain(name, np.asarray(value), holds, requirement)
+    if state is None:
+        state, found = nucleate(chain, relaxed(chain))
+        first = found if trigger is None else trigger
+    dtype = chain.contact.dtype
+    numbers = {name: jnp.asarray(getattr(asked, name), dtype) for name in ("duration", "damping", "velocity", "safety", "rest")}
+    rule = jax.tree.map(lambda x: jnp.asarray(x, dtype), rule)
+    return _undifferentiated(asked._replace(rule=rule, trigger=jnp.asarray(first, jnp.int32), **numbers), state)
+
+
+def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
+    """Force of springs and contacts on every block, in K u_s; the contact carries k_i(u − u_b) beyond its prestress."""
+    upper, layer = x
+    bond_upper, bond_layer = chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer)
+    across = chain.across * (upper - layer)
+    zero = jnp.zeros(1, upper.dtype)
+
+    def ends(bond: Array) -> Array:
+        return jnp.concatenate([bond, zero]) - jnp.concatenate([zero, bond])
+
+    last = chain.end.across * (upper[-1] - layer[-1])
+    on_upper = (ends(bond_upper) - across).at[-1].add(-chain.end.upper * upper[-1] - last)
+    on_layer = (ends(bond_layer) + across).at[-1].add(-chain.end.layer * layer[-1] + last)
+    return on_upper, on_layer - chain.contact * (layer - pinning)
+
+
+def _simulate(asked: Asked, state: State) -> Motion:
+    chain, rule, duration, damping, velocity, safety, rest, trigger = asked
+    start = equilibrium(chain, state)
+    dt = stable_step(chain, safety)
+    number = jnp.ceil(duration / dt)
+    valid = (number < 2**31) & jnp.stack([holds(x) & jnp.isfinite(x) for x, holds, _ in domains(asked).values()]).all()
+    steps = jnp.where(valid, number, 0).astype(jnp.int32)
+    mass = (chain.height, jnp.ones_like(dt))
+    keep = jnp.exp(-damping * dt / 2)
+    k = chain.stiffness
+    attached = chain.contact > 0
+    soft = k / jnp.where(attached, chain.contact, jnp.inf)
+    sites = jnp.arange(chain.sites)
+    held = jnp.where(sites == 0, 0.0, 1.0)  # u_t[0] is imposed
+    friction = rule.friction if isinstance(rule, CrackLike) else 0.0
+
+    def kinetic(v: tuple[Array, Array]) -> Array:
+        return ((mass[0] * v[0] ** 2 * held).sum() + (v[1] ** 2).sum()) / 2
+
+    def damp(now: _Now) -> _Now:
+        v = (jnp.where(sites == 0, velocity, keep * now.v[0]), keep * now.v[1])
+        work, broken, damped, rubbed = now.books
+        return now._replace(v=v, books=(work, broken, damped + kinetic(now.v) - kinetic(v), rubbed))
+
+    def push(now: _Now) -> Array:
+        """Force that holds the left edge."""
+        return -now.pull[0][0]
+
+    def verlet(now: _Now) -> _Now:
+        v = (now.v[0] + held * now.pull[0] * dt / (2 * mass[0]), now.v[1] + now.pull[1] * dt / 2)
+        x = (now.x[0] + dt * v[0], now.x[1] + dt * v[1])
+        # a sliding contact's pinning point goes with the layer, so that it carries the friction throughout
+        moved = jnp.where(now.sliding, x[1] - now.x[1], 0)
+        pinning = now.pinning + moved
+        pull = _forces(chain, x, pinning)
+        v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
+        after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
+        work, broken, damped, rubbed = now.books
+        books = (
+            work + (push(now) + push(after)) / 2 * velocity * dt,
+            broken,
+            damped,
+            rubbed + k * friction * moved.sum(),
+        )
+        return after._replace(books=books)
+
+    def break_those(now: _Now, those: Array) -> _Now:
+        t = chain.stress(now.x[1], now.pinning)
+        lost = jnp.where(those, t - friction, 0)
+        pinning = now.pinning + lost * soft
+        work, broken, damped, rubbed = now.books
+        energy = (jnp.where(those, (t**2 - friction**2) * soft, 0) * k / 2).sum()
+        return now._replace(
+            pinning=pinning,
+            sliding=now.sliding | those if isinstance(rule, CrackLike) else now.sliding,
+            pull=(now.pull[0], now.pull[1] + k * lost),
+            first_break=jnp.where(those, jnp.minimum(now.first_break, now.n * dt), now.first_break),
+            breaks=now.breaks + those,
+            since=jnp.where(those.any(), 0, now.since),
+            books=(work, broken + energy, damped, rubbed),
+        )
+
+    def overloaded(now: _Now) -> Array:
+        over = chain.stress(now.x[1], now.pinning) - chain.threshold
+        return jnp.where(attached & ~now.sliding, over, -jnp.inf)
+
+    def step(now: _Now) -> _Now:
+        now = damp(verlet(damp(now)))
+        if isinstance(rule, CrackLike):
+            now = now._replace(sliding=now.sliding & (now.v[1] > 0))
+            those = overloaded(now) >= 0
+        else:
+            over = overloaded(now)
+            most = (sites == jnp.argmax(over)) & (over >= 0) & (now.since >= rule.break_time * (1 - 1e-9))
+            those = jnp.where(jnp.asarray(rule.break_time) > 0, most, over >= 0)
+        now = break_those(now, those)
+        work, broken, damped, rubbed = now.books
+        energy = kinetic(now.v) + potential_energy(chain, now.x, now.pinning)
+        return now._replace(worst=jnp.maximum(now.worst, jnp.abs(energy - initial - work + broken + damped + rubbed)))
+
+    def going(now: _Now) -> Array:
+        quiet = (
+            (kinetic(now.v) < rest) & (overloaded(now).max() < 0) & (damping > 0) & (now.since > 10 * dt) & ~now.sliding.any()
+        )
+        return (now.n < steps) & ~quiet
+
+    zero = jnp.zeros_like(dt)
+    x = (start.upper, start.layer)
+    initial = potential_energy(chain, x, state.pinning)
+    v = (jnp.zeros_like(start.upper).at[0].set(velocity), jnp.zeros_like(start.layer))
+    now = _Now(
+        x=x,
+        v=v,
+        pull=_forces(chain, x, state.pinning),
+        pinning=state.pinning,
+        sliding=jnp.zeros(chain.sites, bool),
+        first_break=jnp.full_like(start.upper, jnp.inf),
+        breaks=jnp.zeros(chain.sites, jnp.int32),
+        n=jnp.zeros((), jnp.int32),
+        since=zero + jnp.inf,
+        books=(zero, zero, zero, zero),
+        worst=zero,
+    )
+    now = lax.while_loop(going, step, break_those(now, sites == trigger))
+    broke = now.breaks > 0
+    extent = jnp.where(broke, sites + 1, 0).max()
+    work, broken, damped, rubbed = now.books
+    moving = kinetic(now.v)
+    finite = valid & jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
+    endings = [~finite, extent == chain.sites, now.n >= steps]
+    status = jnp.select(endings, [MotionStatus.INVALID, MotionStatus.SPANNED, MotionStatus.TIME_OVER], MotionStatus.AT_REST)
+    return Motion(
+        state=State(now.pinning, now.x[0][0]),
+        upper=now.x[0],
+        layer=now.x[1],
+        upper_velocity=now.v[0],
+        layer_velocity=now.v[1],
+        first_break=now.first_break,
+        breaks=now.breaks,
+        extent=extent,
+        time=now.n * dt,
+        step=dt,
+        kinetic=moving,
+        potential=potential_energy(chain, now.x, now.pinning),
+        work=work,
+        broken=broken,
+        damped=damped,
+        rubbed=rubbed,
+        imbalance=now.worst,
+        status=status.astype(jnp.int32),
+    )
+
+
+_undifferentiated = without_derivative(
+    jax.jit(_simulate),
+    "simulate_inertial cannot be differentiated: contacts break at whole time steps, so that the derivative of all that "
+    "follows would be that of the step. For the length of a first precursor without inertia, precursor_length has an exact "
+    "derivative.",
+)
+
+
+def quasi_static_break_time(chain: Chain, damping: float) -> float:
+    """A break time after which even the slowest motion of a chain has decayed by e^{−30}, from the chain's spectrum.
+
+    Dense, O(N³): for checks on short chains.
+    """
+    n = chain.sites
+    flat = jax.jacfwd(lambda x: jnp.concatenate(_forces(chain, (x[:n], x[n:]), jnp.zeros(n))))(jnp.zeros(2 * n))
+    root = np.sqrt(np.append(np.full(n, float(chain.height)), np.ones(n)))
+    squares = np.linalg.eigvalsh(-np.asarray(flat)[1:, 1:] / np.outer(root[1:], root[1:]))
+    slowest = squares.min()
+    rate = damping / 2 if damping**2 < 4 * slowest else damping / 2 - np.sqrt(damping**2 / 4 - slowest)
+    return float(30 / rate)

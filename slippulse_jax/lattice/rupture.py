@@ -1,0 +1,273 @@
+"""One rupture of any interface: the most overloaded contact breaks and repins, again and again, until none is overloaded.
+
+How the next contact is found is in `slippulse_jax.lattice.breaks`.
+
+Accuracy. A break multiplies and adds positive numbers, so it can only pass on the relative error of the stresses and add
+its own: with ε the relative error of the response (a few units u in the last place per site over the decay length) and
+positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact. Contacts that repin forget most of it, and
+what is seen is far less; the final fields are solved afresh, and `Rupture.drift` is the difference found.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from slippulse_jax.bulk.compiler import as_one_kernel
+from slippulse_jax.bulk.independence import lane_by_lane
+from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.lattice.blocks import Moves, all_opened, whole
+from slippulse_jax.lattice.breaks import Broken, check_delay, run
+from slippulse_jax.lattice.chain import Chain, State
+from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
+from slippulse_jax.lattice.response import Response, into_blocks, shared_response
+from slippulse_jax.rules import BreakRule, HardBreak, check_rule
+from slippulse_jax.status import Status
+
+BREAKS_PER_SITE = 20
+"""Breaks per site after which a rupture is given up, unless the caller says otherwise."""
+
+
+class RuptureStatus(Status):
+    """How a rupture ended."""
+
+    ARRESTED = 0, "arrested: no contact is at its threshold any more"
+    NOTHING_BROKE = 1, "nothing broke: no contact was at its threshold"
+    RAN_THROUGH = (
+        2,
+        (
+            "ran through: the last site of the chain broke, so the rupture has no length (inf); of a semi-infinite chain "
+            "more sites must be resolved"
+        ),
+    )
+    LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks (length NaN)"
+    SINGULAR = 4, "no equilibrium: a part of the chain is held by nothing (length NaN)"
+    INVALID = 5, "no such chain or state: a value is not a number, or outside its domain (length NaN)"
+
+
+class Rupture(NamedTuple):
+    """What one rupture did; displacements in u_s, stresses in σ_s, energy in K u_s²."""
+
+    state: State  # after the rupture
+    before: Equilibrium
+    after: Equilibrium
+    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
+    released: Float[Array, " L"]  # the stress each break gave up
+    breaks: Int[Array, ""]
+    broken: Float[Array, " N"]  # how often each contact broke; with a smooth rule, how much of it
+    slip: Float[Array, " N"]  # how far each contact's pinning point moved
+    stress_drop: Float[Array, " N"]
+    energy: Float[Array, ""]  # potential energy given up
+    extent: Int[Array, ""]  # sites from the left edge to the rightmost broken contact, which is among them
+    length: Float[Array, ""]  # ℓ, in λc from the left edge
+    drift: Float[Array, ""]  # largest error of a stress accumulated over the breaks, in σ_s
+    status: Int[Array, ""]
+
+
+class Record(NamedTuple):
+    """What is kept of every break."""
+
+    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
+    released: Float[Array, " L"]  # stress each break gave up
+    breaks: Int[Array, ""]
+    energy: Float[Array, ""]  # released, in K u_s²
+    furthest: Int[Array, ""]  # rightmost site broken so far
+    overload: Float[Array, ""]  # its overload when it first broke
+
+
+def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
+    resp = shared_response(chain)
+    return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
+
+
+def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Broken:
+    """Break after break, each recorded."""
+    max_breaks, delay = limits
+    size = resp.near.shape[1]
+    soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
+
+    def loop(resp: Response, soft: Array, stress: Array, threshold: Array, trigger: Array) -> Broken:
+        none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
+        start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+
+        def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
+            site = moves.sites[-1]
+            return Record(
+                order=record.order.at[record.breaks].set(site),
+                released=record.released.at[record.breaks].set(t),
+                breaks=record.breaks + 1,
+                energy=record.energy + t * (t + after) * soft[site],
+                furthest=jnp.maximum(site, record.furthest),
+                overload=jnp.where(site > record.furthest, t - threshold[site], record.overload),
+            )
+
+        limit, held = into_blocks(threshold, size, jnp.inf), into_blocks(stress, size)
+        begin = whole(held, limit), jnp.zeros_like(held)
+        return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
+
+    given = (resp, soft, stress, threshold, trigger)
+    return loop(*given) if delay else as_one_kernel(loop, *given)
+
+
+def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+    before = equilibrium(chain, state)
+    good = before.status == EquilibriumStatus.SOLVED
+    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
+    n = chain.sites
+    # a detached contact has nothing to break
+    threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
+    done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
+    record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
+    slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
+    after_state = State(state.pinning + slip, state.load)
+    after = equilibrium(safe, after_state)
+    ahead = jnp.minimum(record.furthest + 1, n - 1)
+    short_by = stress[ahead] - safe.threshold[ahead]
+    endings = {
+        RuptureStatus.INVALID: before.status == EquilibriumStatus.INVALID,
+        RuptureStatus.SINGULAR: ~good,
+        RuptureStatus.NOTHING_BROKE: record.breaks == 0,
+        RuptureStatus.LIMIT: (stress >= threshold).any(),
+        RuptureStatus.RAN_THROUGH: record.furthest == n - 1,
+    }
+    status = jnp.select(list(endings.values()), list(endings), RuptureStatus.ARRESTED).astype(jnp.int32)
+    length = record.furthest + record.overload / (record.overload - jnp.minimum(short_by, 0))
+    return Rupture(
+        state=after_state,
+        before=before,
+        after=after,
+        order=record.order,
+        released=record.released,
+        breaks=record.breaks,
+        broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
+        slip=slip,
+        stress_drop=before.stress - after.stress,
+        energy=record.energy,
+        extent=record.furthest + 1,
+        length=length_or_reason(status, length),
+        drift=jnp.abs(stress - after.stress).max(),
+        status=status,
+    )
+
+
+_undifferentiated = without_derivative(
+    jax.jit(_hard_rupture, static_argnums=0),
+    "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
+    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
+    "precursor_length, which has an exact derivative.",
+    nondiff_argnums=(0,),
+)
+
+
+def rupture(
+    chain: Chain,
+    state: State,
+    *,
+    rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
+    trigger: int | Int[Array, ""] | None = None,
+    max_breaks: int | None = None,
+    repin_delay: int = 0,
+) -> Rupture:
+    """One rupture at a fixed load.
+
+    The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with zero stretch, stresses
+    adjust, and so on until no contact is at or above its threshold. Contacts may break many times.
+
+    Parameters
+    ----------
+    chain : Chain
+        With linear contacts.
+    state : State
+    rule : HardBreak or SmoothBreak, or one derived from it
+        With ``SmoothBreak(width)``, the differentiable stand-in of `slippulse_jax.lattice.smooth`.
+    trigger : int, optional
+        Site that breaks first, even if rounding leaves it a digit below its threshold: what `nucleate` returns, where −1 stands
+        for none. By default none.
+    max_breaks : int, optional
+        Breaks after which the rupture is given up, and room for their record; 20 N by default.
+    repin_delay : int
+        n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
+        or when the rupture ends. For a front that breaks one contact after another, the delay in sites of `Interface`; with
+        it a break costs O(N).
+
+    Returns
+    -------
+    Rupture
+        With a status (`RuptureStatus`) instead of an exception.
+
+    Raises
+    ------
+    TypeError
+        If the hard rupture is differentiated; the message names the surrogate.
+    ValueError
+        If the chain has nonlinear contacts, is a batch, or does not match the state.
+
+    Notes
+    -----
+    Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length is that
+    of a first precursor (`slippulse_jax.lattice.front`) for any thresholds: from the overload of the rightmost broken contact
+    when it first broke, and the one its neighbour is left with.
+    """
+    check_rule(rule, one=True)
+    _check(chain, state)
+    check_delay(repin_delay)
+    trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
+    if not isinstance(rule, HardBreak):
+        if repin_delay:
+            raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
+        from slippulse_jax.lattice.smooth import smooth_rupture
+
+        return smooth_rupture(chain, state, rule, trigger)
+    max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
+    return _undifferentiated((max_breaks, repin_delay), chain, state, trigger)
+
+
+def length_or_reason(status: Array, length: Array) -> Array:
+    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
+    arrested = status == RuptureStatus.ARRESTED
+    reasons = [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH]
+    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
+
+
+def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
+    """Load a chain until a contact reaches its threshold.
+
+    Parameters
+    ----------
+    chain : Chain
+        With linear contacts.
+    state : State
+
+    Returns
+    -------
+    state : State
+        The same pinning points at the smallest load, no less than the given one, at which a contact is at its threshold;
+        the load is inf if none ever is. Differentiable.
+    site : int array
+        That contact, to be passed on as ``rupture(..., trigger=site)``: rounding may leave it a digit below threshold. −1
+        if one was over threshold already.
+    """
+    _check(chain, state)
+    return _nucleate(chain, state)
+
+
+@jax.jit
+def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
+    now = equilibrium(chain, state).stress
+    per_load = (equilibrium(chain, State(state.pinning, state.load + 1)).stress - now) * (chain.contact > 0)
+    pulled = per_load > 0
+    missing = jnp.where(pulled, (chain.threshold - now) / jnp.where(pulled, per_load, 1), jnp.inf)
+    overloaded = ((now >= chain.threshold) & (chain.contact > 0)).any()
+    site = jnp.argmin(missing).astype(jnp.int32)
+    return State(state.pinning, state.load + jnp.where(overloaded, 0, missing[site])), jnp.where(overloaded, -1, site)
+
+
+def _check(chain: Chain, state: State) -> None:
+    if chain.law is not None:
+        raise ValueError("a rupture needs linear contacts: this chain has a force law")
+    if chain.contact.ndim != 1:
+        raise ValueError(f"the chain is a batch, with contacts of shape {chain.contact.shape}: use jax.vmap")
+    if jnp.shape(state.pinning) != (chain.sites,):
+        raise ValueError(f"state.pinning has shape {jnp.shape(state.pinning)}: must be ({chain.sites},) for this chain")

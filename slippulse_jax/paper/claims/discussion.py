@@ -1,0 +1,252 @@
+"""Claims of the paper's discussion: what it expects of more than the first front on a uniform, quasi-static interface."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.ageing import Ageing
+from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
+from slippulse_jax.lattice.chain import Chain, chain, relaxed
+from slippulse_jax.lattice.delayed import runaway_prestress
+from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
+from slippulse_jax.lattice.inertia import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
+from slippulse_jax.lattice.lengths import precursor_lengths
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.precursor import first_precursor, precursor_length
+from slippulse_jax.lattice.rupture import nucleate, rupture
+from slippulse_jax.lattice.series import Steps, series
+from slippulse_jax.paper.claims.claim import Finding, claim, fig2, judge
+from slippulse_jax.slider import Slider
+
+ROUGHLY = 0.2
+"""Relative difference below which a number agrees that the paper gives as rough."""
+SAME = 1.5
+"""Largest over smallest below which lengths are said to be about the same."""
+
+
+@claim(
+    "C8",
+    holds="Λ rises with φ and is finite below φ_c = (1 + G_00)/2, the Griffith threshold of the lattice, and fronts never stop above it, "
+    "at Fig. 2 and where b is small",
+    limits="so at Fig. 2",
+)
+def prestress() -> Finding:
+    """Prestress σ_0 lengthens Λ, and beyond a threshold the front never stops."""
+    critical = float(runaway_prestress(lattice_modes(fig2())))
+    phi = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, critical * (1 - 1e-6), critical * (1 + 1e-6), 0.99])
+    length = precursor_lengths(fig2(), interface=Interface(phi))
+    finite = np.isfinite(length)
+    soft = Slider(10.381840251071646, 0.024884160056852563, 0.05409050217326783)
+    above = float(precursor_length(soft, interface=Interface(float(runaway_prestress(lattice_modes(soft))) + 1e-4)))
+    text = (
+        f"Λ = {', '.join(f'{x:.0f}' for x in np.ceil(length[:8]))} at φ = 0–0.53; {_stops(length[8])} at φ_c(1 − 1e-6), "
+        f"{_stops(length[9])} at φ_c(1 + 1e-6), φ_c = {critical:.4f}. Where b is small φ ≥ φ_c is necessary, not sufficient: at "
+        f"H/λc = 10.4, k/K = 0.025, ν = 0.05 (b = {float(soft.b):.2f}) the front {_stops(above)} at φ_c + 1e-4"
+    )
+    here = bool((np.diff(length[finite]) > 0).all() and finite[:9].all() and not finite[9:].any())
+    return Finding(text, judge(here and np.isinf(above), here))
+
+
+def _stops(length: float) -> str:
+    return f"stops after {np.ceil(length):.0f} contacts" if np.isfinite(length) else "never stops"
+
+
+@claim(
+    "C9",
+    holds=f"d ln Λ/dε = −1 to {ROUGHLY:.0%}, with ε the relative rise of σ_s over one λc, over H or over Λ(0)",
+    limits="Λ is shorter where thresholds rise and longer where they fall",
+)
+def threshold_slope() -> Finding:
+    """Λ(ε) ≈ Λ(0)(1 − ε) for thresholds σ_s0 + μ_s ε x."""
+    base = float(precursor_length(fig2()))
+    slope = np.array([-0.005, 0.001, 0.005, 0.01])
+    ratio = precursor_lengths(fig2(), interface=Interface(threshold_slope=slope)) / base
+    rate = float(jax.grad(lambda e: precursor_length(fig2(), interface=Interface(threshold_slope=e)))(0.0)) / base
+    tall = float(fig2().height)
+    text = (
+        f"Λ/Λ(0) = {', '.join(f'{r:.3f} at {e:g}' for e, r in zip(slope, ratio, strict=True))} per λc. The paper prints ε with the "
+        f"dimension of a gradient; read as the relative rise of σ_s over a length a, d ln Λ/dε = {rate:.1f} λc/a: −1 only for "
+        f"a = {-rate:.0f} λc = {-rate / tall:.1f} H"
+    )
+    holds = any(abs(rate / a + 1) < ROUGHLY for a in (1.0, tall, base))
+    return Finding(text, judge(holds, bool(((ratio < 1) == (slope > 0)).all())))
+
+
+@claim(
+    "C10",
+    holds=f"a delay of n = 1–6 sites, which makes the pulse n sites wide, lengthens ℓ by n λc to {ROUGHLY:.0%}",
+    limits="ℓ grows with every site of delay",
+)
+def repinning_delay() -> Finding:
+    """A repinning delay τ_d widens the pulse to v τ_d and lengthens Λ to Λ + v τ_d."""
+    sites = np.arange(7)
+    lengths = np.array([float(precursor_length(fig2(), interface=Interface(repin_delay=int(n)))) for n in sites])
+    gain = (lengths - lengths[0])[1:]
+    rate = gain / sites[1:]
+    text = (
+        f"delays of 1–6 sites lengthen ℓ by {', '.join(f'{g:.2f}' for g in gain)} λc: by {rate[0]:.1f} per site at first and "
+        f"{rate[-1]:.1f} on average at 6"
+    )
+    return Finding(text, judge(bool((abs(rate - 1) < ROUGHLY).all()), bool((np.diff(lengths) > 0).all())))
+
+
+def _extent(one: Chain, damping: float, rule: SelfHealing | CrackLike) -> int:
+    """Contacts broken by a simulation with inertia, held at the load of nucleation."""
+    duration = 4000.0 if damping == 1 else 500.0
+    return int(simulate_inertial(one, duration=duration, damping=damping, rule=rule).extent)
+
+
+def _pushed_to_nucleation(one: Chain) -> tuple[int, float]:
+    """Which contact breaks first, and at what load, where a chain with inertia is pushed slowly; in u_s."""
+    load, velocity = 0.99 * nucleate(one, relaxed(one))[0].load, 1e-3
+    pushed = simulate_inertial(one, relaxed(one, load), duration=float(0.02 * load / velocity), velocity=velocity)
+    return int(pushed.first_break.argmin()), float(load + velocity * pushed.first_break.min())
+
+
+@claim(
+    "C11",
+    holds="at every damping more contacts break than quasi-statically, and a chain that is pushed slowly breaks first at contact 0, at "
+    "the static load to 1%",
+    limits="so without damping",
+)
+def inertia() -> Finding:
+    """Inertia lengthens Λ and leaves the nucleation as it is."""
+    one = chain(fig2(), sites=200)
+    first = first_precursor(fig2())
+    static, load = int(first.contacts_broken), float(first.load)
+    damping = (1.0, 0.3, 0.1, 0.03, 0.0)
+    extent = [_extent(one, g, SelfHealing()) for g in damping]
+    site, pushed = _pushed_to_nucleation(one)
+    text = (
+        f"Λ = {', '.join(map(str, extent))} at damping {', '.join(f'{g:g}' for g in damping)} √(K/m): undamped {extent[-1]} against "
+        f"{static}. Pushed at 1e-3 u_s √(K/m), contact {site} breaks first, at {pushed / load:.4f} of the static load. Overdamped with "
+        f"instantaneous breaks Λ is {extent[0]}: each contact then breaks at exactly σ_s, before the overload of the quasi-static "
+        "picture has arrived"
+    )
+    unaffected = site == 0 and abs(pushed / load - 1) < 0.01
+    return Finding(text, judge(min(extent) > static and unaffected, extent[-1] > static and unaffected))
+
+
+KINDS: tuple[Kind, ...] = ("normal", "uniform", "weibull")
+
+
+@claim(
+    "C12",
+    holds="for each of three distributions the load that follows the first contact of a whole chain falls where the distribution is "
+    "narrow (an event), and from some width on rises all along",
+    limits="so for a single contact at the edge",
+)
+def distribution() -> Finding:
+    """A wide distribution P_c(f_s) removes the instability: smooth sliding, no precursor."""
+    alone = {kind: smooth_width(fig2(), kind) for kind in KINDS}
+    whole = [_whole_chain_smooth(kind) for kind in KINDS]
+    found = stability(fig2(), ThresholdDistribution("normal", alone["normal"]))
+    text = (
+        f"a contact at the edge, whose surroundings have K_s = {float(found.surroundings_at_edge):.2f} k, is stable by itself beyond "
+        f"widths (in u_s) of {alone['normal']:.3f} (normal), {alone['uniform']:.3f} (uniform), {alone['weibull']:.3f} (Weibull, "
+        f"1/shape). The whole chain, whose contacts fall together, is loaded without a jump beyond "
+        f"{', '.join(f'{width:.3f}' for width in whole)}"
+    )
+    return Finding(text, judge(bool(np.isfinite(whole).all()), bool(np.isfinite(list(alone.values())).all())))
+
+
+def _whole_chain_smooth(kind: Kind) -> float:
+    """Width beyond which the load along the path of the first contact of 40 never falls, by bisection.
+
+    NaN where it never falls even with narrow thresholds, so that there is no instability to remove; inf where it falls with wide ones.
+    """
+
+    @jax.jit
+    def falls(width: jax.Array) -> jax.Array:
+        law = force_law(ThresholdDistribution(kind, width))
+        return (jnp.diff(edge_loads(chain(fig2(), sites=40, law=law), jnp.arange(0.01, 2.5, 0.01))) <= 0).any()
+
+    low, high = 0.02, 0.5
+    if not falls(jnp.asarray(low)):
+        return np.nan
+    if falls(jnp.asarray(high)):
+        return np.inf
+    for _ in range(12):
+        middle = (low + high) / 2
+        low, high = (middle, high) if falls(jnp.asarray(middle)) else (low, middle)
+    return high
+
+
+@claim(
+    "C13",
+    holds=f"the largest precursor breaks at most {SAME} times as many contacts as the smallest, under quasi-static loading, and the "
+    "other events are creep of a stress peak",
+    limits="so in steps of 0.5 u_s, each of which breaks one patch of contacts",
+)
+def without_ageing() -> Finding:
+    """Without ageing all precursors have about the same length, the stress peak creeping on between them."""
+    adiabatic = series(chain(fig2(), sites=150), events=60)
+    kind, breaks, load = (np.asarray(x) for x in (adiabatic.kind, adiabatic.breaks, adiabatic.load))
+    edge, creep = kind == EventClass.EDGE, kind == EventClass.CREEP
+    steps = series(chain(fig2(), sites=300), Steps(0.5), events=8, recorded_breaks=1000)
+    stepped, patches = np.asarray(steps.breaks), _patches(steps)
+    text = (
+        f"adiabatically: the pulses from the edge break {', '.join(map(str, breaks[edge]))} contacts, the second at U = "
+        f"{load[edge][1]:.2f} u_s; the other {int(creep.sum())} of {len(kind)} events are creep of a peak, mostly by one contact: a second "
+        f"pulse meets contacts still unloaded by the first. In steps of 0.5 u_s: {', '.join(map(str, stepped))} breaks each, extents "
+        f"{', '.join(map(str, np.asarray(steps.extent)))}, in {', '.join(map(str, patches))} separate patches"
+    )
+    creeps = bool((edge | creep).all())
+    return Finding(text, judge(_alike(breaks[edge]) and creeps, _alike(stepped) and max(patches) == 1))
+
+
+def _patches(events: Catalogue) -> list[int]:
+    """Into how many runs of neighbours the contacts fall that broke in each event."""
+    site, event = np.asarray(events.break_site), np.asarray(events.break_event)
+    return [int((np.diff(np.unique(site[event == e])) > 1).sum()) + 1 for e in range(len(events.breaks))]
+
+
+def _alike(breaks: np.ndarray) -> bool:
+    return bool(breaks.max() <= SAME * breaks.min())
+
+
+@claim(
+    "C14",
+    holds="the record extents of large events rise at least three times, each further than all before, and the last event spans",
+    limits="they rise, but none of 3000 events spans",
+)
+def with_ageing() -> Finding:
+    """With ageing precursors grow until one spans the interface."""
+    aged = series(chain(fig2(), sites=150), events=3000, ageing=Ageing(0.3, 3.0))
+    n = int(aged.number)
+    extent, breaks = np.asarray(aged.extent)[:n], np.asarray(aged.breaks)[:n]
+    records = np.unique(np.maximum.accumulate(extent[breaks >= 10]))
+    spans = int(aged.status) == SeriesStatus.SPANNED
+    text = (
+        f"thresholds reborn at 0.3 σ_s, recovering over 3 u_s of load, N = 150: the record extents of events of 10 breaks and more are "
+        f"{', '.join(map(str, records))}; " + (f"event {n} spans" if spans else f"none of {n} spans")
+    )
+    grows = len(records) > 3
+    return Finding(text, judge(grows and spans, grows))
+
+
+@claim(
+    "C15",
+    holds=f"breaks far apart in time give the quasi-static state to 1e-9 u_s, and Λ is that of the quasi-static model to {ROUGHLY:.0%} "
+    "with instantaneous breaks at damping 0.3, 0.1 and 0, and for contacts that repin when their slip rate vanishes",
+    limits="breaks far apart in time do",
+)
+def simulation() -> Finding:
+    """A simulation with inertia agrees with the quasi-static model."""
+    short = chain(Slider(10.0, 0.03, 0.3), sites=30)
+    wait = quasi_static_break_time(short, 0.5)
+    slow = simulate_inertial(short, duration=14 * wait, damping=0.5, rule=SelfHealing(wait))
+    state, site = nucleate(short, relaxed(short))
+    apart = float(abs(slow.state.pinning - rupture(short, state, trigger=site).state.pinning).max())
+    one, static = chain(fig2(), sites=200), int(first_precursor(fig2()).contacts_broken)
+    damped = {g: _extent(one, g, SelfHealing()) for g in (0.3, 0.1, 0.0)}
+    crack = [_extent(one, 0.1, CrackLike(friction)) for friction in (0.3, 0.5, 0.7)]
+    text = (
+        f"breaks far apart in time: the same state to {apart:.1e} u_s (H/λc = 10). Instantaneous breaks: Λ = "
+        f"{', '.join(map(str, damped.values()))} at damping {', '.join(f'{g:g}' for g in damped)} √(K/m), against {static}. Contacts that "
+        f"repin only when their slip rate vanishes (friction 0.3, 0.5, 0.7 σ_s): Λ = {', '.join(map(str, crack))}, which "
+        "depends on the thresholds, as the paper says of crack-like models"
+    )
+    near = all(abs(extent / static - 1) < ROUGHLY for extent in (*damped.values(), *crack))
+    return Finding(text, judge(apart < 1e-9 and near, apart < 1e-9))

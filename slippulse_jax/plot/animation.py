@@ -1,0 +1,148 @@
+"""The front passing along the interface, as an animation: displacement and stress together."""
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slippulse_jax.files import write_atomically
+from slippulse_jax.lattice.modes import Fields
+from slippulse_jax.lattice.precursor import FirstPrecursor
+from slippulse_jax.plot import style
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+
+SUFFIXES = (".gif", ".mp4", ".html")
+MOST_FRAMES = 150
+
+
+def animate(
+    precursor: FirstPrecursor,
+    path: str | Path | None = None,
+    *,
+    sites: int | None = None,
+    fps: float = 12.0,
+    hold: float = 1.0,
+    dark: bool = False,
+) -> "FuncAnimation":
+    """Animate a first precursor, from nucleation to arrest: displacements above, contact stress below.
+
+    One frame a broken contact (fewer where more than 150 break). The model has no time: frames count breaks.
+
+    Parameters
+    ----------
+    precursor : FirstPrecursor
+        Of one slider, from `first_precursor`; its front must have stopped.
+    path : path, optional
+        File to write: ``.gif``, ``.mp4`` (needs ffmpeg) or ``.html``; it appears whole or not at all.
+    sites : int, optional
+        How many contacts to show; twice as many as break, by default.
+    fps : float
+        Frames a second.
+    hold : float
+        Seconds to stand still at the end.
+    dark : bool
+        For a dark page.
+
+    Returns
+    -------
+    matplotlib.animation.FuncAnimation
+        Shown by a notebook as the last value of a cell.
+
+    Raises
+    ------
+    ValueError
+        If the precursor is a batch or did not stop, or the file is of another kind.
+    RuntimeError
+        If an MP4 is asked for where there is no ffmpeg.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib import animation
+
+    if np.ndim(precursor.contacts_broken):
+        raise ValueError("animate takes one precursor, not a batch")
+    broken, recorded = int(precursor.contacts_broken), int(precursor.front_stress.shape[0])
+    if not np.isfinite(float(precursor.length)) or broken > recorded:
+        raise ValueError(f"this front did not stop within the {recorded} contacts recorded: there is no arrest to show")
+    if not (fps > 0 and hold >= 0):
+        raise ValueError(f"fps = {fps}, hold = {hold}: must be positive, and not negative")
+    writer = None if path is None else _writer(Path(path), fps)
+    shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
+    positions = np.unique(np.linspace(0, broken, min(broken + 1, MOST_FRAMES)).round().astype(int))
+    fields = jax.vmap(precursor.fields_at)(jnp.asarray(positions))
+
+    with style.use(dark=dark, figure__figsize=(5.2, 3.9), figure__dpi=100):
+        figure, panels = plt.subplots(2, 1, sharex=True)
+        draw = _scene(panels, fields, positions, shown)
+        still = [len(positions) - 1] * round(hold * fps)
+        movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
+        draw(0)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # laid out once: to do so in every frame takes far longer than to draw it
+        if path is not None:
+            _save(movie, Path(path), writer, fps)
+        movie._repr_html_ = lambda: movie.to_jshtml(fps=fps)  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
+    plt.close(figure)
+    return movie
+
+
+def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
+    """Draw what does not move, and return the function that draws a frame."""
+    above, below = panels
+    c = style.colours(above)
+    x = np.arange(shown)
+    upper, layer = (np.asarray(y)[:, :shown] for y in (fields.upper, fields.interface))
+    stress = np.asarray(fields.stress)[:, :shown]
+    above.plot(x, upper[0], ":", color=c.blue, lw=1)
+    above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
+    below.plot(x, stress[0], ":", color=c.ink, lw=1)
+    below.axhline(1, color=c.grey, lw=0.8)
+    (on_top,) = above.plot(x, upper[0], color=c.blue, label="upper layer $u_t$")
+    (in_layer,) = above.plot(x, layer[0], color=c.vermilion, label="interfacial layer $u$")
+    (carried,) = below.plot(x, stress[0], color=c.ink)
+    fronts = [ax.axvline(0, color=c.green, lw=1, ls="--") for ax in (above, below)]
+    words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
+    above.set(ylabel="displacement, $u/u_s$", ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
+    below.set(xlabel=style.DISTANCE, ylabel="contact stress, $\\sigma_c/\\sigma_s$", ylim=(0, 1.15 * max(stress.max(), 1)))
+    above.legend(loc="upper right")
+
+    def frame(number: int) -> list[Any]:
+        on_top.set_ydata(upper[number])
+        in_layer.set_ydata(layer[number])
+        carried.set_ydata(stress[number])
+        for line in fronts:
+            line.set_xdata([positions[number] - 0.5] * 2)
+        end = ": it stops" if number == len(positions) - 1 else ""
+        words.set_text(f"{positions[number]} contacts broken{end}")
+        return [on_top, in_layer, carried, *fronts, words]
+
+    return frame
+
+
+def _writer(path: Path, fps: float) -> Any:
+    from matplotlib import animation
+
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"{path}: an animation is written as {', '.join(SUFFIXES)}")
+    if path.suffix == ".gif":
+        return animation.PillowWriter(fps=fps)  # pyright: ignore[reportArgumentType]
+    if path.suffix == ".mp4":
+        if not animation.FFMpegWriter.isAvailable():
+            raise RuntimeError(f"{path}: MP4 needs ffmpeg, which is not installed; GIF and HTML do not")
+        return animation.FFMpegWriter(fps=fps)  # pyright: ignore[reportArgumentType]
+    return None
+
+
+def _save(movie: "FuncAnimation", path: Path, writer: Any, fps: float) -> None:
+    if writer is None:
+        page = f'<!doctype html><meta charset="utf-8"><title>slip pulse</title>{movie.to_jshtml(fps=fps)}'  # pyright: ignore[reportArgumentType]
+        write_atomically(path, page.encode())
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / f"movie{path.suffix}"
+        movie.save(whole, writer=writer, dpi=100)
+        write_atomically(path, whole.read_bytes())

@@ -1,0 +1,253 @@
+"""Explore by looking: sliders for the numbers of the model, and its fields, length and sensitivities as they move."""
+
+import functools
+import io
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.lattice.precursor import first_precursor, precursor_length
+from slippulse_jax.plot import style
+from slippulse_jax.slider import Slider
+
+SITES = 320
+"""Contacts that are computed and can be shown; a fixed number, so that one compilation serves every slider."""
+
+MOST_CONTACTS = 20_000
+LOW = float(np.log10(0.03)) - 1.5  # so that the paper's 0.03 is a step of the slider
+STEPS = {
+    "+1 % height": (0, 0.01, True),
+    "+1 % stiffness": (1, 0.01, True),
+    "+0.01 Poisson": (2, 0.01, False),
+    "+0.01 prestress": (3, 0.01, False),
+    "+0.001 slope": (4, 0.001, False),
+}
+"""Small changes whose effect is shown: which parameter, how much, and whether relative to it."""
+
+
+class View(NamedTuple):
+    """All that is drawn, of fixed shapes; lengths in λc, displacements in u_s, stresses in σ_s."""
+
+    length: Array
+    slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
+    contacts_broken: Array
+    status: Array
+    load: Array
+    front_stress: Array
+    threshold: Array
+    upper: Array
+    layer: Array
+    stress: Array
+    position: Array
+
+
+@jax.jit
+def view(theta: Array, position: Array) -> View:
+    """What is shown for θ = (H/λc, k/K, ν, φ, ε) with the front at `position` (−1: where it stops)."""
+
+    def length(x: Array) -> Array:
+        return precursor_length(
+            Slider(x[0], x[1], x[2]), interface=Interface(prestress=x[3], threshold_slope=x[4]), max_contacts=MOST_CONTACTS
+        )
+
+    interface = Interface(prestress=theta[3], threshold_slope=theta[4])
+    slider = Slider(theta[0], theta[1], theta[2])
+    front = first_precursor(slider, interface=interface, recorded_sites=SITES, max_contacts=MOST_CONTACTS)
+    at = jnp.where(position < 0, front.contacts_broken, position)
+    fields, sites = front.fields_at(at), jnp.arange(SITES, dtype=theta.dtype)
+    return View(
+        length=length(theta),
+        slopes=jax.jacfwd(length)(theta),
+        contacts_broken=front.contacts_broken,
+        status=front.status,
+        load=front.load,
+        front_stress=front.front_stress,
+        threshold=interface.threshold_at(sites),
+        upper=fields.upper,
+        layer=fields.interface,
+        stress=fields.stress,
+        position=at,
+    )
+
+
+def explore(*, dark: bool = False) -> Any:
+    """Sliders for H/λc, k/K, ν, prestress and threshold slope; fields, front stress, length and sensitivities follow.
+
+    For a notebook; needs the extra ``explore`` (ipywidgets). The play button runs the front from nucleation to arrest.
+
+    Parameters
+    ----------
+    dark : bool
+        For a dark page.
+
+    Returns
+    -------
+    ipywidgets.VBox
+        Show it as the last value of a cell.
+
+    Raises
+    ------
+    ImportError
+        Without ipywidgets, saying how to install it.
+    """
+    try:
+        import ipywidgets  # noqa: F401
+    except ImportError as error:
+        raise ImportError("explore needs ipywidgets: pip install 'slippulse_jax[explore]'") from error
+    return _explorer_class()(dark=dark)
+
+
+@functools.cache
+def _explorer_class() -> Any:
+    """The widget; made when first asked for, because ipywidgets is optional."""
+    import ipywidgets as widgets
+
+    class Explorer(widgets.VBox):
+        """Controls, a picture that follows them, and a line of numbers."""
+
+        def __init__(self, *, dark: bool) -> None:
+            wide = {"style": {"description_width": "9em"}, "layout": widgets.Layout(width="24em")}
+            self.height = widgets.FloatSlider(value=25, min=5, max=60, step=0.5, description="height H/λc", **wide)
+            self.stiffness = widgets.FloatLogSlider(
+                value=0.03, min=LOW, max=LOW + 2.5, step=0.02, description="stiffness k/K", **wide
+            )
+            self.poisson = widgets.FloatSlider(value=0.3, min=0, max=0.5, step=0.01, description="Poisson ν", **wide)
+            self.prestress = widgets.FloatSlider(value=0, min=0, max=0.7, step=0.01, description="prestress φ", **wide)
+            self.slope = widgets.FloatSlider(
+                value=0, min=-0.005, max=0.01, step=0.0005, description="slope ε", readout_format=".4f", **wide
+            )
+            self.position = widgets.IntSlider(value=26, min=0, max=26, description="contacts broken", **wide)
+            self.play = widgets.Play(value=0, min=0, max=26, interval=120)
+            self.numbers = widgets.HTML()
+            self.picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
+            self._follows, self._moving = True, False
+            self._drawing = Drawing(dark)
+            for control in (self.height, self.stiffness, self.poisson, self.prestress, self.slope):
+                control.observe(self._parameters_moved, "value")
+            self.position.observe(self._position_moved, "value")
+            widgets.jslink((self.play, "value"), (self.position, "value"))
+            controls = [self.height, self.stiffness, self.poisson, self.prestress, self.slope, self.position, self.play]
+            # as many beside each other as there is room for, so that the picture is in sight while one is moved
+            row = widgets.HBox(controls, layout=widgets.Layout(flex_flow="row wrap"))
+            super().__init__([self.numbers, row, self.picture])
+            self._parameters_moved()
+
+        @property
+        def theta(self) -> np.ndarray:
+            """(H/λc, k/K, ν, φ, ε) as the sliders stand."""
+            controls = (self.height, self.stiffness, self.poisson, self.prestress, self.slope)
+            return np.array([control.value for control in controls])
+
+        def _parameters_moved(self, change: Any = None) -> None:
+            """Another slider: show its front where it stops."""
+            seen = self._show(-1)
+            last = min(int(seen.contacts_broken), SITES) if int(seen.contacts_broken) > 0 else SITES
+            self._moving = True
+            with self.hold_trait_notifications():
+                self.position.max = self.play.max = last
+                self.position.value = last
+            self._moving = False
+
+        def _position_moved(self, change: Any) -> None:
+            if not self._moving:
+                self._show(self.position.value)
+
+        def _show(self, position: int) -> View:
+            with jax.enable_x64(True):
+                seen = jax.tree.map(np.asarray, view(jnp.asarray(self.theta), jnp.asarray(position)))
+            self.numbers.value = describe(seen)
+            self.picture.value = self._drawing(seen, self.theta)
+            return seen
+
+    return Explorer
+
+
+def describe(seen: View) -> str:
+    """The line of numbers, as HTML."""
+    status = FrontStatus(int(seen.status))
+    length = f"{float(seen.length):.2f} λ<sub>c</sub>" if np.isfinite(seen.length) else "none: the front does not stop"
+    count = int(seen.contacts_broken) if np.isfinite(seen.length) else "–"
+    return (
+        f"<b>length ℓ = {length}</b> &nbsp; whole contacts: {count} &nbsp; "
+        f"load at nucleation: {float(seen.load):.3f} u<sub>s</sub><br><small>{status.message}</small>"
+    )
+
+
+class Drawing:
+    """Three panels whose lines are moved, not drawn anew; called with a `View`, it gives a PNG."""
+
+    def __init__(self, dark: bool) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self._laid_out = False
+        with style.use(dark=dark):
+            self.figure = Figure(figsize=(8.6, 5.0), dpi=100, layout="constrained")
+            self.canvas = FigureCanvasAgg(self.figure)
+            grid = self.figure.subplot_mosaic([["fields", "front"], ["stress", "slopes"]])
+            self.fields, self.front, self.stress, self.slopes = (grid[x] for x in ("fields", "front", "stress", "slopes"))
+            c = style.colours(self.fields)
+            x = np.arange(SITES)
+            (self.upper,) = self.fields.plot(x, x, color=c.blue, label="upper layer $u_t$")
+            (self.layer,) = self.fields.plot(x, x, color=c.vermilion, label="interfacial layer $u$")
+            (self.carried,) = self.stress.plot(x, x, color=c.ink, label="stress")
+            (self.held,) = self.stress.plot(x, x, ":", color=c.grey, label="threshold")
+            (self.tip,) = self.front.plot(x, x, "o-", ms=2.5, lw=1, color=c.blue, label="stress at the front")
+            (self.limit,) = self.front.plot(x, x, ":", color=c.grey, label="threshold")
+            self.arrest = self.front.axvline(0, color=c.vermilion, ls="--", lw=1)
+            self.marks = [ax.axvline(0, color=c.green, lw=1, ls="--") for ax in (self.fields, self.stress, self.front)]
+            self.bars = self.slopes.barh(list(STEPS), np.zeros(len(STEPS)), color=c.blue)
+            self.slopes.axvline(0, color=c.ink, lw=0.8)
+            self.slopes.invert_yaxis()
+            self.words = self.slopes.text(0.5, 0.5, "", transform=self.slopes.transAxes, ha="center", va="center")
+            for ax, label in ((self.fields, "displacement, $u/u_s$"), (self.stress, "contact stress, $\\sigma_c/\\sigma_s$")):
+                ax.set(xlabel=style.DISTANCE, ylabel=label)
+                ax.legend(loc="upper right")
+            self.front.set(xlabel="contact, $s$", ylabel="front stress, $t/\\sigma_s$")
+            self.front.legend(loc="upper right")
+            self.slopes.set(xlabel="change of the length, $\\lambda_c$")
+
+    def __call__(self, seen: View, theta: np.ndarray) -> bytes:
+        """The picture of one view."""
+        stops = bool(np.isfinite(seen.length))
+        broken = min(int(seen.contacts_broken), SITES) if stops else SITES
+        shown = int(min(SITES, max(20, 1.7 * broken)))
+        for line, y in (
+            (self.upper, seen.upper), (self.layer, seen.layer), (self.carried, seen.stress), (self.held, seen.threshold),
+            (self.tip, seen.front_stress), (self.limit, seen.threshold),
+        ):  # fmt: skip
+            line.set_ydata(y)
+        for mark in self.marks:
+            mark.set_xdata([float(seen.position) - 0.5] * 2)
+        self.arrest.set_xdata([float(seen.length) if stops else -10] * 2)
+        for ax, y, least in (
+            (self.fields, seen.upper, 0.1),
+            (self.stress, seen.stress, 1.3),
+            (self.front, seen.front_stress, 1.3),
+        ):
+            ax.set_xlim(-1, shown)
+            ax.set_ylim(0, 1.1 * max(float(np.max(y[:shown])), least))
+        self._draw_slopes(seen, theta, stops)
+        if not self._laid_out:
+            self.figure.draw_without_rendering()
+            self.figure.set_layout_engine("none")  # once: it takes longer than to draw
+            self._laid_out = True
+        picture = io.BytesIO()
+        self.canvas.print_png(picture)
+        return picture.getvalue()
+
+    def _draw_slopes(self, seen: View, theta: np.ndarray, stops: bool) -> None:
+        changes = [
+            float(seen.slopes[i]) * step * (theta[i] if relative else 1.0) if stops else 0.0
+            for i, step, relative in STEPS.values()
+        ]
+        for bar, change in zip(self.bars, changes, strict=True):
+            bar.set_width(change)
+        self.words.set_text("" if stops else "the front does not stop")
+        reach = 1.15 * max(*map(abs, changes), 0.1)
+        self.slopes.set_xlim(-reach, reach)

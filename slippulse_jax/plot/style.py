@@ -1,0 +1,151 @@
+"""One look for every picture: colours that all kinds of sight tell apart, type that is read at column width, light or dark.
+
+Drawing functions take ``ax=None``, begin with `axes`, and take their colours from `colours`, which looks at what they are
+drawn on; so a picture suits the page it is put on, whoever made the Axes.
+"""
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Draw = TypeVar("Draw", bound=Callable[..., Any])
+
+COLUMN, PAGE = 3.4, 7.0
+"""Widths of a journal's column and page, in inches (86 and 178 mm)."""
+
+DISTANCE = "distance from the trailing edge, $x/\\lambda_c$"
+"""The label of every axis that runs along the interface."""
+
+
+class Colours(NamedTuple):
+    """The first six are for data, in the order in which they should be used; `ink` is text, `grey` what stands back."""
+
+    blue: str
+    vermilion: str
+    green: str
+    orange: str
+    purple: str
+    sky: str
+    grey: str
+    ink: str
+    paper: str
+
+    @property
+    def data(self) -> tuple[str, ...]:
+        """The colours for data."""
+        return tuple(self[:6])
+
+
+LIGHT = Colours("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#737373", "#000000", "#FFFFFF")
+"""Okabe and Ito's colours, for paper."""
+
+DARK = Colours("#5B8DD9", "#E0603A", "#4FE3A0", "#F0BE3C", "#E7A6CC", "#B9DDF5", "#9AA3AD", "#E8EAED", "#131619")
+"""The same hues, lighter, for a dark page."""
+
+
+def colours(ax: Any) -> Colours:
+    """The colours that can be read on an Axes: `DARK` where its background is dark, `LIGHT` elsewhere."""
+    from matplotlib.colors import to_rgba
+
+    face = ax.get_facecolor()
+    return DARK if _is_dark(face if to_rgba(face)[3] >= 0.5 else ax.figure.get_facecolor()) else LIGHT
+
+
+def _is_dark(colour: Any) -> bool:
+    from matplotlib.colors import to_rgba
+
+    red, green, blue, alpha = to_rgba(colour)
+    return alpha >= 0.5 and 0.2126 * red + 0.7152 * green + 0.0722 * blue < 0.4
+
+
+def settings(*, dark: bool = False) -> dict[str, Any]:
+    """Matplotlib's rcParams of the look, a dictionary to keep, change or hand to ``plt.rcParams.update``."""
+    from cycler import cycler
+
+    c = DARK if dark else LIGHT
+    return {
+        "axes.prop_cycle": cycler(color=c.data),
+        "axes.facecolor": c.paper, "figure.facecolor": c.paper, "savefig.facecolor": c.paper,
+        "text.color": c.ink, "axes.labelcolor": c.ink, "axes.edgecolor": c.ink, "xtick.color": c.ink, "ytick.color": c.ink,
+        "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
+        "xtick.major.width": 0.7, "ytick.major.width": 0.7, "lines.linewidth": 1.4, "lines.markersize": 3.5,
+        "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8.5, "axes.titlelocation": "left",
+        "xtick.labelsize": 7.5, "ytick.labelsize": 7.5, "legend.fontsize": 7.5, "legend.frameon": False,
+        "mathtext.fontset": "dejavusans", "image.cmap": "cividis",
+        "figure.figsize": (COLUMN, 2.5), "figure.dpi": 120, "savefig.dpi": 300, "figure.constrained_layout.use": True,
+        "pdf.fonttype": 42, "svg.fonttype": "none", "animation.html": "jshtml",
+    }  # fmt: skip
+
+
+@contextmanager
+def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
+    """Everything drawn inside ``with sp.plot.style.use():`` has the look; the settings are put back afterwards.
+
+    Parameters
+    ----------
+    dark : bool
+        For a dark page.
+    **changes
+        Other rcParams, with ``__`` for the dot: ``use(figure__figsize=(7, 3))``.
+    """
+    import matplotlib as mpl
+
+    look: Any = settings(dark=dark) | {name.replace("__", "."): value for name, value in changes.items()}
+    with mpl.rc_context(look):
+        yield
+
+
+def _in_force() -> Any:
+    """The look, dark where the settings are; nothing where they are the look already, so that what was changed of it holds."""
+    import matplotlib as mpl
+
+    data = mpl.rcParams["axes.prop_cycle"].by_key().get("color", [])
+    return nullcontext() if tuple(data) in (LIGHT.data, DARK.data) else use(dark=_is_dark(mpl.rcParams["figure.facecolor"]))
+
+
+def axes(ax: "Axes | None" = None) -> "Axes":
+    """`ax`, or where there is none an Axes of a new pyplot figure in the look, of column width unless that was changed."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    with _in_force():
+        return plt.subplots()[1]
+
+
+def drawn(function: Draw) -> Draw:
+    """Let a drawing function that makes its own figure do all of it in the look."""
+
+    @functools.wraps(function)
+    def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
+        if ax is not None:
+            return function(*arguments, ax=ax, **options)
+        with _in_force():
+            return function(*arguments, ax=axes(), **options)
+
+    return draw  # pyright: ignore[reportReturnType]
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast of two colours as WCAG 2 defines it, between 1 and 21.
+
+    Examples
+    --------
+    >>> round(contrast("black", "white"))
+    21
+    """
+    from matplotlib.colors import to_rgb
+
+    def luminance(colour: str) -> float:
+        channel = np.asarray(to_rgb(colour))
+        linear = np.where(channel <= 0.04045, channel / 12.92, ((channel + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)

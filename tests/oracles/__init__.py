@@ -1,0 +1,1 @@
+"""Independent programs that the package is checked against; none imports it."""
