@@ -19,3 +19,26 @@ class Status(enum.IntEnum):
         member._value_ = value
         member.message = message
         return member
+
+
+class Outcome(Status):
+    """How an event ended: a first precursor, a rupture of any chain, an event with inertia.
+
+    Up to `REBREAK` the event has a finite length; `RAN_THROUGH` and `RUN_AWAY` have the length inf, the rest NaN.
+    """
+
+    ARRESTED = 0, "arrested: the first contact ahead stayed below its threshold"
+    NO_DOMINO = 1, "no domino: only the contact at the edge broke, its neighbour stayed below threshold (length 0)"
+    REBREAK = (
+        2,
+        "arrested, but the contact at the edge was back at its threshold before that: the length is that of the front; "
+        "to follow the second pulse, use rupture",
+    )
+    RAN_THROUGH = 3, "ran through: the last contact of the chain broke, so the event has no length (inf)"
+    LIMIT = 4, "given up: contacts were still over threshold after the largest number of breaks allowed (length NaN)"
+    INVALID = 5, "invalid: a value outside its domain, or too large for the precision (length NaN)"
+    RUN_AWAY = 6, "run-away: no contact ahead will ever stop the front, so it has no length (inf)"
+    NOTHING_BROKE = 7, "nothing broke: no contact was at its threshold"
+    NOT_CONVERGED = 8, "not converged: the search for the arrest was given up (length NaN)"
+    SINGULAR = 9, "no equilibrium: a part of the chain is held by nothing (length NaN)"
+    TIME_OVER = 10, "time over: still moving after the given duration"

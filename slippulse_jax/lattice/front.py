@@ -9,7 +9,7 @@ with the modes of `slippulse_jax.lattice.modes`. Four sums are the whole memory 
 t(s) ≥ 1; Λ = s0 λc, where s0 is the first s with t(s) < 1.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +44,22 @@ class FrontStatus(Status):
     LIMIT = 4, "given up: the front was still running after max_contacts breaks (length NaN)"
     INVALID = 5, "no such slider or interface: a value outside its domain, or too large for the precision (length NaN)"
     RUN_AWAY = 6, "run-away: nothing ahead of the front will ever stop it, so it has no length (inf)"
+
+
+class LengthDerivatives(NamedTuple):
+    """Lengths of a batch and their derivatives, NumPy float64 of the shape of the batch; in λc per unit of the parameter.
+
+    The derivatives are NaN where the length is not finite, and 0 where no domino starts.
+    """
+
+    length: np.ndarray  # ℓ or ℓ*
+    height: np.ndarray  # dℓ/d(H/λc)
+    stiffness: np.ndarray  # dℓ/d(k/K)
+    poisson: np.ndarray  # dℓ/dν
+    prestress: np.ndarray | None = None  # dℓ/dφ, with an interface
+    threshold_slope: np.ndarray | None = None  # dℓ/dε, with an interface
+    rule: Any = None  # the break rule with the derivatives in the places of its numbers, with a smooth rule
+    hessian: np.ndarray | None = None  # (..., n, n), second derivatives in the order of the fields above
 
 
 class Front(NamedTuple):
