@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 import slippulse_jax as sp
+from slippulse_jax.lattice.chain import State
 from slippulse_jax.lattice.response import dense, response
 
 
@@ -82,7 +83,7 @@ def main() -> None:
     responses = jax.jit(lambda height: dense(response(chain(height)))[: given.sites, : given.sites])
 
     def prepare(height):
-        state = sp.State(np.zeros(given.sites), np.asarray(1.0))
+        state = State(np.zeros(given.sites), np.asarray(1.0))
         return np.asarray(responses(height)), np.asarray(sp.equilibrium(chain(height), state).stress)
 
     green, per_load = prepare(25.0)

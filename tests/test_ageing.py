@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 import slippulse_jax as sp
 from slippulse_jax.lattice.ageing import next_crossing
 from slippulse_jax.lattice.catalogue import SeriesStatus
+from slippulse_jax.lattice.series import Adiabatic
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
@@ -63,9 +64,9 @@ def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
 def test_time_and_load_are_one_clock_at_constant_velocity():
     chain = sp.chain(FIG2, sites=100)
     load = sp.series(chain, events=30, ageing=sp.Ageing(0.3, 3.0))
-    time = sp.series(chain, sp.Adiabatic(velocity=0.5), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    time = sp.series(chain, Adiabatic(velocity=0.5), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
     assert np.allclose(load.load, time.load, rtol=1e-12)
-    slower = sp.series(chain, sp.Adiabatic(velocity=0.05), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    slower = sp.series(chain, Adiabatic(velocity=0.05), events=30, ageing=sp.Ageing(0.3, 6.0, clock="time"))
     assert not np.array_equal(load.extent, slower.extent), "slow loading gives contacts time to recover"
 
 

@@ -6,7 +6,15 @@ import pytest
 from scipy import stats
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.distribution import edge_loads, ensemble_force, force_law, smooth_width, stability
+from slippulse_jax.lattice.chain import relaxed
+from slippulse_jax.lattice.distribution import (
+    ThresholdDistribution,
+    edge_loads,
+    ensemble_force,
+    force_law,
+    smooth_width,
+    stability,
+)
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
@@ -27,7 +35,7 @@ def test_exponential_thresholds_have_a_closed_form():
     """Weibull of shape 1: a junction forgets its age, and F = 1 − e^{−X} exactly. Second order in the spacing."""
     errors = []
     for points in (201, 401, 801):
-        law = force_law(sp.ThresholdDistribution("weibull", 1.0), points=points)
+        law = force_law(ThresholdDistribution("weibull", 1.0), points=points)
         errors.append(abs(law.force + np.expm1(-np.asarray(law.stretch))).max())
     assert errors[-1] < 1e-5
     assert (abs(np.log2(np.array(errors[:-1]) / errors[1:]) - 2) < 0.1).all()
@@ -44,7 +52,7 @@ def test_plateau_and_cumulative(kind, width):
         "uniform": stats.uniform(1 - half, 2 * half),
         "weibull": stats.weibull_min(1 / width, scale=1 / gamma(1 + width)),
     }[kind]
-    thresholds = sp.ThresholdDistribution(kind, width)
+    thresholds = ThresholdDistribution(kind, width)
     x = np.linspace(0, 2.5, 50)
     assert abs(thresholds.cumulative(x) - textbook.cdf(x)).max() < 1e-12
     law = force_law(thresholds, reach=40.0, points=4001)
@@ -54,7 +62,7 @@ def test_plateau_and_cumulative(kind, width):
 
 
 def test_width_zero_is_the_sawtooth_of_the_paper():
-    law = force_law(sp.ThresholdDistribution("uniform", 1e-9), reach=2.5, points=2001)
+    law = force_law(ThresholdDistribution("uniform", 1e-9), reach=2.5, points=2001)
     x = np.asarray(law.stretch)
     away = (abs(x - 1) > 0.01) & (abs(x - 2) > 0.02)
     assert abs(np.asarray(law.force) - x % 1)[away].max() < 2e-3
@@ -62,7 +70,7 @@ def test_width_zero_is_the_sawtooth_of_the_paper():
 
 @pytest.mark.parametrize(("kind", "width"), [("normal", 0.15), ("uniform", 0.3), ("weibull", 0.5)])
 def test_explicit_junctions_against_the_master_equation_and_a_plain_program(kind, width):
-    thresholds = sp.ThresholdDistribution(kind, width)
+    thresholds = ThresholdDistribution(kind, width)
     stretch = np.linspace(0.1, 3, 30)
     law = force_law(thresholds, points=1601)
     many = ensemble_force(thresholds, 200_000, stretch, jax.random.key(1))
@@ -79,7 +87,7 @@ def test_explicit_junctions_against_the_master_equation_and_a_plain_program(kind
 
 
 def test_finite_ensembles_are_reproducible_and_narrow_as_one_over_root():
-    thresholds, stretch = sp.ThresholdDistribution("normal", 0.2), np.linspace(1, 3, 40)
+    thresholds, stretch = ThresholdDistribution("normal", 0.2), np.linspace(1, 3, 40)
     law = np.asarray(force_law(thresholds, points=1601)(stretch))
     few = ensemble_force(thresholds, 400, stretch, jax.random.key(3))
     assert np.array_equal(few, ensemble_force(thresholds, 400, stretch, jax.random.key(3)))
@@ -92,7 +100,7 @@ def test_a_single_contact_jumps_below_the_critical_width_and_slides_above():
     """One contact pulled through a spring K_s: balance K_s(U − X) = F(X) has one solution for every U iff F' > −K_s."""
     for spring in (0.5, 1.5):
         for width in (0.05, 0.15, 0.3, 0.5):
-            law = force_law(sp.ThresholdDistribution("normal", width), points=3201)
+            law = force_law(ThresholdDistribution("normal", width), points=3201)
             pulled_by = np.asarray(law.stretch) + np.asarray(law.force) / spring  # U as a function of X
             assert (np.diff(pulled_by) > 0).all() == bool(law.steepest_fall > -spring)
 
@@ -108,7 +116,7 @@ def test_critical_width_of_the_papers_slider():
     middle = np.linalg.solve(matrix, force)[801 + 400]
     for kind in ("normal", "uniform", "weibull"):
         width = smooth_width(FIG2, kind)
-        below, above = (stability(FIG2, sp.ThresholdDistribution(kind, width * f)) for f in (0.99, 1.01))
+        below, above = (stability(FIG2, ThresholdDistribution(kind, width * f)) for f in (0.99, 1.01))
         assert not below.smooth
         assert above.smooth
         assert abs(below.surroundings_at_edge - (1 - own[0, 0]) / own[0, 0]) < 1e-8
@@ -119,10 +127,10 @@ def test_smallest_smooth_width_of_a_stiff_slider():
     """A normal law as wide as its mean falls more steeply than one half as wide; and no width will do on a very stiff slider."""
     stiff, stiffest = sp.Slider(25.0, 3.0, 0.3), sp.Slider(25.0, 30.0, 0.3)
     width = smooth_width(stiff, "normal")
-    smooth = [bool(stability(stiff, sp.ThresholdDistribution("normal", w)).smooth) for w in (0.99 * width, 1.01 * width, 1.0)]
+    smooth = [bool(stability(stiff, ThresholdDistribution("normal", w)).smooth) for w in (0.99 * width, 1.01 * width, 1.0)]
     assert smooth == [False, True, False]
     assert smooth_width(stiffest, "normal") == np.inf
-    assert not any(stability(stiffest, sp.ThresholdDistribution("normal", w)).smooth for w in (0.3, 0.5, 1.0, 10.0))
+    assert not any(stability(stiffest, ThresholdDistribution("normal", w)).smooth for w in (0.3, 0.5, 1.0, 10.0))
 
 
 def plain_edge_loads(law, stretches, sites):
@@ -157,10 +165,10 @@ def test_a_chain_of_wide_contacts_slides_smoothly():
 
     @jax.jit
     def path(width):
-        law = force_law(sp.ThresholdDistribution("normal", width))
+        law = force_law(ThresholdDistribution("normal", width))
         chain = sp.chain(FIG2, sites=40, law=law)
         loads = edge_loads(chain, stretches)
-        at_loads = jax.vmap(lambda u: sp.equilibrium(chain, sp.relaxed(chain, u)).layer[0])(loads[::25])
+        at_loads = jax.vmap(lambda u: sp.equilibrium(chain, relaxed(chain, u)).layer[0])(loads[::25])
         return law, loads, at_loads
 
     alone = smooth_width(FIG2, "normal")
@@ -175,4 +183,4 @@ def test_a_chain_of_wide_contacts_slides_smoothly():
 @pytest.mark.parametrize(("kind", "width"), [("normal", 0.0), ("uniform", 0.6), ("weibull", 1.5), ("cauchy", 0.1)])
 def test_errors(kind, width):
     with pytest.raises(ValueError, match="ThresholdDistribution"):
-        sp.ThresholdDistribution(kind, width)
+        ThresholdDistribution(kind, width)

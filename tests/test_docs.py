@@ -14,6 +14,11 @@ import documented
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.lattice.catalogue import Catalogue, SeriesStatus
+from slippulse_jax.lattice.chain import Chain
+from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.lattice.modes import Fields
+from slippulse_jax.lattice.motion import Motion
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -28,19 +33,27 @@ def modules():
 
 
 def in_reference():
-    """Names that the reference pages document, and the modules they document whole."""
-    names, whole = set(), set()
+    """What the reference documents, by name: a public name by itself, any other thing by its module and name."""
+    found = {}
     for path in (DOCS / "reference").glob("*.md"):
-        for kind, name in re.findall(r"^\.\. auto(\w+):: (\S+)$", path.read_text(encoding="utf-8"), flags=re.M):
-            (whole if kind == "module" else names).add(name.removeprefix("slippulse_jax."))
-    return names, whole
+        text = path.read_text(encoding="utf-8")
+        for kind, name in re.findall(r"^\.\. auto(\w+):: (\S+)$", text, flags=re.M):
+            if kind == "module":
+                found[name] = importlib.import_module(name)
+            else:
+                module, _, last = name.rpartition(".")
+                found[name] = getattr(importlib.import_module(module or "slippulse_jax"), last)
+    return found
+
+
+REFERENCE = in_reference()
 
 
 def test_every_public_name_is_in_the_reference():
-    names, whole = in_reference()
-    public = set(sp.__all__) - {"__version__"}
-    assert public - names - whole == set()
-    assert names <= public, "documented, but not public"
+    public = {name: getattr(sp, name) for name in sp.__all__ if name != "__version__"}
+    assert {name for name, thing in public.items() if not any(thing is known for known in REFERENCE.values())} == set()
+    short = {name for name in REFERENCE if "." not in name}
+    assert short <= set(public), "documented as public, but not public"
 
 
 INSIDE = {"Modes", "Springs", "ParameterSet", "Problem", "Found", "Curve", "Rise", "Step", "Smoothness", "Readings"}
@@ -61,21 +74,20 @@ def handed_out(thing):
 
 def classes_in(hint):
     """Classes of the package in an annotation, a written one too."""
-    if isinstance(hint, str):  # written out where importing would be slow, by a name that is public
-        for name in set(re.findall(r"\w+", hint)) & set(sp.__all__):
-            yield getattr(sp, name)
+    if isinstance(hint, str):  # written out where importing would be slow
+        named = set(re.findall(r"\w+", hint))
+        yield from (thing for name, thing in REFERENCE.items() if name.rpartition(".")[2] in named and inspect.isclass(thing))
     if inspect.isclass(hint) and hint.__module__.startswith("slippulse_jax."):
         yield hint
     for part in typing.get_args(hint):
         yield from classes_in(part)
 
 
-def test_what_users_are_handed_is_public():
-    public = [getattr(sp, name) for name in sp.__all__]
-    handed = [cls for thing in public for cls in handed_out(thing)]
-    assert sp.Catalogue in handed, "returned by a function"
-    assert sp.Fields in handed, "returned by a property"
-    assert {cls.__name__ for cls in handed if cls not in public} <= INSIDE
+def test_what_users_are_handed_is_in_the_reference():
+    handed = [cls for thing in REFERENCE.values() for cls in handed_out(thing)]
+    assert Catalogue in handed, "returned by a function"
+    assert Fields in handed, "returned by a property"
+    assert {cls.__name__ for cls in handed if cls not in REFERENCE.values()} <= INSIDE
 
 
 def test_statuses_and_fields_have_words():
@@ -85,13 +97,13 @@ def test_statuses_and_fields_have_words():
         from records import described
     finally:
         sys.path.remove(str(DOCS))
-    statuses = [x for x in (getattr(sp, name) for name in sp.__all__) if inspect.isclass(x) and issubclass(x, enum.Enum)]
+    statuses = [x for x in REFERENCE.values() if inspect.isclass(x) and issubclass(x, enum.Enum)]
     assert len(statuses) >= 9
     for status in statuses:
         assert len(described(status)) == len(status)
-    assert described(sp.SeriesStatus)[0] == f"- ``DONE = 0``: {sp.SeriesStatus.DONE.message}"
-    assert "- ``first_break``: time at which each contact first broke; inf if it did not" in described(sp.Motion)
-    assert "- ``contact``: :math:`k_i`, in :math:`K`" in described(sp.Chain)
+    assert described(SeriesStatus)[0] == f"- ``DONE = 0``: {SeriesStatus.DONE.message}"
+    assert "- ``first_break``: time at which each contact first broke; inf if it did not" in described(Motion)
+    assert "- ``contact``: :math:`k_i`, in :math:`K`" in described(Chain)
     assert described(sp.Slider) == []  # its docstring lists them
 
 
@@ -107,10 +119,10 @@ def sections(doc):
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
-@pytest.mark.parametrize("name", sorted(set(sp.__all__) - {"__version__", "plot", "style", "theory"}))
+@pytest.mark.parametrize("name", sorted(name for name, thing in REFERENCE.items() if not inspect.ismodule(thing)))
 def test_parameters_are_those_of_the_function(name):
     """What a docstring lists under Parameters are arguments, all of them or none."""
-    thing = getattr(sp, name)
+    thing = REFERENCE[name]
     doc = inspect.cleandoc(thing.__doc__ or "")
     assert doc, f"{name} has no docstring"
     listed = sections(doc).get("Parameters")
@@ -185,8 +197,8 @@ def test_what_is_not_run_says_so():
 def test_every_status_is_on_the_page_of_sweeps():
     page = (DOCS / "sweeps.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"^\| (\d) \| (.+) \|$", page, flags=re.M))
-    assert {int(number) for number in listed} == {int(status) for status in sp.FrontStatus}
-    for status in sp.FrontStatus:
+    assert {int(number) for number in listed} == {int(status) for status in FrontStatus}
+    for status in FrontStatus:
         assert status.message[:7].lower() in listed[str(int(status))], status
 
 

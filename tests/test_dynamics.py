@@ -7,6 +7,7 @@ import pytest
 from oracles import plain_dynamics
 
 import slippulse_jax as sp
+from slippulse_jax.lattice.chain import relaxed
 from slippulse_jax.lattice.inertia import _forces, quasi_static_break_time, stable_step
 from slippulse_jax.lattice.motion import CrackLike, MotionStatus, SelfHealing
 
@@ -62,7 +63,7 @@ def test_derivatives_are_refused():
 
     def first_break(k):
         chain = sp.chain(sp.Slider(10.0, k, 0.3), sites=20)
-        return sp.simulate_inertial(chain, sp.relaxed(chain, 2.0), trigger=0, duration=20.0).first_break[3]
+        return sp.simulate_inertial(chain, relaxed(chain, 2.0), trigger=0, duration=20.0).first_break[3]
 
     chain = sp.chain(FIG2, sites=20)
     for refused in (
@@ -108,7 +109,7 @@ def test_slow_breaks_and_damping_are_the_quasi_static_cascade():
         chain = sp.chain(sp.Slider(height, stiffness, 0.3), sites=30)
         wait = quasi_static_break_time(chain, damping)
         got = sp.simulate_inertial(chain, duration=14 * wait, damping=damping, rule=SelfHealing(wait))
-        state, site = sp.nucleate(chain, sp.relaxed(chain))
+        state, site = sp.nucleate(chain, relaxed(chain))
         expected = sp.rupture(chain, state, trigger=site)
         assert int(got.status) == MotionStatus.AT_REST
         assert np.array_equal(got.breaks, expected.broken.astype(int))

@@ -9,6 +9,7 @@ from oracles import plain_interface
 from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
+from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.recover.model import profile_model
 from slippulse_jax.inference.recover.prior import Smoothness, condition, mixture, squared_exponential
 from slippulse_jax.inference.recover.recovery import Determination
@@ -296,7 +297,7 @@ def test_errors_name_the_argument(wrong, message):
 )
 def test_measurements_that_are_no_lengths_of_one_interface_are_refused(columns, message):
     m = sp.Measurements(**{"height": [20, 25], "poisson": POISSON, "length": [20.0, 26.0], "length_sigma": 0.3, **columns})
-    with pytest.raises(sp.MeasurementError, match=message):
+    with pytest.raises(MeasurementError, match=message):
         sp.recover_profile(m, stiffness=STIFFNESS)
 
 

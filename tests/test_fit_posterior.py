@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slippulse_jax import FitResult, Measurements, Parameter, fit, read_measurements
+from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference import bayes
 from slippulse_jax.inference.forward import lengths
@@ -23,6 +23,7 @@ from slippulse_jax.inference.likelihood import Loss
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.parameters import STIFFEST
 from slippulse_jax.inference.resolve import resolve, softest
+from slippulse_jax.inference.result import FitResult
 
 DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
 

@@ -7,10 +7,11 @@ import pytest
 from oracles import plain_chain
 from oracles.lattice_mp import Chain
 
-from slippulse_jax import FrontNotArrested, FrontStatus, Slider, first_precursor, precursor_length
+from slippulse_jax import Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.front import FrontStatus, arrest
 from slippulse_jax.lattice.lengths import precursor_arrests
+from slippulse_jax.lattice.precursor import FrontNotArrested
 
 # physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
 PRINTED = [

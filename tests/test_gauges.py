@@ -15,6 +15,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.bayes import log_density
 from slippulse_jax.inference.forward_gauges import slips, stresses
 from slippulse_jax.inference.likelihood import Loss
+from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.resolve import resolve
@@ -196,7 +197,7 @@ def write(tmp_path, gauges, lengths=LENGTHS):
 )
 def test_bad_tables_are_refused(tmp_path, gauges, lengths, message):
     lengths, gauges = write(tmp_path, gauges, lengths)
-    with pytest.raises(sp.MeasurementError, match=message):
+    with pytest.raises(MeasurementError, match=message):
         read_measurements(lengths, gauges=gauges)
 
 

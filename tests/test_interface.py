@@ -7,7 +7,9 @@ from oracles import plain_interface
 from oracles.dense_chain import Dense, end_stiffness
 
 import slippulse_jax as sp
-from slippulse_jax import FrontStatus, Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax.lattice.chain import relaxed
+from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.modes import lattice_modes
 
@@ -76,7 +78,7 @@ def test_negative_prestress_in_bulk_and_in_the_cascade():
         load, first = dense.nucleate(0 * even)
         pinning, order = dense.rupture(0 * even, load, first, 200)
         chain = sp.chain(Slider(height, stiffness, poisson), sites=sites, prestress=carried)
-        state, trigger = sp.nucleate(chain, sp.relaxed(chain))
+        state, trigger = sp.nucleate(chain, relaxed(chain))
         event = sp.rupture(chain, state, trigger=trigger)
         assert list(np.asarray(event.order[: len(order)])) == order
         assert int(event.breaks) == len(order)

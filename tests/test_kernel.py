@@ -9,12 +9,13 @@ from jax import lax
 import slippulse_jax as sp
 from slippulse_jax.bulk import compiler as kernel
 from slippulse_jax.lattice import lanes
+from slippulse_jax.lattice.chain import relaxed
 
 CHAIN = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60)
 
 
 def event(chain):
-    state, site = sp.nucleate(chain, sp.relaxed(chain))
+    state, site = sp.nucleate(chain, relaxed(chain))
     return sp.rupture(chain, state, trigger=site)
 
 

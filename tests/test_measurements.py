@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from slippulse_jax import MeasurementError, Measurements, read_measurements
+from slippulse_jax import Measurements, read_measurements
+from slippulse_jax.inference.measurements import MeasurementError
 
 SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
 PLAIN = "height,poisson,length,length_sigma"

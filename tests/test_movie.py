@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 import slippulse_jax as sp
+from slippulse_jax.lattice.precursor import FirstPrecursor
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_refusals(front, tmp_path):
         sp.plot.animate(run_away)
     with pytest.raises(ValueError, match="fps = 0"):
         sp.plot.animate(front, fps=0)
-    batch = sp.FirstPrecursor(**{**vars(front), "contacts_broken": jnp.array([1, 2])})
+    batch = FirstPrecursor(**{**vars(front), "contacts_broken": jnp.array([1, 2])})
     with pytest.raises(ValueError, match="not a batch"):
         sp.plot.animate(batch)
     if not mpl.animation.FFMpegWriter.isAvailable():

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from oracles import plain_chain
 
-from slippulse_jax import FrontStatus, HardBreak, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import compiled
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.front import Arrest
+from slippulse_jax.lattice.front import Arrest, FrontStatus
+from slippulse_jax.rules import HardBreak
 
 
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])

@@ -7,6 +7,7 @@ from oracles import plain_series
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
+from slippulse_jax.lattice.series import Adiabatic
 
 FIG2 = (25.0, 0.03, 0.3)
 
@@ -32,7 +33,7 @@ def test_against_dense_program(protocol, right, ageing):
     sites, events = 30, 25
     slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
     theta, phi = rng.uniform(0.9, 1.1, sites), rng.uniform(0, 0.2, sites)
-    protocols = {"adiabatic": sp.Adiabatic(), "steps": sp.Steps(0.21), "spring": sp.Spring(4.0)}
+    protocols = {"adiabatic": Adiabatic(), "steps": sp.Steps(0.21), "spring": sp.Spring(4.0)}
     law = None if ageing is None else ages(*ageing)
     plain = plain_series.PlainSeries(slider, theta, phi, right, law, 4.0 if protocol == "spring" else None)
     chain = sp.chain(sp.Slider(*slider), sites=sites, right=right, threshold=theta, prestress=phi)
@@ -59,7 +60,7 @@ def energies(catalogue):
     return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
 
 
-@pytest.mark.parametrize("protocol", [sp.Adiabatic(), sp.Steps(0.5), sp.Spring(10.0)])
+@pytest.mark.parametrize("protocol", [Adiabatic(), sp.Steps(0.5), sp.Spring(10.0)])
 @pytest.mark.parametrize("ageing", [None, sp.Ageing(0.3, 3.0)])
 def test_energy_of_every_event(protocol, ageing):
     """Work of the drive = stored + broken + relaxed, and the stored energy is that of the springs of the final state."""

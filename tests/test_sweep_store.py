@@ -14,6 +14,7 @@ import xarray as xr
 
 import slippulse_jax as sp
 from slippulse_jax.sweeps import run
+from slippulse_jax.sweeps.store import StoreError
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUEST = {
@@ -180,7 +181,7 @@ def test_one_flipped_bit_is_found_refused_and_mended(reference, tmp_path, at):
     store = tmp_path / "s"
     sp.sweep(**REQUEST, store=store, chunk=CHUNK)
     damage(store / "chunks" / "000003.npz", at)
-    with pytest.raises(sp.StoreError, match=r"000003.npz: damaged chunk .*; the same sweep, resumed, computes it again"):
+    with pytest.raises(StoreError, match=r"000003.npz: damaged chunk .*; the same sweep, resumed, computes it again"):
         sp.open_sweep(store).length.load()
     with pytest.warns(RuntimeWarning, match="000003.npz: damaged chunk .* computing it again"):
         sp.sweep(**REQUEST, store=store)
@@ -213,7 +214,7 @@ def test_cut_off_chunk_and_chunk_of_another_place(reference, tmp_path):
 )
 def test_another_sweep_is_refused(reference, change, message):
     before = contents(reference)
-    with pytest.raises(sp.StoreError, match=message):
+    with pytest.raises(StoreError, match=message):
         sp.sweep(**{**REQUEST, **change}, store=reference)
     assert contents(reference) == before
 
@@ -223,32 +224,32 @@ def test_another_version_is_refused(reference, tmp_path):
     store = tmp_path / "s"
     sp.sweep(**REQUEST, store=store, chunk=CHUNK)
     (store / "manifest.json").write_text(json.dumps(manifest | {"versions": manifest["versions"] | {"jax": "0.1"}}))
-    with pytest.raises(sp.StoreError, match=r"was computed with jax 0.1, now "):
+    with pytest.raises(StoreError, match=r"was computed with jax 0.1, now "):
         sp.sweep(**REQUEST, store=store)
     assert sp.open_sweep(store).attrs["jax"] == "0.1", "reading it stays possible"
     (store / "manifest.json").write_text(json.dumps(manifest | {"format": 2}))
-    with pytest.raises(sp.StoreError, match="a store of format 2"):
+    with pytest.raises(StoreError, match="a store of format 2"):
         sp.open_sweep(store)
 
 
 def test_machine_that_rounds_differently_is_refused(reference, monkeypatch):
     evaluate = run.evaluate
     monkeypatch.setattr(run, "evaluate", lambda *a: {name: np.nextafter(v, 99) for name, v in evaluate(*a).items()})
-    with pytest.raises(sp.StoreError, match="the first points of length have other digits than stored"):
+    with pytest.raises(StoreError, match="the first points of length have other digits than stored"):
         sp.sweep(**REQUEST, store=reference)
 
 
 def test_what_is_not_a_store(tmp_path):
-    with pytest.raises(sp.StoreError, match="not the store of a sweep"):
+    with pytest.raises(StoreError, match="not the store of a sweep"):
         sp.open_sweep(tmp_path)
     (tmp_path / "data.txt").write_text("mine")
-    with pytest.raises(sp.StoreError, match="other things in it"):
+    with pytest.raises(StoreError, match="other things in it"):
         sp.sweep(**REQUEST, store=tmp_path)
-    with pytest.raises(sp.StoreError, match="is a file"):
+    with pytest.raises(StoreError, match="is a file"):
         sp.sweep(**REQUEST, store=tmp_path / "data.txt")
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "manifest.json").write_text("{")
-    with pytest.raises(sp.StoreError, match="damaged manifest"):
+    with pytest.raises(StoreError, match="damaged manifest"):
         sp.open_sweep(tmp_path / "s")
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
+from slippulse_jax.inference.result import FitResult
 
 HERE = Path(__file__).resolve().parent
 
@@ -21,7 +22,7 @@ def main() -> None:
     save(sp.plot.front_stress(front.front_stress[:40], length=float(front.length)).figure, "tutorial")
 
 
-def gauges() -> sp.FitResult:
+def gauges() -> FitResult:
     """The fit of the two tables on the page about gauges."""
     tables = re.findall(r"^```csv\n(.*?)^```$", (HERE.parent / "howto/gauges.md").read_text("utf-8"), flags=re.M | re.S)
     with tempfile.TemporaryDirectory() as folder:

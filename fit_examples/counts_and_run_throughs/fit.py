@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TRUE_STIFFNESS = 0.006
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit, with the counts as counts; then see what is lost without the fronts that ran through."""
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     result = sp.fit(data)

@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TRUE_STIFFNESS = 0.01
 INERTIA = 1.14  # by what inertia lengthens fronts at this damping, known from elsewhere
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit as if the model were true; then with what is known of how it differs from the experiment."""
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     naive = sp.fit(data)

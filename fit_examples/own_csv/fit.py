@@ -4,11 +4,12 @@ import sys
 from pathlib import Path
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TABLE = Path(__file__).with_name("lengths.csv")
 
 
-def main(table: str | Path = TABLE, figure: str | Path | None = None) -> sp.FitResult:
+def main(table: str | Path = TABLE, figure: str | Path | None = None) -> FitResult:
     """Read, fit, report; draw into `figure` if one is named."""
     result = sp.fit(sp.read_measurements(table))
     print(result.report())

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 PRINTED_STIFFNESS = 0.03  # k/K of the numerical solution the length was read from
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit, print the report, and check that the two ranges are those of 26 contacts, and hold the stiffness in the paper."""
     result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
     print(result.report())

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TRUE_AREAL_STIFFNESS = 2.0e10  # Pa/m, what make_data.py put in
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit, print the report, and check that the known stiffness is found again."""
     result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
     print(result.report())

@@ -4,11 +4,12 @@ import dataclasses
 from pathlib import Path
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TRUE_STIFFNESS, UNKNOWN = 0.01, 0.4
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit with the shear stated; then take the last line's shear for unknown."""
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     result = sp.fit(data)

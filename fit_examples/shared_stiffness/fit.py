@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
 
 TRUE_STIFFNESS = 0.02
 
 
-def main() -> sp.FitResult:
+def main() -> FitResult:
     """Fit all together, and the tallest alone."""
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     alone = sp.fit(sp.Measurements(height=data.height[-1], poisson=0.3, length=data.length[-1], length_sigma=0.4))

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
+from slippulse_jax.inference.recover.recovery import RecoveredProfile
 
 HERE = Path(__file__).resolve().parent
 
 
-def main() -> sp.RecoveredProfile:
+def main() -> RecoveredProfile:
     """Recover the profile, and hold it to the one the data were made with, where it is determined."""
     truth = runpy.run_path(str(HERE / "make_data.py"))["threshold"]
     found = sp.recover_profile(sp.read_measurements(HERE / "lengths.csv"), stiffness=0.03)

@@ -27,11 +27,12 @@ Table = dict[str, np.ndarray]
 def fig2_fields() -> Table:
     """Fig. 2 a, b: displacements in u_s and stress in σ_s against x/λc, at nucleation, s = 13 and arrest s = 26."""
     import slippulse_jax as sp
+    from slippulse_jax.lattice.exact import exact_fields
 
     x = np.arange(61)
     table: Table = {"x": x}
     for s in (0, 13, 26):
-        fields = sp.exact_fields(sp.Slider(HEIGHT, STIFFNESS, POISSON), s, x)
+        fields = exact_fields(sp.Slider(HEIGHT, STIFFNESS, POISSON), s, x)
         for name, value in fields._asdict().items():
             table[f"{name}_s{s}"] = np.asarray(value)
     return table
@@ -40,10 +41,11 @@ def fig2_fields() -> Table:
 def fig2_stress() -> Table:
     """Fig. 2 c: stress at nucleation, at the passing front tip, and their difference, in σ_s, against x/λc."""
     import slippulse_jax as sp
+    from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
 
     slider, x = sp.Slider(HEIGHT, STIFFNESS, POISSON), np.arange(61)
-    tip = np.asarray(sp.exact_front_stress(slider, x))
-    before = np.asarray(sp.exact_fields(slider, 0, x).stress)
+    tip = np.asarray(exact_front_stress(slider, x))
+    before = np.asarray(exact_fields(slider, 0, x).stress)
     # at x = 0 their limit, contact 0 having broken
     continuum, frozen = (np.asarray(f(slider, x)) for f in (sp.theory.continuum_stress, sp.theory.frozen_stress))
     return {"x": x, "nucleation": before, "front": tip, "extra": tip - before, "continuum": continuum, "frozen": frozen}

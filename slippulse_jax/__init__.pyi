@@ -1,0 +1,38 @@
+"""The public names, each with the module it lives in; ``__init__.py`` reads them from here."""
+
+from slippulse_jax import plot as plot
+from slippulse_jax import theory as theory
+from slippulse_jax.inference.design.design import design as design
+from slippulse_jax.inference.design.knowledge import Knowledge as Knowledge
+from slippulse_jax.inference.fit import fit as fit
+from slippulse_jax.inference.gauges import Gauges as Gauges
+from slippulse_jax.inference.measurements import Measurements as Measurements
+from slippulse_jax.inference.parameters import Parameter as Parameter
+from slippulse_jax.inference.recover.recovery import recover_profile as recover_profile
+from slippulse_jax.inference.table import read_measurements as read_measurements
+from slippulse_jax.interface import Interface as Interface
+from slippulse_jax.interface import Profile as Profile
+from slippulse_jax.lattice.ageing import Ageing as Ageing
+from slippulse_jax.lattice.chain import chain as chain
+from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
+from slippulse_jax.lattice.exact import exact_front as exact_front
+from slippulse_jax.lattice.exact import exact_length as exact_length
+from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
+from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
+from slippulse_jax.lattice.lengths import precursor_length_gradients as precursor_length_gradients
+from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
+from slippulse_jax.lattice.motion import CrackLike as CrackLike
+from slippulse_jax.lattice.precursor import first_precursor as first_precursor
+from slippulse_jax.lattice.precursor import precursor_length as precursor_length
+from slippulse_jax.lattice.rupture import nucleate as nucleate
+from slippulse_jax.lattice.rupture import rupture as rupture
+from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
+from slippulse_jax.lattice.series import Spring as Spring
+from slippulse_jax.lattice.series import Steps as Steps
+from slippulse_jax.lattice.series import series as series
+from slippulse_jax.rules import SmoothBreak as SmoothBreak
+from slippulse_jax.slider import Slider as Slider
+from slippulse_jax.sweeps.run import open_sweep as open_sweep
+from slippulse_jax.sweeps.run import sweep as sweep
+
+__version__: str
