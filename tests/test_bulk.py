@@ -7,7 +7,8 @@ import slippulse_jax as sp
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.lattice import compiled, lanes, long_fronts
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.lattice.front import FRONT_OUTCOMES
+from slippulse_jax.status import Outcome
 
 MOST = 10_000_000
 
@@ -73,15 +74,15 @@ def test_arrests_equal_the_general_recursion(numbers):
     n, most = 800, 60
     five = np.concatenate([random_lanes(n, 7, 2.3), rng.uniform(0, 0.8, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     five[0, :20], five[1, :20] = 8.0, 0.5  # short enough to run away before they are given up
-    dtypes, endings = (np.int32, float, np.int32, float), set(FrontStatus) - {FrontStatus.INVALID, FrontStatus.RAN_THROUGH}
+    dtypes, endings = (np.int32, float, np.int32, float), set(FRONT_OUTCOMES) - {Outcome.INVALID, Outcome.RAN_THROUGH}
     general = batch.over_lanes(compiled.arrest_kernel, (0, ("semi-infinite", None, most)), five[:numbers], dtypes, bulk.ANY)
     got = batch.over_lanes(lanes.arrest_kernel, (most,), five[:numbers], dtypes, bulk.WITH_MORE)
     np.testing.assert_array_equal(got[0], general[0])
     np.testing.assert_array_equal(got[2], general[2])
-    assert set(got[2]) == endings - ({FrontStatus.RUN_AWAY} if numbers == 3 else set())
+    assert set(got[2]) == endings - ({Outcome.RUN_AWAY} if numbers == 3 else set())
     for a, b in ((got[1], general[1]), (got[3], general[3])):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
-    assert (got[0][got[2] == FrontStatus.LIMIT] == most).all()
+    assert (got[0][got[2] == Outcome.LIMIT] == most).all()
     alone = batch.over_lanes(lanes.length_kernel, (most,), five[:numbers], (float,), bulk.WITH_MORE)[0]
     np.testing.assert_allclose(alone, got[1], rtol=1e-9, atol=1e-10)
 

@@ -80,7 +80,7 @@ def test_lattice_is_in_balance_with_the_stresses_of_the_paper():
     """Labels discr1, discr2, cra06, cra07: of the first precursor at arrest, site by site."""
     slider = sp.Slider(25.0, 0.03, 0.3)
     fields = sp.first_precursor(slider).arrest
-    ut, u, ub = (np.asarray(x) for x in (fields.upper, fields.interface, fields.pinning))
+    ut, u, ub = (np.asarray(x) for x in (fields.upper, fields.layer, fields.pinning))
     bend = lambda x: x[2:] + x[:-2] - 2 * x[1:-1]  # noqa: E731
     KL, KT, k = float(slider.K_L), float(slider.K_T), float(slider.stiffness)
     np.testing.assert_allclose(KL * bend(ut), KT * (ut - u)[1:-1], atol=1e-13)

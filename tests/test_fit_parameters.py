@@ -17,7 +17,7 @@ from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.result import Identifiability
 from slippulse_jax.lattice.exact_lanes import solve_lanes
-from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.status import Outcome
 
 
 def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
@@ -190,7 +190,7 @@ def test_prestress_of_either_sign_beside_a_front_that_ran_away():
     known = {"poisson": 0.3, "length_sigma": 0.1, "kind": ["length"] * 4 + ["at_least"], "prestress": phi}
     result = fit(Measurements(height=HEIGHTS, length=np.where(np.isfinite(length), length, 200.0), **known), ["stiffness"])
     assert result.values["stiffness"] == pytest.approx(0.01, rel=1e-6)
-    assert list(result.fitted.status) == [FrontStatus.ARRESTED] * 4 + [FrontStatus.RUN_AWAY]
+    assert list(result.fitted.status) == [Outcome.ARRESTED] * 4 + [Outcome.RUN_AWAY]
 
 
 def test_two_parameters_are_found_and_correlated():

@@ -9,9 +9,10 @@ from oracles.lattice_mp import Chain
 
 from slippulse_jax import Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.front import FrontStatus, arrest
+from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.precursor import FrontNotArrested
+from slippulse_jax.status import Outcome
 
 # physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
 PRINTED = [
@@ -30,7 +31,7 @@ def test_reference_values(height, stiffness, count, length, load):
     assert int(front.contacts_broken) == count
     assert round(float(front.length), 3) == length
     assert round(float(front.load), 4) == load
-    assert int(front.status) == FrontStatus.ARRESTED
+    assert int(front.status) == Outcome.ARRESTED
 
 
 def random_sliders(count, seed):
@@ -55,7 +56,7 @@ def test_against_dense_chain(right, number):
         assert behind[1] == 0, "the contact at the edge is the most stressed one behind the front"
         if count > 1:
             assert abs(got.edge_stress[i] - behind[0]) <= 1e-9
-        expected = FrontStatus.NO_DOMINO if count == 1 else FrontStatus.REBREAK if behind[0] >= 1 else FrontStatus.ARRESTED
+        expected = Outcome.NO_DOMINO if count == 1 else Outcome.REBREAK if behind[0] >= 1 else Outcome.ARRESTED
         assert got.status[i] == expected
 
 
@@ -92,7 +93,7 @@ def test_long_chains_agree_with_the_endless_one():
 def test_front_that_reaches_the_end_has_no_length():
     slider = Slider(50, 0.03, 0.3)
     front = first_precursor(slider, right="free", sites=100)
-    assert int(front.status) == FrontStatus.RAN_THROUGH
+    assert int(front.status) == Outcome.RAN_THROUGH
     assert int(front.contacts_broken) == 100
     assert np.isinf(front.length)
     gradient = jax.grad(lambda k: precursor_length(Slider(50.0, k, 0.3), right="free", sites=100))(0.03)
@@ -104,7 +105,7 @@ def test_no_domino():
     front = first_precursor(Slider(3.0, 1e-4, 0.3))
     count, length, _, _ = plain_chain.first_precursor(3.0, 1e-4, 0.3)
     assert (int(front.contacts_broken), float(front.length)) == (count, length) == (1, 0.0)
-    assert int(front.status) == FrontStatus.NO_DOMINO
+    assert int(front.status) == Outcome.NO_DOMINO
 
 
 def test_cap_on_breaks_reports_itself():
@@ -115,7 +116,7 @@ def test_cap_on_breaks_reports_itself():
     with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
         first_precursor(slider, max_contacts=25)
     capped = first_precursor(slider, max_contacts=25, recorded_sites=100)
-    assert int(capped.status) == FrontStatus.LIMIT
+    assert int(capped.status) == Outcome.LIMIT
     assert np.isnan(capped.length)
     assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 0.03, 0.3), max_contacts=25))(25.0))
     with pytest.warns(RuntimeWarning, match=r"1 of 2 fronts, the first at index \(1,\)"):

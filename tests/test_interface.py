@@ -9,9 +9,9 @@ from oracles.dense_chain import Dense, end_stiffness
 import slippulse_jax as sp
 from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.lattice.chain import relaxed
-from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.status import Outcome
 
 FIG2 = Slider(25.0, 0.03, 0.3)
 
@@ -35,7 +35,7 @@ def test_against_dense_chain(delay, right):
         got = jax.tree.map(np.asarray, got)
         assert int(got.contacts_broken) == count
         if count == sites:
-            assert int(got.status) == FrontStatus.RAN_THROUGH
+            assert int(got.status) == Outcome.RAN_THROUGH
             assert np.isinf(got.length)
             continue
         assert abs(got.load - load) < 1e-10 * load
@@ -129,7 +129,7 @@ def test_runaway_threshold_to_a_millionth():
     assert 400 < below < 2000
     assert np.isinf(precursor_length(FIG2, interface=Interface(above)))
     record = first_precursor(FIG2, interface=Interface(above), recorded_sites=4000)
-    assert int(record.status) == FrontStatus.RUN_AWAY
+    assert int(record.status) == Outcome.RUN_AWAY
     assert not np.isfinite(jax.grad(lambda p: precursor_length(FIG2, interface=Interface(p)))(above))
 
 
@@ -149,7 +149,7 @@ def test_above_the_threshold_a_soft_short_slider_may_still_stop_the_front():
 def test_falling_thresholds_run_away_where_nothing_holds():
     falling = Interface(threshold_slope=-0.02)
     record = first_precursor(FIG2, interface=falling, recorded_sites=80)
-    assert int(record.status) == FrontStatus.RUN_AWAY
+    assert int(record.status) == Outcome.RUN_AWAY
     assert int(record.contacts_broken) == 50, "θ = 0 at site 50"
     assert np.isinf(precursor_length(FIG2, interface=falling))
     assert np.isfinite(precursor_length(FIG2, interface=Interface(threshold_slope=-0.005)))
@@ -195,7 +195,7 @@ def test_profile_that_nothing_stops():
         length = precursor_length(FIG2, interface=profile)
         assert np.isinf(length) == runs
         record = first_precursor(FIG2, interface=profile, recorded_sites=5000)
-        assert (int(record.status) == FrontStatus.RUN_AWAY) == runs
+        assert (int(record.status) == Outcome.RUN_AWAY) == runs
     # half the thresholds and half the prestress: the same ratio
     assert np.isinf(precursor_length(FIG2, interface=Profile(np.full(3, 0.5), (critical + 1e-4) / 2)))
     held = precursor_length(FIG2, interface=Profile(np.append(np.ones(40), 3.0), 0.6))
@@ -292,4 +292,4 @@ def test_traced_profile_outside_its_domain_is_nan():
 def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
     """A threshold below zero holds nothing, though the prestress is lower still."""
     record = first_precursor(FIG2, interface=Interface(-0.2, -0.05), recorded_sites=80)
-    assert (int(record.status), int(record.contacts_broken)) == (FrontStatus.RUN_AWAY, 20)
+    assert (int(record.status), int(record.contacts_broken)) == (Outcome.RUN_AWAY, 20)

@@ -10,8 +10,9 @@ from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import compiled
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.front import Arrest, FrontStatus
+from slippulse_jax.lattice.front import Arrest
 from slippulse_jax.rules import HardBreak
+from slippulse_jax.status import Outcome
 
 
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
@@ -28,7 +29,7 @@ def test_fields_solve_the_chain(right):
         rhs[0] = record.load
         solution = np.linalg.solve(matrix, rhs)
         np.testing.assert_allclose(fields.upper, solution[:n], atol=2e-12)
-        np.testing.assert_allclose(fields.interface, solution[n:], atol=2e-12)
+        np.testing.assert_allclose(fields.layer, solution[n:], atol=2e-12)
     np.testing.assert_allclose(record.nucleation.stress[0], 1, atol=1e-13)
     np.testing.assert_allclose(record.front_stress[0], 1)
     assert (record.arrest.stress[int(record.contacts_broken) :] < 1).all()
@@ -118,8 +119,8 @@ def test_empty_batch():
 
 
 def test_status_messages_are_for_people():
-    assert [status.value for status in FrontStatus] == list(range(7)), "values are stored in files: they never change"
-    for status in FrontStatus:
+    assert [status.value for status in Outcome] == list(range(len(Outcome))), "values are stored in files: they never change"
+    for status in Outcome:
         assert len(status.message) > 20
 
 
@@ -133,7 +134,7 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
         compiled.arrest_kernel, (0, ("semi-infinite", None, 10_000_000)), columns, (np.int32, float, np.int32, float), bulk.ANY
     )
     together, arrests = precursor_lengths(sliders), Arrest(*general)
-    assert (arrests.status == FrontStatus.NO_DOMINO).any()
+    assert (arrests.status == Outcome.NO_DOMINO).any()
     assert arrests.length.max() > 1000
     np.testing.assert_array_equal(np.maximum(np.ceil(together), 1), arrests.contacts_broken)
     # on the softest interfaces the stress barely passes the threshold, and its last digit moves the crossing

@@ -9,10 +9,11 @@ from scipy.special import expit
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import chain, relaxed
-from slippulse_jax.lattice.front import FrontStatus, arrest
+from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.rupture import RuptureStatus, nucleate, rupture
 from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.status import Outcome
 
 
 @jax.jit
@@ -65,7 +66,7 @@ def test_narrow_rule_is_the_hard_model():
     h, q, nu = random_sliders(200, 1)
     exact = np.asarray(hard(h, q, nu))
     found, status = length(h, q, nu, np.full(200, 1e-6))
-    assert np.all(status == FrontStatus.ARRESTED)
+    assert np.all(status == Outcome.ARRESTED)
     # all but those with a contact within some 1e-5 of its threshold
     near = np.abs(np.asarray(found) - exact)
     assert (near < 1e-6).mean() > 0.98
@@ -105,7 +106,7 @@ def test_never_a_nan_in_value_or_gradient(n, tallest, softest):
     w = 10 ** rng.uniform(-6, 0, n)
     w[: n // 30], w[n // 30 : n // 15] = 1e-6, 1.0
     found, status = length(h, q, nu, w)
-    assert np.all(status == FrontStatus.ARRESTED)
+    assert np.all(status == Outcome.ARRESTED)
     assert np.isfinite(found).all()
     gradient = jax.jit(jax.vmap(jax.grad(lambda x: length(*x)[0])))(jnp.stack(list(map(jnp.asarray, (h, q, nu, w))), -1))
     assert np.isfinite(gradient).all()
@@ -179,10 +180,10 @@ def test_broadcasting_and_statuses():
     assert found.shape == status.shape == (2, 3)
     np.testing.assert_allclose(found[1, 0], length(25.0, 0.03, 0.3, 0.01)[0], rtol=1e-13)
     found, status = smooth_length(slider, SmoothBreak(width=0.01), max_contacts=5)
-    assert np.all(status == FrontStatus.LIMIT)
+    assert np.all(status == Outcome.LIMIT)
     assert np.isnan(found).all()
     found, status = length(-1.0, 0.03, 0.3, 0.01)
-    assert status == FrontStatus.INVALID
+    assert status == Outcome.INVALID
     assert np.isnan(found)
 
 

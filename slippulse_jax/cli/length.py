@@ -57,10 +57,10 @@ def _form(given: dict[str, float | None]) -> dict[str, float]:
 
 
 def _length(form: dict[str, float], poisson: float, right: Any, sites: int | None) -> dict[str, Any]:
-    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, FrontStatus, arrest
+    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
     from slippulse_jax.lattice.modes import check_right_end, lattice_modes
     from slippulse_jax.slider import Slider
-    from slippulse_jax.status import NotConverged
+    from slippulse_jax.status import NotConverged, Outcome
 
     try:
         check_right_end(right, sites)
@@ -77,10 +77,10 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     except ValueError as error:
         refuse(error)
     ended = arrest(slider, right, sites, DEFAULT_MAX_CONTACTS)
-    status = FrontStatus(int(ended.status))
-    if status is FrontStatus.LIMIT:
+    status = Outcome(int(ended.status))
+    if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
-    if status is FrontStatus.INVALID:
+    if status is Outcome.INVALID:
         raise BadInput(status.message)
     result = {
         "height": float(slider.height),

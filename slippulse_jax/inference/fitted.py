@@ -33,7 +33,7 @@ class Fitted:
 
     length: np.ndarray  # in λc
     contacts_broken: np.ndarray
-    status: np.ndarray  # `FrontStatus`
+    status: np.ndarray  # `Outcome`
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

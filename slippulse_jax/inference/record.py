@@ -19,8 +19,8 @@ from slippulse_jax.inference.measurements import NUMERIC, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.result import FitResult
-from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.plain import plain
+from slippulse_jax.status import Outcome
 
 
 def to_dict(result: FitResult) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def _measurement(result: FitResult, i: int) -> dict[str, Any]:
         "sigma": float(m.sigma[i]),
         "fitted": float(result.fitted.length[i]),
         "contacts_broken": int(result.fitted.contacts_broken[i]),
-        "front_status": FrontStatus(int(result.fitted.status[i])).name.lower(),
+        "front_status": Outcome(int(result.fitted.status[i])).name.lower(),
         "attainable": float(result.attainable[i]),
         "attainable_at_stiffness": float(result.attainable_at[i]),
     }

@@ -15,7 +15,7 @@ from slippulse_jax.inference.parameters import ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.search import Found, describe
 from slippulse_jax.inference.verdict import Identifiability, Verdict, directions, gravest
-from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -199,7 +199,7 @@ class FitResult:
         errors = errors | {p.label: told[p.label] * (values[p.label] if p.log else 1.0) for p in free if p.label in told}
         log_stderr = told.get(free[0].label)
         y = self.parameters.inputs(one.theta)
-        rebreaks = recursion_status(y) == FrontStatus.REBREAK
+        rebreaks = recursion_status(y) == Outcome.REBREAK
         return Root(values[free[0].label], values, one.deviance, log_stderr, errors, np.exp(y[:, 1]), rebreaks)
 
     @functools.cached_property

@@ -27,9 +27,10 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.front import Arrest, FrontStatus, in_domain
+from slippulse_jax.lattice.front import Arrest, in_domain
 from slippulse_jax.lattice.modes import Modes, RightEnd, lattice_modes
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 APPROACH = 45.0
 """Decay lengths after which e^{−s/length} is nothing in float64."""
@@ -139,18 +140,18 @@ def arrest(slider: Slider, interface: Interface | Profile, right: RightEnd, site
     at_edge = edge_stress(modes, interface, drive, front)
     valid = in_domain(slider) & interface.in_domain() & jnp.isfinite(ahead)
     endings = {
-        FrontStatus.INVALID: ~valid,
-        FrontStatus.RAN_THROUGH: (s0 == sites) if sites is not None else jnp.zeros((), bool),
-        FrontStatus.RUN_AWAY: (ahead >= 0) & (s0 >= end),
-        FrontStatus.LIMIT: ahead >= 0,
-        FrontStatus.NO_DOMINO: s0 == 1,
-        FrontStatus.REBREAK: at_edge >= interface.threshold_at(jnp.zeros_like(ahead)),
+        Outcome.INVALID: ~valid,
+        Outcome.RAN_THROUGH: (s0 == sites) if sites is not None else jnp.zeros((), bool),
+        Outcome.RUN_AWAY: (ahead >= 0) & (s0 >= end),
+        Outcome.LIMIT: ahead >= 0,
+        Outcome.NO_DOMINO: s0 == 1,
+        Outcome.REBREAK: at_edge >= interface.threshold_at(jnp.zeros_like(ahead)),
     }
-    status = jnp.select(list(endings.values()), list(endings), FrontStatus.ARRESTED).astype(jnp.int32)
+    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
     length = s0 - 1 + behind / (behind - ahead)
-    infinite = (status == FrontStatus.RAN_THROUGH) | (status == FrontStatus.RUN_AWAY)
+    infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
     undefined = jnp.where(infinite, jnp.inf, jnp.nan)
-    return Arrest(s0, jnp.where(status <= FrontStatus.REBREAK, length, undefined * (1 + jnp.abs(length))), status, at_edge)
+    return Arrest(s0, jnp.where(status <= Outcome.REBREAK, length, undefined * (1 + jnp.abs(length))), status, at_edge)
 
 
 def _far_away(interface: Interface | Profile) -> tuple[Array, int, Array]:

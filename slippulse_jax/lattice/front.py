@@ -19,31 +19,15 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
 from slippulse_jax.lattice.modes import Modes, RightEnd, lattice_modes
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Status
+from slippulse_jax.status import Outcome
 
 DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
 
+FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
+"""How a front can end."""
 
 AnyArray = Array | np.ndarray
-
-
-class FrontStatus(Status):
-    """How a first precursor ended."""
-
-    ARRESTED = 0, "arrested: the first contact ahead stayed below its threshold"
-    NO_DOMINO = 1, "no domino: only the contact at the edge broke, its neighbour stayed below threshold (length 0)"
-    REBREAK = (
-        2,
-        (
-            "arrested, but the contact at the edge was back at its threshold before that: the domino's length stands, "
-            "the event as a whole is a matter for the general cascade"
-        ),
-    )
-    RAN_THROUGH = 3, "ran through: the front reached the right end of the chain, so it has no length (inf)"
-    LIMIT = 4, "given up: the front was still running after max_contacts breaks (length NaN)"
-    INVALID = 5, "no such slider or interface: a value outside its domain, or too large for the precision (length NaN)"
-    RUN_AWAY = 6, "run-away: nothing ahead of the front will ever stop it, so it has no length (inf)"
 
 
 class LengthDerivatives(NamedTuple):
@@ -141,14 +125,14 @@ def arrest(slider: Slider, right: RightEnd, sites: int | None, max_contacts: int
     stopped = ahead < 1
     status = jnp.select(
         [~jnp.isfinite(ahead) | ~in_domain(slider), through, ~stopped, s0 == 1, at_edge >= 1],
-        [FrontStatus.INVALID, FrontStatus.RAN_THROUGH, FrontStatus.LIMIT, FrontStatus.NO_DOMINO, FrontStatus.REBREAK],
-        FrontStatus.ARRESTED,
+        [Outcome.INVALID, Outcome.RAN_THROUGH, Outcome.LIMIT, Outcome.NO_DOMINO, Outcome.REBREAK],
+        Outcome.ARRESTED,
     ).astype(jnp.int32)
     # t(ℓ) = 1 on the straight line between t(s0−1) and t(s0)
     length = s0 - 1 + (behind - 1) / (behind - ahead)
     # never a number, nor the derivative of one, where there is no length: both come out non-finite together
-    undefined = jnp.where(status == FrontStatus.RAN_THROUGH, jnp.inf, jnp.nan)
-    has_length = status <= FrontStatus.REBREAK
+    undefined = jnp.where(status == Outcome.RAN_THROUGH, jnp.inf, jnp.nan)
+    has_length = status <= Outcome.REBREAK
     return Arrest(s0, jnp.where(has_length, length, undefined * (1 + jnp.abs(length))), status, at_edge)
 
 

@@ -31,10 +31,10 @@ from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.delayed import APPROACH, runaway_prestress, slowest_approach
-from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.lane_modes import LaneRates, Number, Pair, lane_modes, lane_rates
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 Three = tuple[Number, Number, Number]  # one number for mn = 11, 12, 22
 
@@ -109,13 +109,13 @@ def arrest_kernel(max_contacts: int) -> Kernel:
         front, length = now.front, _length(now, max_contacts)
         assert front.edge is not None
         endings = {
-            FrontStatus.INVALID: ~jnp.isfinite(_ahead(now.lane, front)[1]),
-            FrontStatus.RUN_AWAY: jnp.isposinf(length),
-            FrontStatus.LIMIT: jnp.isnan(length),
-            FrontStatus.NO_DOMINO: front.broken == 1,
-            FrontStatus.REBREAK: front.edge >= 1,
+            Outcome.INVALID: ~jnp.isfinite(_ahead(now.lane, front)[1]),
+            Outcome.RUN_AWAY: jnp.isposinf(length),
+            Outcome.LIMIT: jnp.isnan(length),
+            Outcome.NO_DOMINO: front.broken == 1,
+            Outcome.REBREAK: front.edge >= 1,
         }
-        status = jnp.select(list(endings.values()), list(endings), FrontStatus.ARRESTED).astype(jnp.int32)
+        status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
         return front.broken.astype(jnp.int32), length, status, front.edge
 
     return arrests

@@ -11,11 +11,12 @@ from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import compiled, lanes, long_fronts
 from slippulse_jax.lattice.compiled import fields
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
 from slippulse_jax.lattice.precursor import HARD, check_max_contacts, report_without_length
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 LENGTHS, WITH_MORE, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=256)
 """Of the recursion for lanes, for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general
@@ -178,7 +179,7 @@ def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> No
         numbers = [np.broadcast_to(x, found.shape)[np.isnan(found)] for x in fields(slider, None)]
         status = np.zeros(found.shape, np.int32)
         at_once = precursor_arrests(Slider(*numbers), max_contacts=1).status
-        status[np.isnan(found)] = np.where(at_once == FrontStatus.INVALID, FrontStatus.INVALID, FrontStatus.LIMIT)
+        status[np.isnan(found)] = np.where(at_once == Outcome.INVALID, Outcome.INVALID, Outcome.LIMIT)
         report_without_length(status, max_contacts, raises=False, stacklevel=4)
 
 

@@ -110,14 +110,14 @@ class Fields(eqx.Module):
     """Displacements along the chain, in u_s = f_s/k; the leading axis runs over the sites."""
 
     upper: Float[Array, " sites"]  # u_t
-    interface: Float[Array, " sites"]  # u
+    layer: Float[Array, " sites"]  # u
     pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
     prestress: Float[Array, " sites"]  # φ_i, what the contact carries when u = u_b, in σ_s
 
     @property
     def stress(self) -> Float[Array, " sites"]:
         """All that the contact carries: σ_c = k(u − u_b)/λc² (label cra06), and its prestress, in σ_s."""
-        return self.interface - self.pinning + self.prestress
+        return self.layer - self.pinning + self.prestress
 
 
 def equilibrium_fields(

@@ -22,11 +22,11 @@ from slippulse_jax.lattice.compiled import (
     smooth_function,
     status_function,
 )
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, FrontStatus, front_stress
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, front_stress
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged
+from slippulse_jax.status import NotConverged, Outcome
 
 HARD = HardBreak()
 
@@ -48,7 +48,7 @@ class FirstPrecursor(eqx.Module):
     contacts_broken: Int[Array, ""]  # s0, so that Λ = s0 λc
     length: Float[Array, ""]  # ℓ, the continuous length
     load: Float[Array, ""]  # U0, displacement of the left edge at nucleation
-    status: Int[Array, ""]  # a FrontStatus
+    status: Int[Array, ""]  # a Outcome
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
     interface: Interface | Profile | None = None
@@ -71,7 +71,7 @@ class FirstPrecursor(eqx.Module):
     def __str__(self) -> str:
         if isinstance(self.length, Tracer) or self.length.ndim:
             return repr(self)
-        status = FrontStatus(int(self.status))
+        status = Outcome(int(self.status))
         return (
             f"first precursor: {int(self.contacts_broken)} contacts broken, length {float(self.length):.6g} λc, "
             f"load at nucleation {float(self.load):.6g} u_s; {status.message}"
@@ -275,13 +275,13 @@ def check_max_contacts(max_contacts: int) -> None:
 
 def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:
     """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
-    for kind in (FrontStatus.LIMIT, FrontStatus.INVALID):
+    for kind in (Outcome.LIMIT, Outcome.INVALID):
         lanes = status == kind
         if not lanes.any():
             continue
-        why = kind.message + (f"; max_contacts = {max_contacts}" if kind is FrontStatus.LIMIT else "")
+        why = kind.message + (f"; max_contacts = {max_contacts}" if kind is Outcome.LIMIT else "")
         if raises:
-            raise FrontNotArrested(why) if kind is FrontStatus.LIMIT else ValueError(why)
+            raise FrontNotArrested(why) if kind is Outcome.LIMIT else ValueError(why)
         first = tuple(int(i) for i in np.argwhere(lanes)[0])
         message = f"{int(lanes.sum())} of {lanes.size} fronts, the first at index {first}, have no length (NaN): {why}"
         warnings.warn(message, RuntimeWarning, stacklevel=stacklevel)

@@ -24,12 +24,13 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, or_harmless
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, FrontStatus, advance, in_domain, nucleate
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, nucleate
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.lattice.response import propagators
 from slippulse_jax.lattice.rupture import Rupture, RuptureStatus, length_or_reason
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 
 class Fading(NamedTuple):
@@ -59,7 +60,7 @@ def smooth_length(
         ℓ_w, in λc. Never NaN for a slider and a width in their domains. Derivatives of every order, forward and reverse,
         with respect to the slider's three numbers and those of the rule; one pass with as many tangents each.
     status : int array
-        `FrontStatus`: ARRESTED, LIMIT or INVALID.
+        `Outcome`: ARRESTED, LIMIT or INVALID.
 
     Notes
     -----
@@ -96,9 +97,9 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
     valid = in_domain(slider) & (rule.width > 0)
     status = jnp.select(
-        [~valid | ~jnp.isfinite(end.length), fading(end)], [FrontStatus.INVALID, FrontStatus.LIMIT], FrontStatus.ARRESTED
+        [~valid | ~jnp.isfinite(end.length), fading(end)], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
     ).astype(jnp.int32)
-    return jnp.where(status == FrontStatus.ARRESTED, end.length, jnp.nan * (1 + jnp.abs(end.length))), status
+    return jnp.where(status == Outcome.ARRESTED, end.length, jnp.nan * (1 + jnp.abs(end.length))), status
 
 
 def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Array, prestress: Array) -> Front:

@@ -56,7 +56,8 @@ def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
     import jax
 
     import slippulse_jax as sp
-    from slippulse_jax.lattice.front import FrontStatus, arrest
+    from slippulse_jax.lattice.front import arrest
+    from slippulse_jax.status import Outcome
 
     slider = sp.Slider(height, stiffness, POISSON)
     theory = sp.theory
@@ -76,7 +77,7 @@ def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
             return end.contacts_broken, end.status
 
         count, status = jax.jit(jax.vmap(one))(*np.broadcast_arrays(height, stiffness))
-        stopped = np.asarray(status) != FrontStatus.RAN_THROUGH
+        stopped = np.asarray(status) != Outcome.RAN_THROUGH
         table[f"{right}_L{SITES}"] = np.where(stopped, np.asarray(count, float), np.nan)
     return {"height": height, "stiffness": stiffness} | {k: np.asarray(v) for k, v in table.items()}
 

@@ -95,7 +95,7 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
     above, below = panels
     c = style.colours(above)
     x = np.arange(shown)
-    upper, layer = (np.asarray(y)[:, :shown] for y in (fields.upper, fields.interface))
+    upper, layer = (np.asarray(y)[:, :shown] for y in (fields.upper, fields.layer))
     stress = np.asarray(fields.stress)[:, :shown]
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.front import FrontStatus
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.plot import style
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 SITES = 320
 """Contacts that are computed and can be shown; a fixed number, so that one compilation serves every slider."""
@@ -69,7 +69,7 @@ def view(theta: Array, position: Array) -> View:
         front_stress=front.front_stress,
         threshold=interface.threshold_at(sites),
         upper=fields.upper,
-        layer=fields.interface,
+        layer=fields.layer,
         stress=fields.stress,
         position=at,
     )
@@ -169,7 +169,7 @@ def _explorer_class() -> Any:
 
 def describe(seen: View) -> str:
     """The line of numbers, as HTML."""
-    status = FrontStatus(int(seen.status))
+    status = Outcome(int(seen.status))
     length = f"{float(seen.length):.2f} λ<sub>c</sub>" if np.isfinite(seen.length) else "none: the front does not stop"
     count = int(seen.contacts_broken) if np.isfinite(seen.length) else "–"
     return (

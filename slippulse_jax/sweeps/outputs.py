@@ -1,7 +1,7 @@
 """What a sweep can compute at each point, and how: a table, and one function a group of outputs."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,11 +13,11 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.exact import exact_front
 from slippulse_jax.lattice.exact_crossing import ExactStatus
-from slippulse_jax.lattice.front import FrontStatus
+from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Status
+from slippulse_jax.status import Outcome, Status
 from slippulse_jax.sweeps.request import Columns, Request
 
 BLOCK = 512
@@ -32,7 +32,7 @@ class Output(NamedTuple):
     group: str
     takes: frozenset[str] = frozenset()  # parameters beyond the slider's that it takes into account
     dtype: str = "float64"
-    status: type[Status] | None = None  # whose members its values are
+    status: Iterable[Status] | None = None  # whose members its values are
     comment: str = ""
 
 
@@ -43,7 +43,7 @@ _FLAG = "1 where the approximation's own conditions hold: "
 OUTPUTS = {
     "length": Output("length of the first precursor", "lambda_c", "length", _FRONT),
     "contacts_broken": Output("whole contacts broken", "1", "front", _FRONT, "int32"),
-    "status": Output("how the front ended", "1", "front", _FRONT, "int8", FrontStatus),
+    "status": Output("how the front ended", "1", "front", _FRONT, "int8", FRONT_OUTCOMES),
     "edge_stress": Output("stress on contact 0 behind the front", "sigma_s", "front", _FRONT),
     "nucleation_load": Output("displacement of the left edge at nucleation, U0", "u_s", "load", _FRONT),
     "dlength_dheight": Output("derivative of length with respect to height", "lambda_c", "gradient", _FRONT),
@@ -164,7 +164,7 @@ def _length(request: Request, columns: Columns) -> Columns:
 def _front(request: Request, columns: Columns) -> Columns:
     found = _by_delay(request, columns, lambda slider, **options: bulk.precursor_arrests(slider, **options)._asdict())
     del found["length"]  # the same number, rounded otherwise: whatever else is asked for, `_length` gives it
-    return found | {"is_one_domino": found["status"] == FrontStatus.ARRESTED}
+    return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
 def _gradient(request: Request, columns: Columns) -> Columns:

@@ -36,7 +36,7 @@ def displacements() -> Finding:
     found = first_precursor(fig2())
     before, after, broken = found.nucleation, found.arrest, int(found.contacts_broken)
     upper = np.asarray(after.upper / before.upper)[:broken]
-    layer = np.asarray(after.interface / before.interface)[:broken]
+    layer = np.asarray(after.layer / before.layer)[:broken]
     each = (upper < 1.1) & (layer > 1.5) & (layer < 2)
     text = f"u_t grows by at most {upper.max() - 1:.1%}, u by a factor of {layer.min():.2f} to {layer.max():.2f}"
     return Finding(text, judge(bool(each.all()), bool(each[layer.argmax()])))
