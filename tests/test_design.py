@@ -260,6 +260,6 @@ def test_pictures():
 
     found = sp.design(sp.Knowledge.lognormal([0.01, 0.06], 0.2), height=[10, 25], sigma=0.5)
     left, right = Figure().subplots(1, 2)
-    assert found.plot(ax=left) is left
-    assert found.plot_lengths(ax=right) is right
+    assert sp.plot.design(found, ax=left) is left
+    assert sp.plot.design_lengths(found, ax=right) is right
     assert "bits" in left.get_xlabel()

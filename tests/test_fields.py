@@ -265,8 +265,8 @@ def test_report_json_and_pictures(recovered):
     assert content["determination"] == "determined"
     assert len(content["profile"]) == len(content["position"])
     left, right = Figure().subplots(1, 2)
-    assert recovered.plot(ax=left) is left
-    assert recovered.plot_resolution(ax=right) is right
+    assert sp.plot.recovered_profile(recovered, ax=left) is left
+    assert sp.plot.resolution(recovered, ax=right) is right
     assert "lambda" in left.get_xlabel()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
 from slippulse_jax.inference.forward import lengths
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.report import interval, value_with_error
@@ -308,11 +308,11 @@ def test_figure(tmp_path):
     """Both panels have units, a legend, and show what is claimed; nothing warns on the way."""
     for name, measured in (("pmma_block", "measured ± σ"), ("paper_printed_value", "whole contacts")):
         result = fit(read_measurements(ROOT / f"fit_examples/{name}/lengths.csv"))
-        figure = result.plot()
+        figure = plot.fit(result)
         left, right = figure.axes
         assert "H" in left.get_xlabel()
         assert "stiffness" in right.get_xlabel()
         labels = {text.get_text() for text in left.get_legend().get_texts()}
-        assert {"best fit", "beyond any stiffness", measured} <= labels
+        assert {"best fit", "longer than the model allows", measured} <= labels
         assert any(label.startswith("95% band") for label in labels)
         figure.savefig(tmp_path / f"{name}.png")

@@ -119,7 +119,7 @@ def test_fit_to_what_the_dense_program_makes():
     assert "slip         18 data" in result.report()
     assert [one.observable for one in result.further] == ["slip", "stress"]
     assert max(np.abs(one.residuals).max() for one in result.further) < 1e-5
-    assert len(result.plot_gauges().axes) == 2
+    assert len(sp.plot.gauges(result).axes) == 2
 
 
 def test_wrinkles_between_contacts_are_no_second_value():

@@ -3,8 +3,6 @@
 import io
 from pathlib import Path
 
-from slippulse_jax.inference.design_report import design_figure
-
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
 
@@ -16,7 +14,7 @@ def main() -> None:
     known = sp.Knowledge.from_measurements(FIRST)
     found = sp.design(known, height=[5, 10, 25, 50, 100, 400], sigma=0.5, experiments=2)
     content = io.BytesIO()
-    design_figure(found).savefig(content, format="png", dpi=100)
+    sp.plot.design_figure(found).savefig(content, format="png", dpi=100)
     write_atomically(Path(__file__).resolve().parent / "design.png", content.getvalue())
     print(found)
 

@@ -37,10 +37,10 @@ def main():
     with sp.plot.style.use(figure__figsize=(7, 5)):
         figure, rows = plt.subplots(2, 2)
         for row, result, truth in zip(rows, found, (threshold, prestress), strict=True):
-            result.plot(ax=row[0])
+            sp.plot.recovered_profile(result, ax=row[0])
             row[0].plot(X, truth, "--", color="k", lw=1, label="true")
             row[0].legend(fontsize=6)
-            result.plot_resolution(ax=row[1])
+            sp.plot.resolution(result, ax=row[1])
         figure.savefig(Path(__file__).parent / "fields.png", dpi=150)
     for result in found:
         print(result.report())

@@ -16,9 +16,9 @@ HERE = Path(__file__).resolve().parent
 def main() -> None:
     """Draw every picture again."""
     result = sp.fit(sp.read_measurements(HERE.parents[1] / "fit_examples/pmma_block/lengths.csv"))
-    save(result.plot(), "fit")
+    save(sp.plot.fit(result), "fit")
     front = sp.first_precursor(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3))
-    save(gauges().plot_gauges(), "gauges")
+    save(sp.plot.gauges(gauges()), "gauges")
     save(sp.plot.front_stress(front.front_stress[:40], length=float(front.length)).figure, "tutorial")
 
 

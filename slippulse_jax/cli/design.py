@@ -80,9 +80,9 @@ def command(
     else:
         click.echo(found.report())
     if figure is not None:
-        from slippulse_jax.inference.design.report import design_figure
+        from slippulse_jax import plot
 
-        save_figure(design_figure(found), figure)
+        save_figure(plot.design_figure(found), figure)
 
 
 def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:

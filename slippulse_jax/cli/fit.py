@@ -1,10 +1,15 @@
 """``slippulse fit``."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from slippulse_jax.inference.result import FitResult
 
 
 def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, list[float]]:
@@ -99,17 +104,26 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     else:
         click.echo("\n\n".join([result.report(), *map(str, more.values())]))
     samples = next((drawn.theta.reshape(-1, result.problem.p) for drawn in more.values()), None)
+    _draw(result, samples, options)
+    if not result.converged:
+        ctx.exit(NOT_CONVERGED)
+
+
+def _draw(result: "FitResult", samples: "np.ndarray | None", options: dict[str, Any]) -> None:
+    """Draw the pictures asked for."""
+    if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
+        return
+    from slippulse_jax import plot
+
     pictures = {
-        "figure": result.plot,
-        "profiles": result.plot_profiles,
-        "gauge_figure": result.plot_gauges,
-        "corner": lambda: result.plot_corner(samples),
+        "figure": plot.fit,
+        "profiles": plot.fit_profiles,
+        "gauge_figure": plot.gauges,
+        "corner": lambda found: plot.corner(found, samples),
     }
     for name, draw in pictures.items():
         if options[name] is not None:
-            save_figure(draw(), options[name])
-    if not result.converged:
-        ctx.exit(NOT_CONVERGED)
+            save_figure(draw(result), options[name])
 
 
 def _check(options: dict[str, Any]) -> None:

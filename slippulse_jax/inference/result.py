@@ -18,8 +18,6 @@ from slippulse_jax.inference.verdict import Identifiability, Verdict, directions
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from slippulse_jax.inference.bayes import Posterior
     from slippulse_jax.inference.bootstrap import Bootstrap
 
@@ -280,30 +278,6 @@ class FitResult:
         from slippulse_jax.inference.record import to_dict
 
         return to_dict(self)
-
-    def plot(self) -> "Figure":
-        """Figure of data, fitted curve with its band, attainable range, and length against stiffness."""
-        from slippulse_jax.plot.fits import draw_fit
-
-        return draw_fit(self)
-
-    def plot_profiles(self) -> "Figure":
-        """Figure of the profile of every parameter, and the residuals."""
-        from slippulse_jax.plot.fits import draw_profiles
-
-        return draw_profiles(self)
-
-    def plot_gauges(self) -> "Figure":
-        """Figure of slip and stress along the interface, as the gauges read them and as fitted."""
-        from slippulse_jax.plot.gauges import draw_gauges
-
-        return draw_gauges(self)
-
-    def plot_corner(self, samples: np.ndarray | None = None) -> "Figure":
-        """Figure of the allowed region of every pair of parameters, over `samples` of θ if given."""
-        from slippulse_jax.plot.fits import draw_corner
-
-        return draw_corner(self, samples)
 
     def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> "Bootstrap":
         """Refits of simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""

@@ -8,7 +8,7 @@ from slippulse_jax.lattice.chain import Chain
 from slippulse_jax.lattice.equilibrium import Equilibrium
 from slippulse_jax.lattice.rupture import Rupture
 from slippulse_jax.lattice.sensitivity import Sensitivity
-from slippulse_jax.plot.style import DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.style import ABOVE, DISTANCE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,9 +76,7 @@ def front_stress(
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
     ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel="front stress, $t(s)/\\sigma_s$")
     # above the Axes: inside, it would lie on the threshold or on the curve
-    ax.legend(
-        frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 1), ncols=3, handlelength=1.5, columnspacing=1.2, borderpad=0
-    )
+    ax.legend(**ABOVE, ncols=3, frameon=False)
     return ax
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
 
@@ -21,6 +22,12 @@ COLUMN, PAGE = 3.4, 7.0
 
 DISTANCE = "distance from the trailing edge, $x/\\lambda_c$"
 """The label of every axis that runs along the interface."""
+
+
+ABOVE: dict[str, Any] = {
+    "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
+}  # fmt: skip
+"""Of ``ax.legend``: above the Axes, where lines leave no room inside."""
 
 
 class Colours(NamedTuple):
@@ -117,6 +124,15 @@ def axes(ax: "Axes | None" = None) -> "Axes":
 
     with _in_force():
         return plt.subplots()[1]
+
+
+@contextmanager
+def new_figure(width: float, height: float) -> "Iterator[Figure]":
+    """Make a figure of several panels, unknown to pyplot, and draw it in the look; sizes in inches."""
+    from matplotlib.figure import Figure
+
+    with _in_force():
+        yield Figure(figsize=(width, height), layout="constrained")
 
 
 def drawn(function: Draw) -> Draw:

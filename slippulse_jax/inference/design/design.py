@@ -11,7 +11,7 @@ first is large and the second small tells roots apart, one for which both are sm
 """
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -19,13 +19,11 @@ from jaxtyping import ArrayLike
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
+from slippulse_jax.inference.design.report import report, to_dict
 from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_EXPERIMENTS = 12
 
@@ -85,8 +83,6 @@ class Design:
 
     def report(self) -> str:
         """Text to read."""
-        from slippulse_jax.inference.design.report import report
-
         return report(self)
 
     def __str__(self) -> str:
@@ -97,21 +93,7 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the samples as plain Python values, ready for JSON."""
-        from slippulse_jax.inference.design.report import to_dict
-
         return to_dict(self)
-
-    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Expected information of every candidate beside the D-optimal gain, in bits."""
-        from slippulse_jax.inference.design.report import draw_information
-
-        return draw_information(self, ax)
-
-    def plot_lengths(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Length of the best candidates over stiffness with ± σ, above what is known: why each tells what it tells."""
-        from slippulse_jax.inference.design.report import draw_lengths
-
-        return draw_lengths(self, ax)
 
 
 def design(

@@ -1,20 +1,13 @@
-"""What a design says, in words, as plain values and as pictures."""
+"""A design of experiments as text and as plain values."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slippulse_jax.plain import plain
-from slippulse_jax.plot.style import axes, colours
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from slippulse_jax.inference.design.design import Candidate, Design
-    from slippulse_jax.inference.design.knowledge import Knowledge
 
 BIT = np.log(2)
 
@@ -134,82 +127,3 @@ def to_dict(found: "Design") -> dict[str, Any]:
         "notes": notes(found),
     }
     return plain(content)
-
-
-def design_figure(found: "Design") -> "Figure":
-    """Gains beside the lengths they come from."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 1.6 + max(2.2, 0.42 * len(found.candidates))), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    draw_information(found, left)
-    draw_lengths(found, right)
-    return figure
-
-
-def draw_information(found: "Design", ax: "Axes | None") -> "Axes":
-    """Bars of the expected information and the D-optimal gain of every candidate, the most informative on top."""
-    ax = axes(ax)
-    c = colours(ax)
-    order = found.ranking[::-1]
-    y = np.arange(len(order))
-    ax.barh(y + 0.19, found.information[order] / BIT, 0.36, color=c.blue, label="expected information")
-    ax.barh(y - 0.19, found.d_optimal[order] / BIT, 0.36, color=c.orange, label="D-optimal (local)")
-    most = max(found.information.max(), found.d_optimal.max()) / BIT
-    for place, i in zip(y, order, strict=True):
-        said = f"se {found.log_stderr[i]:.2g}"
-        if len(found.knowledge.roots) > 1:
-            said += f", apart {found.told_apart[i]:.0%}"
-        longer = max(found.information[i], found.d_optimal[i]) / BIT
-        ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
-    ax.set_yticks(y, [label(found.candidates[i], found.candidates) for i in order])
-    room = 1.6 if len(found.knowledge.roots) > 1 else 1.35
-    ax.set(xlabel="gain, bits", xlim=(0, room * most))
-    ax.legend(frameon=False, fontsize="small", loc="lower right")
-    return ax
-
-
-def draw_lengths(found: "Design", ax: "Axes | None") -> "Axes":
-    """Lengths over stiffness, ℓ/H with the band of ± σ, and the density of what is known below."""
-    from slippulse_jax.inference.design.design import lengths_of
-
-    ax = axes(ax)
-    c = colours(ax)
-    known = found.knowledge.theta
-    theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
-    length = lengths_of(found.candidates, theta)[0]
-    shown = found.ranking[: len(c.data)]
-    top, low = 0.0, np.inf
-    for i, color in zip(shown, c.data, strict=False):
-        one = found.candidates[i]
-        height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
-        share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
-        ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
-        ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
-        top = max(top, np.nanmax(share + sigma / height, initial=0.0))
-        low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
-    # the density stands in a strip of its own, below the lengths
-    strip = 0.35 * (top - low) if low < top else 0.0
-    base = max(low - strip, 0.0) if strip else 0.0
-    heaps = list(_densities(found.knowledge))
-    highest = max(density.max() for _, density in heaps)
-    for number, (middle, density) in enumerate(heaps):
-        height = 0.8 * (strip or 0.3 * top) * density / highest
-        ax.fill_between(np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known")
-    ax.set(
-        xscale="log",
-        xlabel="areal stiffness $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "stiffness $k/K$",
-        ylabel="length over height, $\\ell/H$",
-        ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
-    )
-    # lengths and density leave no corner free
-    ax.legend(frameon=False, fontsize="small", loc="lower left", bbox_to_anchor=(0, 1), ncols=3, columnspacing=1.2)
-    return ax
-
-
-def _densities(knowledge: "Knowledge") -> "Iterator[tuple[np.ndarray, np.ndarray]]":
-    """Density of ln(stiffness) about each root, where it is more than a trifle."""
-    for root in range(len(knowledge.roots)):
-        own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
-        weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])
-        yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)

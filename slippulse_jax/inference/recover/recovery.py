@@ -16,18 +16,17 @@ through the backward recursion's derivatives in every contact; s and L are weigh
 
 import dataclasses
 import enum
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import ArrayLike
+from scipy.special import chdtrc, ndtri
 
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.recover.model import Kind, Look, profile_model
 from slippulse_jax.inference.recover.prior import Smoothness, mixture
+from slippulse_jax.inference.recover.report import report, to_dict
 from slippulse_jax.inference.recover.search import LEVEL, Found, Problem, search
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_KNOTS = 256
 """Positions at which a profile is described; between them it is a straight line."""
@@ -86,8 +85,6 @@ class RecoveredProfile:
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Ends of the interval at each knot, in the unit of the profile; both of shape (k,)."""
-        from scipy.special import ndtri
-
         half = ndtri((1 + level) / 2) * _stderr(self.covariance)
         if self.kind == "threshold":
             return self.profile * np.exp(-half), self.profile * np.exp(half)
@@ -99,8 +96,6 @@ class RecoveredProfile:
 
     def report(self) -> str:
         """Text to read."""
-        from slippulse_jax.inference.recover.report import report
-
         return report(self)
 
     def __str__(self) -> str:
@@ -111,21 +106,7 @@ class RecoveredProfile:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain Python values, ready for JSON."""
-        from slippulse_jax.inference.recover.report import to_dict
-
         return to_dict(self)
-
-    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """The profile with its bands, what the prior alone allows, and where the fronts stopped."""
-        from slippulse_jax.inference.recover.report import draw_profile
-
-        return draw_profile(self, ax)
-
-    def plot_resolution(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Averaging kernels: what stretch of the true profile each recovered value stands for."""
-        from slippulse_jax.inference.recover.report import draw_resolution
-
-        return draw_resolution(self, ax)
 
 
 def recover_profile(
@@ -261,8 +242,6 @@ def _stderr(covariance: np.ndarray) -> np.ndarray:
 
 
 def _judge(found: Found, chi2: float, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray) -> Determination:
-    from scipy.special import chdtrc
-
     if not found.converged:
         return Determination.NOT_CONVERGED
     # not weighed by evidence: where no variation is seen that prefers a stiff prior, which needs no data

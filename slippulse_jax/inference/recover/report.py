@@ -1,19 +1,15 @@
-"""What a recovered profile says, in words, as plain values and as pictures."""
+"""A recovered profile as text and as plain values."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slippulse_jax.plain import plain
-from slippulse_jax.plot.style import DISTANCE, axes, colours
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from slippulse_jax.inference.recover.recovery import RecoveredProfile
 
 SYMBOL = {"threshold": "θ/θ_0", "prestress": "φ"}
-LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": "prestress, $\\varphi/\\sigma_s$"}
 
 
 def stretches(found: "RecoveredProfile") -> list[tuple[float, float]]:
@@ -87,47 +83,3 @@ def to_dict(found: "RecoveredProfile") -> dict[str, Any]:
         **{name: getattr(found, name) for name in arrays},
     }
     return plain(content)
-
-
-def draw_profile(found: "RecoveredProfile", ax: "Axes | None") -> "Axes":
-    """The profile with its bands, what the prior alone allows, and where the fronts stopped."""
-    ax = axes(ax)
-    c = colours(ax)
-    x = found.position
-    middle = 1.0 if found.kind == "threshold" else 0.0
-    prior = found.prior_stderr / (found.profile if found.kind == "threshold" else 1)
-    if found.kind == "threshold":
-        ax.fill_between(x, np.exp(-1.96 * prior), np.exp(1.96 * prior), color=c.grey, alpha=0.13, lw=0, label="prior, 95 %")
-    for level, alpha in ((0.95, 0.2), (0.6827, 0.35)):
-        ax.fill_between(x, *found.interval(level), color=c.blue, alpha=alpha, lw=0, label=f"{level:.0%} band")
-    ax.plot(x, found.profile, color=c.blue, label="recovered")
-    if found.readings is not None:
-        r, sigma = found.readings, found.measurements.length_sigma
-        ax.errorbar(
-            r.position, r.value, r.stderr, sigma, fmt="o", ms=3, lw=0.8, color=c.vermilion, label="read by one length each"
-        )
-    else:
-        ax.axhline(middle, color=c.grey, lw=0.6)
-        at_bottom = {"transform": ax.get_xaxis_transform(), "clip_on": False}
-        ax.plot(found.measurements.length, 0 * found.fitted, "|", ms=8, color=c.vermilion, label="arrests", **at_bottom)
-    shown = x <= 1.15 * found.measurements.length.max()
-    low, high = (end[shown] for end in found.interval(0.95))
-    room = 0.25 * (high.max() - low.min())
-    ax.set(xlabel=DISTANCE, ylabel=LABEL[found.kind], xlim=(0, x[shown][-1]), ylim=(low.min() - room, high.max() + room))
-    ax.legend(fontsize="small", frameon=False)
-    return ax
-
-
-def draw_resolution(found: "RecoveredProfile", ax: "Axes | None") -> "Axes":
-    """The resolution matrix up to the last arrest: what each recovered value takes from the true one at each place, per λc."""
-    ax = axes(ax)
-    shown = found.position <= found.measurements.length.max() + 1
-    x = found.position[shown]
-    per_length = found.resolution[np.ix_(shown, shown)] / np.gradient(x)
-    most = abs(per_length[:, 1:]).max()
-    image = ax.pcolormesh(x, x, per_length, cmap="RdBu_r", vmin=-most, vmax=most, shading="nearest", rasterized=True)
-    beyond = "both" if abs(per_length[:, 0]).max() > most else "neither"
-    ax.figure.colorbar(image, ax=ax, label="weight, per $\\lambda_c$", extend=beyond)
-    ax.plot(x, x, color=colours(ax).grey, lw=0.6, ls=":")
-    ax.set(xlabel="true profile at $x'/\\lambda_c$", ylabel="recovered profile at $x/\\lambda_c$")
-    return ax

@@ -1,0 +1,96 @@
+"""Pictures of a design of experiments: the information expected of each candidate, and the lengths it comes from."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slippulse_jax.inference.design.design import lengths_of
+from slippulse_jax.inference.design.report import BIT, label
+from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from slippulse_jax.inference.design.design import Design
+    from slippulse_jax.inference.design.knowledge import Knowledge
+
+
+def design_figure(found: "Design") -> "Figure":
+    """Draw `design` and `design_lengths` side by side."""
+    with new_figure(PAGE, 1.2 + max(1.8, 0.3 * len(found.candidates))) as figure:
+        left, right = figure.subplots(1, 2)
+        design(found, ax=left)
+        design_lengths(found, ax=right)
+    return figure
+
+
+@drawn
+def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
+    """Draw the expected information and the D-optimal gain of every candidate, the most informative on top."""
+    ax = axes(ax)
+    c = colours(ax)
+    order = found.ranking[::-1]
+    y = np.arange(len(order))
+    ax.barh(y + 0.19, found.information[order] / BIT, 0.36, color=c.blue, label="expected information")
+    ax.barh(y - 0.19, found.d_optimal[order] / BIT, 0.36, color=c.orange, label="D-optimal (local)")
+    most = max(found.information.max(), found.d_optimal.max()) / BIT
+    for place, i in zip(y, order, strict=True):
+        said = f"ln k ± {found.log_stderr[i]:.2g}"
+        if len(found.knowledge.roots) > 1:
+            said += f", roots apart {found.told_apart[i]:.0%}"
+        longer = max(found.information[i], found.d_optimal[i]) / BIT
+        ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
+    ax.set_yticks(y, [label(found.candidates[i], found.candidates) for i in order])
+    room = 1.9 if len(found.knowledge.roots) > 1 else 1.4
+    ax.set(xlabel="gain (bits)", xlim=(0, room * most))
+    ax.legend(**ABOVE, ncols=2)
+    return ax
+
+
+@drawn
+def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
+    """Draw ℓ/H ± σ of the best candidates against stiffness, above the density of what is known."""
+    ax = axes(ax)
+    c = colours(ax)
+    known = found.knowledge.theta
+    theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
+    length = lengths_of(found.candidates, theta)[0]
+    shown = found.ranking[: len(c.data)]
+    top, low = 0.0, np.inf
+    for i, color in zip(shown, c.data, strict=False):
+        one = found.candidates[i]
+        height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
+        share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
+        ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
+        ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
+        top = max(top, np.nanmax(share + sigma / height, initial=0.0))
+        low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
+    # the density stands in a strip of its own, below the lengths
+    strip = 0.35 * (top - low) if low < top else 0.0
+    base = max(low - strip, 0.0) if strip else 0.0
+    heaps = list(_densities(found.knowledge))
+    highest = max(density.max() for _, density in heaps)
+    for number, (middle, density) in enumerate(heaps):
+        height = 0.8 * (strip or 0.3 * top) * density / highest
+        ax.fill_between(
+            np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known so far"
+        )
+    ax.set(
+        xscale="log",
+        xlabel="areal stiffness, $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "contact stiffness, $k/K$",
+        ylabel="length over height, $\\ell/H$ (± σ)",
+        ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
+    )
+    # lengths and density leave no corner free
+    ax.legend(**ABOVE, ncols=3)
+    return ax
+
+
+def _densities(knowledge: "Knowledge") -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the density of ln(stiffness) about each root, where it is more than a trifle."""
+    for root in range(len(knowledge.roots)):
+        own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
+        weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])
+        yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)
