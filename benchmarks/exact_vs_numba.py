@@ -28,7 +28,7 @@ def main(count: int, sampled: int) -> None:
     points = 2 * 5e4 ** u[0], 1e-6 ** u[1], u[2] / 2
     slider, few = Slider(*points), tuple(np.ascontiguousarray(x[:: count // sampled]) for x in points)
     began = time.perf_counter()
-    found = exact_lengths(slider).length
+    found = exact_lengths(slider)
     cold = time.perf_counter() - began
     out = np.empty(few[0].size)
     parallel(*(x[:2] for x in few), out[:2])

@@ -32,7 +32,7 @@ ERRORS = {
 
 def itself(slider: sp.Slider) -> float:
     """The model of the fit."""
-    return float(np.ceil(sp.exact_lengths(slider).length)) - 0.5
+    return float(np.ceil(sp.exact_lengths(slider))) - 0.5
 
 
 def inertial(slider: sp.Slider) -> float:
@@ -84,7 +84,7 @@ def main() -> None:
         began = time.perf_counter()
         with jax.enable_x64(True):
             lengths = np.array([[SOURCES[name](sp.Slider(h, k, 0.3)) for h in HEIGHTS] for k in STIFFNESS])
-            true = sp.exact_lengths(sp.Slider(HEIGHTS, STIFFNESS[:, None], 0.3)).length
+            true = sp.exact_lengths(sp.Slider(HEIGHTS, STIFFNESS[:, None], 0.3))
         ratio = np.array2string((lengths / true).mean(axis=0), precision=2)
         print(f"({name}: length over the model's {ratio} by height; {time.perf_counter() - began:.0f} s)", file=sys.stderr)
         for label in given.errors:

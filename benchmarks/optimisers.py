@@ -101,13 +101,13 @@ class Tally:
 
     def __init__(self) -> None:
         self.count = 0
-        original = forward.solve_lanes
+        original = forward.exact_fronts
 
         def counted(lanes: np.ndarray, *more: Any) -> Any:
             self.count += lanes.shape[1]
             return original(lanes, *more)
 
-        forward.solve_lanes = counted
+        forward.exact_fronts = counted
 
     def take(self) -> int:
         count, self.count = self.count, 0

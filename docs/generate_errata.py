@@ -25,7 +25,7 @@ def page() -> str:
     fig2 = [(25.0, 0.03, phi, 0) for phi in (0.4, 0.5, 0.6)] + [(25.0, 0.03, 0, eps) for eps in (-1e-3, 0, 1e-3, 1e-2)]
     rows = np.array([*peak, *fig2, (tall.height, tall.stiffness, 0, 0), (soft.height, soft.stiffness, 0.6085, 0)], float)
     poisson = np.append(np.full(len(rows) - 1, 0.3), soft.poisson)
-    fronts = sp.exact_front(sp.Slider(rows[:, 0], rows[:, 1], poisson), prestress=rows[:, 2], threshold_slope=rows[:, 3])
+    fronts = sp.exact_front(sp.Slider(rows[:, 0], rows[:, 1], poisson), sp.Interface(rows[:, 2], rows[:, 3]))
     lengths = np.asarray(fronts.length)
     runs, slope, tall_length, soft_count = (
         lengths[1800:1803],

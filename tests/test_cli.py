@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from slippulse_jax import cli
-from slippulse_jax.lattice.exact_crossing import ExactStatus
+from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.plain import plain
+from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
 PMMA = "fit_examples/pmma_block/lengths.csv"
@@ -83,7 +84,7 @@ def test_numbers_that_are_not_finite_are_null():
 @pytest.mark.parametrize(
     ("arguments", "place"),
     [
-        (["fit", PMMA], "slippulse_jax.inference.forward.solve_lanes"),
+        (["fit", PMMA], "slippulse_jax.inference.forward.exact_fronts"),
         (["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"], "slippulse_jax.inference.design.design.exact_lengths"),
     ],
 )
@@ -94,7 +95,10 @@ def test_what_is_not_found_is_one_line_and_exit_3(arguments, place, monkeypatch,
 
     def lost(*given, **options):
         found = solve(*given, **options)
-        return found._replace(status=np.full_like(found.status, ExactStatus.NOT_CONVERGED))
+        if isinstance(found, LengthDerivatives):
+            return found._replace(length=np.full_like(found.length, np.nan))
+        length, status = found
+        return np.full_like(length, np.nan), np.full_like(status, Outcome.NOT_CONVERGED)
 
     monkeypatch.setattr(place, lost)
     monkeypatch.setattr(cli, "leave_when_interrupted", lambda: None)
@@ -104,7 +108,7 @@ def test_what_is_not_found_is_one_line_and_exit_3(arguments, place, monkeypatch,
     assert leaving.value.code == 3
     *_, last = capsys.readouterr().err.splitlines()
     assert last.startswith("Error: no exact length")
-    assert last.endswith(ExactStatus.NOT_CONVERGED.message)
+    assert last.endswith(Outcome.NOT_CONVERGED.message)
 
 
 def test_fit_reports_and_draws(tmp_path):

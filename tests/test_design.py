@@ -126,7 +126,7 @@ def test_roots_of_one_length_are_told_apart_elsewhere():
     assert len(known.roots) == 2
     for share, stiffness, _ in known.roots:
         assert 0.3 < share < 0.7
-        assert abs(sp.exact_lengths(sp.Slider(25.0, [stiffness], 0.3)).length[0] - 25.9) < 0.05
+        assert abs(sp.exact_lengths(sp.Slider(25.0, [stiffness], 0.3))[0] - 25.9) < 0.05
     found = sp.design(known, height=[5, 25, 50, 100], sigma=0.5, experiments=2)
     assert found.best == 3
     assert found.information[1] < 0.05
@@ -143,7 +143,7 @@ def test_d_optimal_gain_is_that_of_the_slope():
     found = sp.design(known, height=[25, 50], sigma=0.3)
     for j, height in enumerate([25.0, 50.0]):
         h = 1e-5
-        up, down = sp.exact_lengths(sp.Slider(height, 0.01 * np.exp([h, -h]), 0.3)).length
+        up, down = sp.exact_lengths(sp.Slider(height, 0.01 * np.exp([h, -h]), 0.3))
         slope = (up - down) / (2 * h)
         assert found.d_optimal[j] == pytest.approx(0.5 * np.log1p((0.02 * slope / 0.3) ** 2), rel=2e-3)
     # so little is unknown that ℓ is straight over it

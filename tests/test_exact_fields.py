@@ -41,8 +41,7 @@ def test_fields_behind_and_ahead_against_a_dense_chain(prestress):
     unit = np.linalg.solve(A, f)
     load = (1 - prestress) / unit[sites]
     positions, site, pinned = [0, 1, 7, 14], np.arange(40), np.zeros(sites)
-    # an array, so that one program serves both: a number that is zero would be left out of it
-    fields = exact_fields(slider, np.array(positions)[:, None], site, prestress=np.asarray(prestress))
+    fields = exact_fields(slider, np.array(positions)[:, None], site, sp.Interface(prestress))
     np.testing.assert_allclose(fields.upper[0, 0], load, rtol=1e-11)
     for s in range(15):
         _, f = dense_chain(height, stiffness, poisson, pinned)

@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm
 
+import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.bootstrap import bootstrap
 from slippulse_jax.inference.forward import displacements, forces, lengths
@@ -16,7 +17,6 @@ from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.objective import make_problem
 from slippulse_jax.inference.resolve import resolve
 from slippulse_jax.inference.result import Identifiability
-from slippulse_jax.lattice.exact_lanes import solve_lanes
 from slippulse_jax.status import Outcome
 
 
@@ -78,8 +78,8 @@ def test_slopes_are_those_of_the_exact_length(prestressed):
     y = np.stack([rng.uniform(1.5, 9, 100), rng.uniform(-8, -2, 100), rng.uniform(0, 0.45, 100), *np.zeros((2, 100))], axis=1)
     y[:, 3] = prestressed * rng.uniform(-0.3, 0.3, 100)
     lanes = np.vstack([np.exp(y.T[:2]), y.T[2:]])
-    exact = solve_lanes(lanes, 1)
-    slope = exact.gradient * np.column_stack([lanes[0], lanes[1], np.ones((100, 3))])
+    exact = sp.exact_lengths(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), derivatives=1)
+    slope = np.column_stack(exact[1:6]) * np.column_stack([lanes[0], lanes[1], np.ones((100, 3))])
     found = lengths(y, 1, range(4 if prestressed else 3)).first
     for column in range(4 if prestressed else 3):
         scale = np.maximum(np.maximum(np.abs(slope[:, column]), exact.length), 0.1)
@@ -90,10 +90,10 @@ def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
     rng = np.random.default_rng(3)
     y = np.stack([rng.uniform(2, 6, 20), rng.uniform(-7, -3, 20), np.full(20, 0.5), np.zeros(20), np.full(20, 1e-4)], axis=1)
     lanes = np.vstack([np.exp(y.T[:2]), y.T[2:]])
-    exact = solve_lanes(lanes, 1)
+    exact = sp.exact_lengths(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), derivatives=1)
     found = lengths(y, 1, (2, 4)).first
-    np.testing.assert_allclose(found[:, 4], exact.gradient[:, 4], rtol=1e-7)
-    np.testing.assert_allclose(found[:, 2], exact.gradient[:, 2], rtol=1e-4)  # one-sided at ν = 1/2
+    np.testing.assert_allclose(found[:, 4], exact.threshold_slope, rtol=1e-7)
+    np.testing.assert_allclose(found[:, 2], exact.poisson, rtol=1e-4)  # one-sided at ν = 1/2
 
 
 def test_likelihood_of_a_count_is_that_of_its_interval():

@@ -64,7 +64,7 @@ def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
 def test_a_front_without_a_count_stops_at_its_length():
     """At ℓ* + δ; beyond the contacts looked at in the first batch too; nowhere where it never stops."""
     y = np.array([[np.log(2000.0), np.log(1e-3), 0.3, 0, 0, np.log(1500.0), 0.4, 0], [3, -4, 0.3, 0.99, 0, 0.5, 0.4, 0]])
-    length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)).length + 0.4
+    length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)) + 0.4
     with jax.enable_x64(True):
         there = readings(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
     found = slips(y, 0).value

@@ -16,7 +16,7 @@ FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
 @jax.jit
 def compiled_fronts(theta):
-    return jax.lax.map(lambda x: sp.exact_front(sp.Slider(x[0], x[1], x[2]), prestress=x[3]), theta)
+    return jax.lax.map(lambda x: sp.exact_front(sp.Slider(x[0], x[1], x[2]), sp.Interface(x[3])), theta)
 
 
 def fronts(*rows):

@@ -22,6 +22,7 @@ from slippulse_jax.inference.objective import Problem
 from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.samples import Samples
+from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.slider import Slider
@@ -206,7 +207,7 @@ def _log_between(a: Array, b: Array) -> Array:
 
 def _length(plain: bool, y: Array) -> Array:
     slider = Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2])
-    return exact_length(slider) if plain else exact_length(slider, prestress=y[3], threshold_slope=y[4])
+    return exact_length(slider) if plain else exact_length(slider, Interface(y[3], y[4]))
 
 
 def _sites(problem: Problem, block: Any) -> int:

@@ -14,12 +14,11 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.inference.parameters import WIDTH
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.exact_crossing import ExactStatus
-from slippulse_jax.lattice.exact_lanes import solve_lanes
+from slippulse_jax.lattice.exact_lanes import exact_fronts
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged
+from slippulse_jax.status import NotConverged, Outcome
 
 LANES = 256
 
@@ -104,13 +103,13 @@ def values_of_length(y: Float[np.ndarray, "L 5"]) -> Float[np.ndarray, " L"]:
         return found
     lanes = y.T.copy()
     lanes[:2] = np.exp(lanes[:2])
-    found = solve_lanes(lanes)
-    lost = ~np.isin(found.status, (ExactStatus.ARRESTED, ExactStatus.NO_DOMINO, ExactStatus.NEVER_STOPS))
+    found, status = exact_fronts(lanes)
+    lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
     if lost.any():
         where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(lost)])
-        why = ExactStatus(int(found.status[lost][0])).message
+        why = Outcome(int(status[lost][0])).message
         raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
-    return found.length
+    return found
 
 
 def displacements(y: Float[np.ndarray, "L 5"], order: int, columns: Sequence[int] = range(5)) -> Prediction:

@@ -23,10 +23,12 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series as series
-from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain
-from slippulse_jax.lattice.exact_crossing import ExactStatus, Plain, differentiable_crossing, front_series, solve_series
+from slippulse_jax.domains import check_domain
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.exact_crossing import Plain, differentiable_crossing, front_series, solve_series
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider, broadcast, of_one_type
+from slippulse_jax.status import Outcome
 
 
 class ExactFront(NamedTuple):
@@ -35,7 +37,7 @@ class ExactFront(NamedTuple):
     length: Float[Array, "..."]  # ℓ*, in λc
     contacts_broken: Int[Array, "..."]  # ceil(ℓ*), at least 1; −1 where the length is not finite
     load: Float[Array, "..."]  # displacement of the left edge at nucleation, in u_s
-    status: Int[Array, "..."]  # `ExactStatus`
+    status: Int[Array, "..."]  # `Outcome`
 
 
 class ExactFields(NamedTuple):
@@ -46,18 +48,17 @@ class ExactFields(NamedTuple):
     stress: Float[Array, "..."]  # σ_c
 
 
-def exact_length(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slope: AnyArrayLike = 0.0) -> Float[Array, "..."]:
+def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Array, "..."]:
     """Length ℓ* of the first precursor: the real crossing t(ℓ*) = 1 + ε ℓ*, in λc.
 
     Parameters
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    prestress : array_like
-        φ = σ_0/σ_s in (−1, 1), uniform shear stress on every contact before loading.
-    threshold_slope : array_like
-        ε per contact, σ_s(i) = σ_s0 (1 + ε i). With ε < 0 the thresholds vanish at i = 1/|ε|: the length is then that of
-        the front that starts at contact 0, meant for chains that end before.
+    interface : Interface, optional
+        Uniform prestress φ and threshold slope ε, which broadcast with `slider`; relaxed and level by default. With ε < 0 the
+        thresholds vanish at i = 1/|ε|: the length is then that of the front that starts at contact 0, for chains that end
+        before. The closed form has no repinning delay and no `Profile`.
 
     Returns
     -------
@@ -68,8 +69,8 @@ def exact_length(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slo
 
     Raises
     ------
-    ValueError
-        If a concrete `prestress` or `threshold_slope` lies outside its domain, naming value and index.
+    TypeError, ValueError
+        If `interface` is a `Profile`, or has a repinning delay: use `precursor_length` or `first_precursor`.
 
     Notes
     -----
@@ -77,15 +78,15 @@ def exact_length(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slo
     `precursor_length` have the same ceiling beyond 1, and differ by the curvature of t between two contacts: by less than
     0.2 λc, most on soft interfaces where two contacts break.
     """
-    return _map(_length, slider, prestress, threshold_slope)
+    return _map(_length, slider, interface)
 
 
-def exact_front(slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slope: AnyArrayLike = 0.0) -> ExactFront:
+def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFront:
     """Length, whole contacts, load at nucleation and status of the first precursor. Parameters as for `exact_length`."""
-    return ExactFront(*_map(_front, slider, prestress, threshold_slope))
+    return ExactFront(*_map(_front, slider, interface))
 
 
-def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLike = 0.0) -> Float[Array, "..."]:
+def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | None = None) -> Float[Array, "..."]:
     """Stress t(s) on contact s just before it would break, all contacts before it having broken; real s ≥ 0, in σ_s.
 
     Parameters
@@ -95,16 +96,16 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, *, prestress: AnyArrayLi
     s : array_like
         Position of the front in λc. Whole numbers give the stresses of the recursion, past the arrest too. The series is solved
         once for each slider, however many positions are asked for.
-    prestress : array_like
-        φ = σ_0/σ_s in (−1, 1).
+    interface : Interface, optional
+        As for `exact_length`. Its prestress is part of the stress; thresholds decide where the front stops, not what it meets.
 
     Raises
     ------
-    ValueError
-        If a concrete `s` is negative or not finite, or `prestress` outside its domain.
+    ValueError, TypeError
+        If a concrete `s` is negative or not finite; if the closed form does not hold for `interface`.
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
-    PRESTRESS.check("prestress", prestress)
+    prestress, _ = uniform(interface)
     return _each(_stress, _is_zero(prestress), *of_one_type(slider, prestress, s))
 
 
@@ -113,7 +114,7 @@ def _stress(no_prestress: bool, *arguments: Array) -> Array:
     return series.stress(solve_series(jnp.stack(theta), no_prestress), s)
 
 
-def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestress: AnyArrayLike = 0.0) -> ExactFields:
+def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> ExactFields:
     """Displacements and stress at `site` when the front has broken contacts 0 … s − 1 and the next has not broken yet.
 
     Parameters
@@ -123,13 +124,14 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
         Whole number ≥ 0 of broken contacts (0: nucleation).
     site : array_like
         Whole number i ≥ 0: behind (i < s) or ahead of the front. `slider`, `s` and `site` broadcast together.
-    prestress : array_like
-        φ; part of the stress, not of the displacements, which are counted from the state under the prestress alone.
+    interface : Interface, optional
+        As for `exact_front_stress`. The prestress is part of the stress, not of the displacements, which are counted from the
+        state under the prestress alone.
 
     Raises
     ------
-    ValueError
-        If a concrete `s`, `site` or `prestress` lies outside its domain.
+    ValueError, TypeError
+        If a concrete `s` or `site` lies outside its domain; if the closed form does not hold for `interface`.
 
     Notes
     -----
@@ -138,7 +140,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, *, prestre
     """
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
-    PRESTRESS.check("prestress", prestress)
+    prestress, _ = uniform(interface)
     return ExactFields(*_each(_fields, _is_zero(prestress), *of_one_type(slider, prestress, s, site)))
 
 
@@ -156,14 +158,31 @@ def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]
     return modes.upper @ mode, mode.sum(), held
 
 
-def check_interface(prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> None:
-    """Refuse concrete values outside their domain."""
-    PRESTRESS.check("prestress", prestress)
-    THRESHOLD_SLOPE.check("threshold_slope", threshold_slope)
+def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
+    """Prestress and threshold slope of an interface for which the closed form holds.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is a profile or repins with a delay, naming what can be used instead.
+    """
+    if interface is None:
+        return 0.0, 0.0
+    if not isinstance(interface, Interface):
+        raise TypeError(
+            f"interface = {type(interface).__name__}(…): the closed form holds for an Interface, whose prestress is uniform; "
+            "use precursor_length or first_precursor"
+        )
+    if interface.repin_delay:
+        raise ValueError(
+            f"interface.repin_delay = {interface.repin_delay}: the closed form holds for contacts that repin at once; "
+            "use precursor_length, precursor_lengths or first_precursor"
+        )
+    return interface.prestress, interface.threshold_slope
 
 
-def _map(function: Any, slider: Slider, prestress: AnyArrayLike, threshold_slope: AnyArrayLike) -> Any:
-    check_interface(prestress, threshold_slope)
+def _map(function: Any, slider: Slider, interface: Interface | None) -> Any:
+    prestress, threshold_slope = uniform(interface)
     plain = (_is_zero(prestress), _is_zero(threshold_slope))
     return _each(function, plain, *broadcast(slider, prestress, threshold_slope))
 
@@ -185,7 +204,7 @@ def _require(name: str, value: Any, inside: Any, requirement: str) -> None:
 
 def _is_zero(value: Any) -> bool:
     """Whether the caller left `value` at zero, so that compiled code need not carry it."""
-    return isinstance(value, (int, float)) and value == 0
+    return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
 
 
 def _length(plain: Plain, *theta: Array) -> Array:
@@ -199,6 +218,6 @@ def _front(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array, Array]
     load = lattice_modes(Slider(theta[0], theta[1], theta[2])).load
     if not plain[0]:
         load = (1 - theta[3]) * load
-    finite = (status == ExactStatus.ARRESTED) | (status == ExactStatus.NO_DOMINO)
+    finite = (status == Outcome.ARRESTED) | (status == Outcome.NO_DOMINO)
     count = jnp.where(finite, jnp.maximum(jnp.ceil(jnp.where(finite, length, 0)), 1), -1).astype(jnp.int32)
-    return length, count, jnp.where(status == ExactStatus.INVALID, jnp.nan, load), status
+    return length, count, jnp.where(status == Outcome.INVALID, jnp.nan, load), status

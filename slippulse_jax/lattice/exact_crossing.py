@@ -12,7 +12,7 @@ from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Status
+from slippulse_jax.status import Outcome
 
 MAX_STEPS = 100
 """Newton or bisection steps before a crossing is given up (length NaN); five to eight are usual."""
@@ -20,16 +20,6 @@ MAX_STEPS = 100
 ROUNDED = 1e-4
 """Last step, in contacts or relative to the length, with which it counts as found all the same: where the stress is all but
 level beside the threshold, rounding moves the crossing by as much, and the steps never get small."""
-
-
-class ExactStatus(Status):
-    """What the exact front stress says of the first precursor."""
-
-    ARRESTED = 0, "arrested: the front stress crosses the threshold at the length"
-    NO_DOMINO = 1, "no domino: the stress falls from contact 0 on, so only that contact breaks (length 0)"
-    NEVER_STOPS = 2, "never stops: the front stress stays above the threshold for ever (length inf)"
-    NOT_CONVERGED = 3, "given up: the crossing was not found in MAX_STEPS steps (length NaN)"
-    INVALID = 4, "no such slider or interface: a value outside its domain (length NaN)"
 
 
 def solve_series(theta: Float[Array, " n"], no_prestress: bool) -> series.Solution:
@@ -68,12 +58,12 @@ def differentiable_crossing(theta: Float[Array, "5"], plain: Plain) -> tuple[Arr
         # through `crossing` itself, so that the rule can be differentiated again
         theta, solution = primals
         length, status = crossing(theta, solution)
-        arrested = status == ExactStatus.ARRESTED
+        arrested = status == Outcome.ARRESTED
         at = jnp.where(arrested, length, 1)
         _, change = jax.jvp(lambda x, y: _excess(x, y, at, plain), primals, tangents)
         _, slope = jax.jvp(lambda s: _excess(theta, solution, s, plain), (at,), (jnp.ones_like(at),))
         # a constant where nothing follows contact 0; never a number where there is no length
-        elsewhere = jnp.where(status == ExactStatus.NO_DOMINO, 0, jnp.nan)
+        elsewhere = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.nan)
         return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))
 
     return crossing(theta, solve_series(theta, plain[0]))
@@ -154,15 +144,15 @@ def _crossing(theta: Float[Array, "5"], solution: series.Solution, plain: Plain)
     status = jnp.select(
         [~valid | ~jnp.isfinite(at_edge), at_edge <= 0, runs, given_up],
         [
-            ExactStatus.INVALID,
-            ExactStatus.NO_DOMINO,
-            ExactStatus.NEVER_STOPS,
-            ExactStatus.NOT_CONVERGED,
+            Outcome.INVALID,
+            Outcome.NO_DOMINO,
+            Outcome.RUN_AWAY,
+            Outcome.NOT_CONVERGED,
         ],
-        ExactStatus.ARRESTED,
+        Outcome.ARRESTED,
     ).astype(length.dtype)
-    values = jnp.asarray([0, 0, jnp.inf, jnp.nan, jnp.nan], length.dtype)
-    return jnp.where(status == 0, length, values[status.astype(jnp.int32)]), status
+    without = jnp.select([status == Outcome.NO_DOMINO, status == Outcome.RUN_AWAY], [0.0, jnp.inf], jnp.nan)
+    return jnp.where(status == Outcome.ARRESTED, length, without.astype(length.dtype)), status
 
 
 def _with_slope(solve: Any, slope: Array, start: Array, plateau: Array) -> _Search:

@@ -1,8 +1,9 @@
 """Exact lengths by the million: NumPy in and out, double precision, with derivatives, every lane by itself."""
 
 import functools
+import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, overload
 
 import jax
 import numpy as np
@@ -10,9 +11,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.threads import compiled_once, spread
+from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lane_crossing, lane_derivatives, lane_series
-from slippulse_jax.lattice.exact import AnyArrayLike, check_interface, exact_front
+from slippulse_jax.lattice.exact import exact_front, uniform
+from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 CHUNK = 128
 """Lanes of a chunk: as many as leave its table in the second-level cache."""
@@ -20,78 +24,82 @@ CHUNK = 128
 DERIVATIVE_CHUNKS = {1: 128, 2: 32}
 """Lanes of a chunk with derivatives up to an order, worked in NumPy."""
 
+EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
+"""What an exact front may end with."""
+
 SAFEGUARDED_CHUNK = 16
 """Lanes of a chunk that goes through the safeguarded search of `exact_length`."""
 
-PARAMETERS = ("height", "stiffness", "poisson", "prestress", "threshold_slope")
-"""What the last axes of gradient and Hessian run over: H/λc, k/K, ν, φ, ε."""
 
-
-class ExactLengths(NamedTuple):
-    """Exact lengths of a batch, as NumPy arrays of its shape."""
-
-    length: Float[np.ndarray, "..."]  # ℓ*, in λc
-    status: Int[np.ndarray, "..."]  # `ExactStatus`
-    gradient: Any  # array of shape (..., 5), dℓ*/d`PARAMETERS`; None unless asked for
-    hessian: Any  # array of shape (..., 5, 5); None unless asked for
-
-
+@overload
+def exact_lengths(slider: Slider, interface: Interface | None = None, *, derivatives: Literal[0] = 0) -> np.ndarray: ...
+@overload
+def exact_lengths(slider: Slider, interface: Interface | None = None, *, derivatives: Literal[1, 2]) -> LengthDerivatives: ...
 def exact_lengths(
-    slider: Slider, *, prestress: AnyArrayLike = 0.0, threshold_slope: AnyArrayLike = 0.0, derivatives: int = 0
-) -> ExactLengths:
+    slider: Slider, interface: Interface | None = None, *, derivatives: Literal[0, 1, 2] = 0
+) -> np.ndarray | LengthDerivatives:
     """Lengths ℓ* of a batch of any size, in λc, and their derivatives.
 
-    The numbers of `exact_length` in double precision whatever the JAX flags, at a cost that does not grow with ℓ*. A lane's
-    result depends on that lane alone. Not traceable: inside ``jit`` use `exact_length`.
+    The numbers of `exact_length` in double precision whatever the JAX flags, at a cost that does not grow with ℓ*. The
+    result of a lane depends on that lane alone. Not traceable: inside ``jit`` use `exact_length`.
 
     Parameters
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    prestress, threshold_slope : array_like
-        φ and ε, as for `exact_length`; they broadcast with `slider`.
+    interface : Interface, optional
+        As for `exact_length`.
     derivatives : {0, 1, 2}
-        Highest order of derivatives, with respect to `PARAMETERS`.
+        Highest order of derivatives, with respect to H/λc, k/K, ν and, with an `interface`, φ, ε.
 
     Returns
     -------
-    ExactLengths
-        Length, status, and (``None`` where not asked for) gradient of shape (..., 5) and Hessian of shape (..., 5, 5).
-        Where the length is not finite the derivatives are NaN, where nothing follows contact 0 they are 0, as the length is.
+    numpy.ndarray or LengthDerivatives
+        float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where the crossing
+        was not found, with a warning. With derivatives a record of length, slopes and, for the order 2, Hessian.
 
     Notes
     -----
     Relative error ≤ 1e-11, of derivatives 1e-8 of the largest. Lengths alone run through one compiled program; with derivatives
-    they are worked in NumPy, which has nothing to compile and takes longer a lane. The two agree to 1e-12, not to the last bit.
+    they are worked in NumPy, which has nothing to compile and takes longer per lane. The two agree to 1e-12, not to the bit.
 
     Raises
     ------
-    ValueError
-        If `prestress` or `threshold_slope` lies outside its domain, or `derivatives` is none of 0, 1, 2.
-    TypeError
-        If a value is traced by JAX.
+    ValueError, TypeError
+        If `derivatives` is none of 0, 1, 2; if the closed form does not hold for `interface`; if a value is traced by JAX.
     """
     if derivatives not in (0, 1, 2):
-        raise ValueError(f"derivatives = {derivatives!r}: must be 0, 1 or 2, the highest order of derivatives wanted")
-    numbers = slider.height, slider.stiffness, slider.poisson, prestress, threshold_slope
+        raise ValueError(f"derivatives = {derivatives!r}: must be 0, 1 or 2, the highest order of derivatives")
+    numbers = slider.height, slider.stiffness, slider.poisson, *uniform(interface)
     if any(isinstance(x, Tracer) for x in numbers):
-        raise TypeError("lengths in bulk take numbers, not values traced by jit, grad or vmap: use exact_length there")
-    check_interface(prestress, threshold_slope)
+        raise TypeError("exact_lengths needs NumPy arrays; inside jit, grad or vmap use exact_length")
     shape = np.broadcast_shapes(*(np.shape(x) for x in numbers))
     lanes = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
-    found = solve_lanes(lanes, derivatives)
-    return ExactLengths(*(None if x is None else x.reshape((*shape, *x.shape[1:])) for x in found))  # pyright: ignore[reportArgumentType]
+    length, status, *rest = _solve(lanes, derivatives)
+    lost = np.isnan(length)
+    if lost.any():
+        first = tuple(int(i) for i in np.unravel_index(np.argmax(lost), shape))
+        why = Outcome(int(status[lost][0])).message
+        message = f"{lost.sum()} of {lost.size} exact lengths, the first at index {first}, are NaN: {why}"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+    length = length.reshape(shape)
+    if not derivatives:
+        return length
+    count = 3 if interface is None else 5
+    slopes = [x.reshape(shape) for x in rest[0].T[:count]]
+    hessian = rest[1][:, :count, :count].reshape(*shape, count, count) if derivatives > 1 else None
+    return LengthDerivatives(length, *slopes, hessian=hessian)
 
 
-def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactLengths:
-    """`exact_lengths` of lanes (`PARAMETERS` first, checked by the caller)."""
+def exact_fronts(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked."""
+    length, status = _solve(lanes, 0)
+    return length, status
+
+
+def _solve(lanes: Float[np.ndarray, "5 n"], derivatives: int) -> list[np.ndarray]:
     count = lanes.shape[1]
-    found = ExactLengths(
-        np.empty(count),
-        np.empty(count, np.int32),
-        np.empty((count, 5)) if derivatives else None,
-        np.empty((count, 5, 5)) if derivatives > 1 else None,
-    )
+    found = [np.empty(count), np.empty(count, np.int32), np.empty((count, 5)), np.empty((count, 5, 5))][: 2 + derivatives]
     if derivatives:
         _in_chunks(
             lanes, np.arange(count), DERIVATIVE_CHUNKS[derivatives], functools.partial(_with_derivatives, derivatives), found
@@ -101,7 +109,7 @@ def solve_lanes(lanes: Float[np.ndarray, "5 n"], derivatives: int = 0) -> ExactL
     prestressed = lanes[3, order] != 0  # a family of terms more: a lane's own value chooses its program
     for kind in (False, True):
         _in_chunks(lanes, order[prestressed == kind], CHUNK, lambda theta, kind=kind: _compiled(kind)(theta), found)
-    unsettled = np.flatnonzero(found.status == lane_crossing.UNSETTLED)
+    unsettled = np.flatnonzero(found[1] == lane_crossing.UNSETTLED)
     _in_chunks(lanes, unsettled, SAFEGUARDED_CHUNK, lambda theta: _safeguarded()(theta), found)
     return found
 
@@ -119,14 +127,13 @@ def _effort(lanes: np.ndarray) -> np.ndarray:
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
 
 
-def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, found: ExactLengths) -> None:
+def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, found: list[np.ndarray]) -> None:
     """Fill `found` at `order`, chunk by chunk, on every core."""
-    outputs = [x for x in found if x is not None]
 
     def run(chosen: np.ndarray) -> None:
         with jax.numpy_rank_promotion("allow"):  # lanes are last in every array, so that missing axes are the leading ones
             values = function(np.take(lanes, np.resize(chosen, size), axis=1))
-        for column, value in zip(outputs, values, strict=True):
+        for column, value in zip(found, values, strict=True):
             column[chosen] = np.asarray(value)[: len(chosen)]
 
     spread(run, [order[start : start + size] for start in range(0, len(order), size)])
@@ -159,7 +166,7 @@ def _safeguarded() -> Callable[[np.ndarray], tuple[Array, ...]]:
     """The lanes that the fast search leaves: near run-away, on falling thresholds, next to a resonance."""
 
     def one(theta: Array) -> tuple[Array, ...]:
-        front = exact_front(Slider(theta[0], theta[1], theta[2]), prestress=theta[3], threshold_slope=theta[4])
+        front = exact_front(Slider(theta[0], theta[1], theta[2]), Interface(theta[3], theta[4]))
         return front.length, front.status
 
     return compiled_once(jax.jit(jax.vmap(one, in_axes=1)))

@@ -32,7 +32,7 @@ CLOSE = 1e-7
 
 
 def crossing(series: Series, theta: Float[Array, "5 lanes"]) -> tuple[Lanes, Int[Array, " lanes"]]:
-    """ℓ* and its status, 0 arrested or 1 no domino as in `ExactStatus`, or `UNSETTLED`.
+    """ℓ* and its status, 0 arrested or 1 no domino as in `Outcome`, or `UNSETTLED`.
 
     Settled are fronts well below run-away (φ < 0.999 φ_c) on thresholds that do not fall: t then has one maximum, and one
     crossing beyond it, which a negative slope there certifies. Newton's method on the first rows of the table brings a lane to

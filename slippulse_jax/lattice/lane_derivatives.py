@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from slippulse_jax.lattice.exact_crossing import ExactStatus
 from slippulse_jax.lattice.lane_crossing import UNSETTLED
 from slippulse_jax.lattice.lane_series import ROW_TOLERANCE, ROWS, Inputs, entries
 from slippulse_jax.lattice.mode_jets import flatten, input_jets, unflatten
+from slippulse_jax.status import Outcome
 
 Lanes = np.ndarray  # shape (lanes,)
 Search = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -54,9 +54,9 @@ def lengths(theta: Float[np.ndarray, "5 lanes"], order: int, search: Search) -> 
         left = np.flatnonzero(status == UNSETTLED)
         if len(left):
             s[left], status[left] = search(left)
-        arrested = status == ExactStatus.ARRESTED
+        arrested = status == Outcome.ARRESTED
         at = np.where(arrested, s, 1.0)
-        elsewhere = np.where(status == ExactStatus.NO_DOMINO, 0, np.nan)  # never a number where there is no length
+        elsewhere = np.where(status == Outcome.NO_DOMINO, 0, np.nan)  # never a number where there is no length
         change, slope = adjoint(inputs, table, at)
         slope = slope - theta[4]
         of_theta = np.concatenate([np.einsum("xl,xil->il", change, first), -at[None]])

@@ -11,8 +11,7 @@ from slippulse_jax import theory
 from slippulse_jax.bulk.threads import spread
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.exact import exact_front
-from slippulse_jax.lattice.exact_crossing import ExactStatus
+from slippulse_jax.lattice.exact_lanes import EXACT_OUTCOMES, exact_fronts
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
 from slippulse_jax.rules import SmoothBreak
@@ -54,7 +53,7 @@ OUTPUTS = {
         "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT
     ),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
-    "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ExactStatus),
+    "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", EXACT_OUTCOMES),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
     "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
@@ -189,12 +188,9 @@ def _load_of(right: RightEnd, sites: int | None) -> Callable[..., Any]:
 
 
 def _exact(_: Request, columns: Columns) -> Columns:
-    return _in_blocks(_exact_of, columns, "height", "stiffness", "poisson", *sorted(_EXACT & set(columns)))
-
-
-def _exact_of(height: Any, stiffness: Any, poisson: Any, prestress: Any = 0.0, threshold_slope: Any = 0.0) -> dict[str, Any]:
-    front = exact_front(Slider(height, stiffness, poisson), prestress=prestress, threshold_slope=threshold_slope)
-    return {"exact_length": front.length, "exact_status": front.status}
+    names, relaxed = ("height", "stiffness", "poisson", "prestress", "threshold_slope"), np.zeros_like(columns["height"])
+    length, status = exact_fronts(np.stack([columns.get(name, relaxed) for name in names]))
+    return {"exact_length": length, "exact_status": status}
 
 
 def _smooth(request: Request, columns: Columns) -> Columns:

@@ -20,10 +20,10 @@ from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_dom
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import report, to_dict
-from slippulse_jax.lattice.exact_crossing import ExactStatus
+from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged
+from slippulse_jax.status import NotConverged, Outcome
 
 MOST_EXPERIMENTS = 12
 
@@ -231,13 +231,12 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarr
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
     ratio = np.exp(theta)[:, None] * per_unit
     slider = Slider(numbers[:, 0] / scale, ratio, numbers[:, 2])
-    found = exact_lengths(slider, prestress=numbers[:, 3], threshold_slope=numbers[:, 4], derivatives=1)
-    lost = found.status == ExactStatus.NOT_CONVERGED
+    found = exact_lengths(slider, Interface(numbers[:, 3], numbers[:, 4]), derivatives=1)
+    lost = np.isnan(found.length)
     if lost.any():
         i, j = np.argwhere(lost)[0]
-        raise NotConverged(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {ExactStatus.NOT_CONVERGED.message}")
-    assert found.gradient is not None
-    return found.length, np.where(np.isfinite(found.length), found.gradient[..., 1] * ratio, 0)
+        raise NotConverged(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {Outcome.NOT_CONVERGED.message}")
+    return found.length, np.where(np.isfinite(found.length), found.stiffness * ratio, 0)
 
 
 def _greedy(

@@ -15,6 +15,7 @@ from slippulse_jax.inference.likelihood import Data, Loss, terms
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES
 from slippulse_jax.inference.resolve import ratio_per_unit, softest
+from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider
 
@@ -238,7 +239,7 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np
     if not np.isfinite(sigma).all():
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
     slider = Slider(m.height, np.exp(theta)[:, None] * ratio, m.poisson)
-    length = exact_lengths(slider, prestress=m.or_zero("prestress"), threshold_slope=m.or_zero("threshold_slope")).length
+    length = exact_lengths(slider, Interface(m.or_zero("prestress"), m.or_zero("threshold_slope")))
     data = Data(np.array(m.kind), m.length[None], sigma, np.ones((1, len(m))), np.zeros(len(m), bool))
     return -terms(length, data, np.zeros(len(theta), int), Loss(), None).value.sum(axis=1)
 
