@@ -123,7 +123,7 @@ def heights() -> dict:
         one, n = np.array([[height], [q], [0.3]]), 64
 
         def recursion(one: np.ndarray = one, n: int = n) -> object:
-            return batch.over_lanes(lanes.length_kernel, (MAX_CONTACTS,), np.repeat(one, n, axis=1), (np.float64,), LENGTHS)
+            return batch.over_lanes(lanes.length_kernel(MAX_CONTACTS), np.repeat(one, n, axis=1), LENGTHS)
 
         many = Slider(np.full(2048, height), np.full(2048, q), np.full(2048, 0.3))
         taken = side_by_side({"recursion": recursion}, 1 if height > 1e5 else 3)

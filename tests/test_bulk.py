@@ -19,7 +19,7 @@ def random_lanes(n, seed, tall=3.3):
 
 
 def by_recursion(lanes_):
-    return batch.over_lanes(lanes.length_kernel, (MOST,), lanes_, (np.float64,), bulk.LENGTHS)[0]
+    return batch.over_lanes(lanes.length_kernel(MOST), lanes_, bulk.LENGTHS, bulk.length_rank)[0]
 
 
 def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
@@ -35,7 +35,7 @@ def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
 def general():
     """Length and derivatives in five numbers a lane by the general recursion; compiled once."""
     statics = 0, ("semi-infinite", None, 5000)
-    return lambda five: batch.over_lanes(compiled.gradient_kernel, statics, five, (np.float64,) * 6, bulk.ANY)
+    return lambda five: batch.over_lanes(compiled.gradient_kernel(*statics), five, bulk.ANY)
 
 
 def test_interfaces_equal_the_general_recursion(general):
@@ -44,8 +44,8 @@ def test_interfaces_equal_the_general_recursion(general):
     n = 600
     five = np.concatenate([random_lanes(n, 2, 2.0), rng.uniform(0, 0.7, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     exact = general(five)
-    got = batch.over_lanes(lanes.gradient_kernel, (5000,), five, (np.float64,) * 6, bulk.WITH_MORE)
-    alone = batch.over_lanes(lanes.length_kernel, (5000,), five, (np.float64,), bulk.WITH_MORE)
+    got = batch.over_lanes(lanes.gradient_kernel(5000), five, bulk.WITH_MORE)[0]
+    alone = batch.over_lanes(lanes.length_kernel(5000), five, bulk.WITH_MORE)
     np.testing.assert_array_equal(alone[0], got[0])
     assert np.isinf(exact[0]).sum() > 20
     for a, b in zip(got, exact, strict=True):
@@ -74,16 +74,16 @@ def test_arrests_equal_the_general_recursion(numbers):
     n, most = 800, 60
     five = np.concatenate([random_lanes(n, 7, 2.3), rng.uniform(0, 0.8, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     five[0, :20], five[1, :20] = 8.0, 0.5  # short enough to run away before they are given up
-    dtypes, endings = (np.int32, float, np.int32, float), set(FRONT_OUTCOMES) - {Outcome.INVALID, Outcome.RAN_THROUGH}
-    general = batch.over_lanes(compiled.arrest_kernel, (0, ("semi-infinite", None, most)), five[:numbers], dtypes, bulk.ANY)
-    got = batch.over_lanes(lanes.arrest_kernel, (most,), five[:numbers], dtypes, bulk.WITH_MORE)
+    endings = set(FRONT_OUTCOMES) - {Outcome.INVALID, Outcome.RAN_THROUGH}
+    general = batch.over_lanes(compiled.arrest_kernel(0, ("semi-infinite", None, most)), five[:numbers], bulk.ANY)
+    got = batch.over_lanes(lanes.arrest_kernel(most), five[:numbers], bulk.WITH_MORE)
     np.testing.assert_array_equal(got[0], general[0])
     np.testing.assert_array_equal(got[2], general[2])
     assert set(got[2]) == endings - ({Outcome.RUN_AWAY} if numbers == 3 else set())
     for a, b in ((got[1], general[1]), (got[3], general[3])):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
     assert (got[0][got[2] == Outcome.LIMIT] == most).all()
-    alone = batch.over_lanes(lanes.length_kernel, (most,), five[:numbers], (float,), bulk.WITH_MORE)[0]
+    alone = batch.over_lanes(lanes.length_kernel(most), five[:numbers], bulk.WITH_MORE)[0]
     np.testing.assert_allclose(alone, got[1], rtol=1e-9, atol=1e-10)
 
 
@@ -129,11 +129,11 @@ def test_smooth_rule_in_bulk():
 def test_rank_follows_the_length():
     """Neighbours in rank are neighbours in length; ranks span the domain without saturating."""
     points = random_lanes(4000, 6, 6.0)
-    rank = batch.length_rank(points)
+    rank = bulk.length_rank(points)
     assert rank.dtype == np.uint16
     assert rank.max() < 65535
     short = points[:, points[0] < 1000]
-    length, order = by_recursion(short), np.argsort(batch.length_rank(short), kind="stable")
+    length, order = by_recursion(short), np.argsort(bulk.length_rank(short), kind="stable")
     long_enough = length[order] > 5
     chunks = np.array_split(length[order][long_enough], 40)
     assert np.mean([chunk.max() / chunk.mean() for chunk in chunks]) < 1.5

@@ -130,9 +130,7 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     n = 3000
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
     columns = [sliders.height, sliders.stiffness, sliders.poisson]
-    general = over_lanes(
-        compiled.arrest_kernel, (0, ("semi-infinite", None, 10_000_000)), columns, (np.int32, float, np.int32, float), bulk.ANY
-    )
+    general = over_lanes(compiled.arrest_kernel(0, ("semi-infinite", None, 10_000_000)), columns, bulk.ANY)
     together, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == Outcome.NO_DOMINO).any()
     assert arrests.length.max() > 1000

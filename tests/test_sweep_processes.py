@@ -114,9 +114,10 @@ def test_local_devices_share_a_sweep(reference, tmp_path, count):
     store = tmp_path / "s"
     code = (
         f"assert jax.local_device_count() == {count}\n"
-        "from slippulse_jax.lattice import batch, bulk\n"
+        "from slippulse_jax.bulk import chunks\n"
+        "from slippulse_jax.lattice import lengths\n"
         "from slippulse_jax.sweeps import outputs\n"
-        "bulk.LENGTHS, batch.PIECE, outputs.BLOCK = batch.Layout(chunk=64), 64, 64\n"
+        "lengths.LENGTHS, chunks.PIECE, outputs.BLOCK = chunks.Layout(chunk=64), 64, 64\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r}, chunk=1000)\n"
         f"sp.sweep({REQUEST}, {OUTPUTS}, store={str(store)!r} + '1', chunk=100)\n"
     )

@@ -1,12 +1,12 @@
-"""Functions of many lanes at full speed: lanes of like length together, in few fixed shapes, on every core.
+"""Run a function of many lanes at full speed: cut into chunks, pad to a fixed shape, run on every core.
 
-A lane that waits for a longer one wastes time, so lanes are sorted by expected length, and a call of a compiled function takes
-them chunk by chunk: a chunk stays in the cache, and what a call costs beside the arithmetic is shared by many. A piece of the
-input is ranked, gathered, computed and put back by one thread, so that no part of the work is left to one core.
+A lane is one column of numbers, such as one slider. A lane that waits for a slower one wastes time, so lanes are ordered by a
+rank of their expected cost, which the caller supplies. A call of the compiled program takes many chunks one after another: a
+chunk stays in the cache, and the cost of a call is shared. Each thread ranks, gathers, computes and scatters its own piece of
+the input, so that no part of the work is left to one core.
 """
 
 import functools
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -16,127 +16,141 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.threads import compiled_once, spread, workers
+from slippulse_jax.bulk.compiler import compiled
+from slippulse_jax.bulk.threads import default_device, devices_for, spread, workers
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
-"""Columns of a chunk of lanes, or several as the rows of one array; no lane may depend on another."""
+"""Results of a chunk of lanes, each with the lanes last. No lane may depend on another.
+
+A program is compiled once for each function object: a module's function, or one from a factory under ``functools.cache``.
+"""
+
+Lanes = Sequence[Float[np.ndarray, " n"]] | Float[np.ndarray, "fields n"]
+"""The numbers of all lanes, field by field."""
+
+Rank = Callable[[Lanes], np.ndarray]
+"""Order in which lanes are taken, by expected cost; best as uint16, which NumPy sorts by digits."""
 
 
 class Layout(NamedTuple):
-    """How lanes are laid out for a kernel. No number depends on it, only what it costs."""
+    """How lanes are laid out for a kernel. Costs depend on it, results do not."""
 
     chunk: int = 1000
-    """Lanes of a chunk: not a power of two, for which arrays would meet in the same lines of the cache."""
+    """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache."""
     few: int = 0
-    """Lanes of a call for so few that a chunk would be mostly padding; 0 for one program fewer to compile."""
+    """Number of lanes up to which a smaller program takes them at once; 0 for one program fewer to compile."""
     worth_a_thread: int = 1
-    """Chunks of which another thread takes no fewer. To hand it some costs as much as some chunks: Python's lock is passed on,
-    and a core woken."""
+    """Chunks below which a second thread costs more than it saves: the interpreter lock changes hands, and a core wakes up."""
 
+
+DEFAULT_LAYOUT = Layout()
 
 PIECE = 32
-"""Chunks of a call, at most."""
+"""Largest number of chunks per call."""
 
 
-def over_lanes(
-    kernel: Callable[..., Kernel],
-    statics: tuple,
-    lanes: Sequence[Float[np.ndarray, " n"]] | Float[np.ndarray, "fields n"],
-    dtypes: Sequence[type],
-    layout: Layout,
-) -> list[np.ndarray]:
-    """Columns of ``kernel(*statics)`` at every lane, in the order given; the same bits in any company.
+def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, rank: Rank | None = None) -> list[np.ndarray]:
+    """Evaluate ``kernel`` at every lane, in double precision.
 
     Parameters
     ----------
-    kernel : callable
-        Makes the function to be compiled; called once for each `statics`.
+    kernel : Kernel
+        Traced and compiled on first use. Missing axes are the leading ones (``numpy_rank_promotion`` is "allow").
     lanes : sequence of numpy.ndarray, shape (n,)
-        Height, stiffness, Poisson's ratio and any others, float64. Large temporary arrays are avoided: the system provides
-        their memory anew at every call, which costs as much as the arithmetic on them.
+        float64, one array per field.
+    layout : Layout
+    rank : callable, optional
+        Maps lanes to their order; as given by default.
+
+    Returns
+    -------
+    list of numpy.ndarray
+        The kernel's results, lanes last, in the order given: the same bits in any batch, chunk, order or device.
+
+    Notes
+    -----
+    Large temporary arrays are avoided: the system provides their memory anew at every call, which costs as much as the
+    arithmetic on them.
     """
-    chunk, few, _ = layout
-    columns = [np.empty(len(lanes[0]), dtype) for dtype in dtypes]
-    at_once, in_chunks = _compiled(kernel, statics), _looped(kernel, statics, chunk)
+    count, fields = len(lanes[0]), len(lanes)
+    results = [np.empty((*x.shape[:-1], count), x.dtype) for x in _shapes(kernel, fields)]
+    pieces = list(_pieces(count, layout))
+    many = count > layout.few
+    program, width = (_chunk_by_chunk, layout.chunk) if many else (_at_once, layout.few)
+    ready = {device: program(kernel, fields, width, device) for device in devices_for(len(pieces))}
 
     def run(where: slice) -> None:
         here = [field[where] for field in lanes]
-        order = np.argsort(length_rank(here), kind="stable")
-        count = len(order)
-        chunks = -(-count // chunk)
-        padded = np.empty((len(here), few if count <= few else PIECE * chunk))
+        size = len(here[0])
+        order = None if rank is None else np.argsort(rank(here), kind="stable")
+        padded = np.empty((fields, PIECE * width if many else width))
         for field, row in zip(here, padded, strict=True):
-            np.take(field, order, out=row[:count], mode="clip")
-        padded[:, count : chunks * chunk] = padded[:, :1]  # the shortest: nobody waits for it
-        values = at_once(padded) if count <= few else in_chunks(padded, chunks)
-        rows = itertools.chain.from_iterable(np.atleast_2d(np.asarray(value)) for value in values)
-        for column, row in zip(columns, rows, strict=True):
-            back = np.empty(count, column.dtype)
-            back[order] = row[:count]
-            column[where] = back
+            if order is None:
+                row[:size] = field
+            else:
+                np.take(field, order, out=row[:size], mode="clip")
+        chunks = -(-size // width)
+        padded[:, size : chunks * width] = padded[:, :1]  # the cheapest lane: nobody waits for it
+        values = ready[default_device()](padded, np.int64(chunks))
+        for result, value in zip(results, values, strict=True):
+            found = np.asarray(value)[..., :size]
+            if order is not None:
+                back = np.empty_like(found)
+                back[..., order] = found
+                found = back
+            result[..., where] = found
 
-    spread(run, _pieces(len(lanes[0]), layout))
-    return columns
+    spread(run, pieces)
+    return results
 
 
-def _pieces(n: int, layout: Layout) -> Iterator[slice]:
-    """Where in the batch the pieces lie: every worker gets as many, of lanes that are neighbours in the batch."""
-    chunks = -(-n // layout.chunk)  # what is less than a chunk takes as long as one
+def _pieces(count: int, layout: Layout) -> Iterator[slice]:
+    """Strided slices of the batch, one per call: every worker gets as many, of lanes that are neighbours in the batch."""
+    chunks = -(-count // layout.chunk)  # a part of a chunk takes as long as a whole one
     hands = max(1, min(workers(), chunks // layout.worth_a_thread))
     rounds = -(-chunks // (hands * PIECE))
     for k in range(rounds):
-        start, stop = k * n // rounds, (k + 1) * n // rounds
+        start, stop = k * count // rounds, (k + 1) * count // rounds
         for hand in range(hands):
             yield slice(start + hand, stop, hands)
 
 
-def length_rank(lanes: Sequence[np.ndarray]) -> np.ndarray:
-    """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
-        shape = 2 * (1 + poisson)
-        b = shape * stiffness * height
-        # ln(1 + x) ≈ 2x/(2 + x) at x = b/(2 + b), and 1/κ_2 = H √[shape (1 + 1/b)]
-        expected = 2 * height * np.sqrt(shape * b * (1 + b)) / (4 + 3 * b)
-    # the leading bits of a floating-point number are in its own order; from 2^-10 on
-    bits = np.maximum(expected, np.float32(2**-10)).view(np.int32) >> 13
-    return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)
-
-
-# chunks run beside each other already, so that nothing in one is to be split; and the widest vectors there are serve loops of
-# this length
-_OPTIONS: Any = {
-    "xla_cpu_multi_thread_eigen": False,
-    "xla_cpu_prefer_vector_width": 512,
-    "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
-}
+@functools.cache
+def _shapes(kernel: Kernel, fields: int) -> tuple[Any, ...]:
+    """Shapes and types of the kernel's results, of two lanes."""
+    with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
+        return jax.eval_shape(kernel, jax.ShapeDtypeStruct((fields, 2), np.float64))
 
 
 @functools.cache
-def _compiled(kernel: Callable[..., Kernel], statics: tuple) -> Callable[..., tuple[Array, ...]]:
-    return compiled_once(jax.jit(kernel(*statics), compiler_options=_OPTIONS))
+def _at_once(kernel: Kernel, fields: int, width: int, device: Any) -> Callable[..., tuple[Array, ...]]:
+    """Program for a few lanes; `device` is the one it is compiled for."""
+    return compiled(lambda lanes, _: kernel(lanes), _input(fields, width), _COUNT, device=device)
 
 
 @functools.cache
-def _looped(kernel: Callable[..., Kernel], statics: tuple, chunk: int) -> Callable[[np.ndarray, int], tuple[Array, ...]]:
-    """One program for any number of chunks: the rest of the array is not looked at."""
-    one = kernel(*statics)
+def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any) -> Callable[..., tuple[Array, ...]]:
+    """Program for any number of chunks up to `PIECE`: the rest of its input is not looked at."""
 
-    def several(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
-        fields, n = lanes.shape
-
+    def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
         def cut(i: Array | int) -> Array:
-            return lax.dynamic_slice(lanes, (0, i * chunk), (fields, chunk))
+            return lax.dynamic_slice(lanes, (0, i * width), (fields, width))
 
-        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors. Few arrays come out of
-        # one: of a turn of more than eight operations XLA hands some to other threads
-        def go_on(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
-            here, columns = carried
-            found = zip(columns, one(here), strict=True)
-            return cut(i + 1), tuple(lax.dynamic_update_slice_in_dim(x, y, i * chunk, -1) for x, y in found)
+        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors. A kernel should return
+        # few arrays: XLA hands some operations to other threads in a loop body of more than eight
+        def next_chunk(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
+            here, results = carried
+            found = zip(results, kernel(here), strict=True)
+            return cut(i + 1), tuple(lax.dynamic_update_slice_in_dim(x, y, i * width, -1) for x, y in found)
 
-        shapes = jax.eval_shape(one, jax.ShapeDtypeStruct((fields, chunk), lanes.dtype))
-        empty = tuple(jnp.zeros((*x.shape[:-1], n), x.dtype) for x in shapes)
-        return lax.fori_loop(0, chunks, go_on, (cut(0), empty))[1]
+        empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in _shapes(kernel, fields))
+        return lax.fori_loop(0, chunks, next_chunk, (cut(0), empty))[1]
 
-    return compiled_once(jax.jit(several, compiler_options=_OPTIONS))
+    return compiled(all_chunks, _input(fields, PIECE * width), _COUNT, device=device)
+
+
+_COUNT = jax.ShapeDtypeStruct((), np.int64)
+
+
+def _input(fields: int, lanes: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((fields, lanes), np.float64)

@@ -16,6 +16,8 @@ with the same results to rounding: a series of events takes some five times as l
 three times.
 """
 
+import functools
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -28,8 +30,41 @@ TRIED = ("0.10.0", "0.10.1", "0.10.2")
 """Releases of jaxlib under which tests/test_kernel.py was seen to pass."""
 
 
+OPTIONS: dict[str, Any] = {
+    "xla_cpu_multi_thread_eigen": False,
+    "xla_cpu_prefer_vector_width": 512,
+    "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
+}
+"""For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors."""
+
+
 def _tried() -> bool:
-    return jaxlib.version.__version__ in TRIED
+    if jaxlib.version.__version__ in TRIED:
+        return True
+    _say_once(
+        f"jaxlib {jaxlib.version.__version__} is not among the releases slippulse_jax was tuned for ({', '.join(TRIED)}): "
+        "results are the same, but lengths in bulk take up to three times as long"
+    )
+    return False
+
+
+@functools.cache
+def _say_once(what: str) -> None:
+    warnings.warn(what, RuntimeWarning, stacklevel=2)
+
+
+def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any) -> Callable[..., Any]:
+    """`f` compiled for one device in double precision, with `OPTIONS` on a CPU where this jaxlib knows them."""
+    with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
+        lowered = jax.jit(f).lower(*shapes)
+    if device.platform != "cpu" or not _tried():
+        return lowered.compile()
+    try:
+        return lowered.compile(compiler_options=OPTIONS)
+    except jax.errors.JaxRuntimeError as unknown:
+        usual = lowered.compile()  # raises again what has nothing to do with the options
+        _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {unknown}")
+        return usual
 
 
 def as_one_kernel(f: Callable, *given: Any) -> Any:

@@ -1,10 +1,10 @@
-"""Work spread over what this process has: its cores, and its local devices."""
+"""Spread work over the cores and local devices of this process."""
 
 import functools
 import itertools
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -19,15 +19,25 @@ def cores() -> int:
 
 
 def workers() -> int:
-    """Threads that work is spread over: one a core, and at least one a local device."""
+    """Number of threads: one per core, and at least one per local device."""
     return max(cores(), len(jax.local_devices()))
+
+
+def devices_for(pieces: int) -> Sequence[Any]:
+    """Devices among which `spread` deals so many pieces."""
+    return jax.local_devices()[:pieces]
+
+
+def default_device() -> Any:
+    """Device of the piece at hand."""
+    return jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
     """Call ``work(piece)`` for every piece, in double precision, the pieces dealt to the local devices in turn.
 
-    Each piece runs whole, by the same compiled program, on one device: which one, and beside what, does not show in its bits
-    (a program compiled for several devices at once would round differently).
+    Each piece runs whole on one device, by a program compiled for one: bits do not depend on the number of devices (a program
+    compiled for several at once would round differently). Never nested.
     """
     dealt = list(zip(pieces, itertools.cycle(jax.local_devices())))  # noqa: B905  # the devices go round
 
@@ -45,7 +55,7 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
 
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads are kept: to start them and their first call takes longer than ten thousand lengths. `spread` is never nested."""
+    """Threads are kept: starting them takes longer than ten thousand lengths."""
     return ThreadPoolExecutor(threads)
 
 

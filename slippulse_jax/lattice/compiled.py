@@ -71,6 +71,7 @@ def arrest_function(delay: int, configuration: Configuration) -> Callable[[Array
     return jax.jit(lambda lane: arrest_of(lane, delay, configuration))
 
 
+@functools.cache
 def arrest_kernel(delay: int, configuration: Configuration) -> Kernel:
     """`Arrest` of a chunk of lanes of any configuration."""
 
@@ -80,16 +81,19 @@ def arrest_kernel(delay: int, configuration: Configuration) -> Kernel:
     return arrests
 
 
+@functools.cache
 def gradient_kernel(delay: int, configuration: Configuration) -> Kernel:
     """ℓ of a chunk of lanes of any configuration, and its derivative in every field."""
     return _with_derivatives(lambda lane: jnp.asarray(arrest_of(lane, delay, configuration).length))
 
 
+@functools.cache
 def smooth_kernel(kind: Any, max_contacts: int) -> Kernel:
     """ℓ_w of a chunk of lanes: the numbers of a slider and of a rule, which `kind` puts together."""
     return lambda lanes: (smooth_length(*jax.tree.unflatten(kind, list(lanes)), max_contacts=max_contacts)[0],)
 
 
+@functools.cache
 def smooth_gradient_kernel(kind: Any, max_contacts: int) -> Kernel:
     """ℓ_w likewise, and its derivative in every number of slider and rule."""
     return _with_derivatives(lambda x: smooth_length(*jax.tree.unflatten(kind, list(x)), max_contacts=max_contacts)[0])

@@ -20,6 +20,7 @@ where Z_m' is the new Z_m. What else a loop over lanes costs was read off the co
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -89,6 +90,7 @@ class Now(NamedTuple):
     along: tuple[Along, ...]
 
 
+@functools.cache
 def length_kernel(max_contacts: int) -> Kernel:
     """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope]), in λc.
 
@@ -101,6 +103,7 @@ def length_kernel(max_contacts: int) -> Kernel:
     return lengths
 
 
+@functools.cache
 def arrest_kernel(max_contacts: int) -> Kernel:
     """Contacts broken, ℓ, status and stress on contact 0 of lanes as for `length_kernel`."""
 
@@ -121,6 +124,7 @@ def arrest_kernel(max_contacts: int) -> Kernel:
     return arrests
 
 
+@functools.cache
 def gradient_kernel(max_contacts: int) -> Kernel:
     """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field: rows of one array."""
 

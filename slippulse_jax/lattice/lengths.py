@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from slippulse_jax.bulk.chunks import Layout, over_lanes
+from slippulse_jax.bulk.chunks import Lanes, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import compiled, lanes, long_fronts
 from slippulse_jax.lattice.compiled import fields
@@ -72,7 +72,7 @@ def lengths(
     check_rule(rule)
     if isinstance(rule, SmoothBreak):
         columns, shape, statics = _smooth_lanes(slider, rule, interface, right, max_contacts)
-        return over_lanes(compiled.smooth_kernel, statics, columns, (np.float64,), ANY)[0].reshape(shape)
+        return over_lanes(compiled.smooth_kernel(*statics), columns, ANY, length_rank)[0].reshape(shape)
     if _is_simple(interface, right):
         check_right_end(right, sites)
         check_max_contacts(max_contacts)
@@ -96,12 +96,12 @@ def precursor_arrests(
     """
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    (given, shape), dtypes = _lanes(slider, interface), (np.int32, np.float64, np.int32, np.float64)
+    given, shape = _lanes(slider, interface)
     if _is_simple(interface, right):
-        columns = over_lanes(lanes.arrest_kernel, (max_contacts,), given, dtypes, WITH_MORE)
+        columns = over_lanes(lanes.arrest_kernel(max_contacts), given, WITH_MORE, length_rank)
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
-        columns = over_lanes(compiled.arrest_kernel, statics, given, dtypes, ANY)
+        columns = over_lanes(compiled.arrest_kernel(*statics), given, ANY, length_rank)
     return Arrest(*(column.reshape(shape) for column in columns))
 
 
@@ -156,19 +156,18 @@ def length_gradients(
     check_rule(rule)
     if isinstance(rule, SmoothBreak):
         columns, shape, statics = _smooth_lanes(slider, rule, interface, right, max_contacts)
-        found = over_lanes(compiled.smooth_gradient_kernel, statics, columns, (np.float64,) * (1 + len(columns)), ANY)
+        found = over_lanes(compiled.smooth_gradient_kernel(*statics), columns, ANY, length_rank)
         length, *slopes = (column.reshape(shape) for column in found)
         in_slider, in_rule = jax.tree.unflatten(statics[0], slopes)
         return LengthGradient(length, in_slider.height, in_slider.stiffness, in_slider.poisson, rule=in_rule)
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     columns, shape = _lanes(slider, interface)
-    dtypes = (np.float64,) * (1 + len(columns))
     if _is_simple(interface, right):
-        found = over_lanes(lanes.gradient_kernel, (max_contacts,), columns, dtypes, WITH_MORE)
+        found = list(over_lanes(lanes.gradient_kernel(max_contacts), columns, WITH_MORE, length_rank)[0])
     else:
         statics = 0 if interface is None else interface.repin_delay, (right, sites, max_contacts)
-        found = over_lanes(compiled.gradient_kernel, statics, columns, dtypes, ANY)
+        found = over_lanes(compiled.gradient_kernel(*statics), columns, ANY, length_rank)
     length_and_slopes: Any = [column.reshape(shape) for column in found]
     return LengthGradient(*length_and_slopes)
 
@@ -187,7 +186,7 @@ def _simple_lengths(columns: Columns, max_contacts: int) -> Float[np.ndarray, " 
     """By the recursion, or on relaxed interfaces by the series where a front is expected to be long and the series settles."""
 
     def by_recursion(columns: Columns) -> np.ndarray:
-        return over_lanes(lanes.length_kernel, (max_contacts,), columns, (np.float64,), LENGTHS)[0]
+        return over_lanes(lanes.length_kernel(max_contacts), columns, LENGTHS, length_rank)[0]
 
     relaxed = len(columns) == 3 and max_contacts > long_fronts.LONG
     long = long_fronts.which_are_long(columns) if relaxed else np.zeros(0, int)
@@ -195,10 +194,23 @@ def _simple_lengths(columns: Columns, max_contacts: int) -> Float[np.ndarray, " 
         return by_recursion(columns)
     found = np.full(len(columns[0]), np.nan)
     kernel, layout = long_fronts.long_length_kernel, long_fronts.LAYOUT
-    found[long] = over_lanes(kernel, (max_contacts,), [x[long] for x in columns], (np.float64,), layout)[0]
+    found[long] = over_lanes(kernel(max_contacts), [x[long] for x in columns], layout, length_rank)[0]
     rest = np.isnan(found)
     found[rest] = by_recursion([x[rest] for x in columns])
     return found
+
+
+def length_rank(lanes: Lanes) -> np.ndarray:
+    """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
+        shape = 2 * (1 + poisson)
+        b = shape * stiffness * height
+        # ln(1 + x) ≈ 2x/(2 + x) at x = b/(2 + b), and 1/κ_2 = H √[shape (1 + 1/b)]
+        expected = 2 * height * np.sqrt(shape * b * (1 + b)) / (4 + 3 * b)
+    # the leading bits of a floating-point number are in its own order; from 2^-10 on
+    bits = np.maximum(expected, np.float32(2**-10)).view(np.int32) >> 13
+    return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)
 
 
 def _is_simple(interface: Interface | None, right: RightEnd) -> bool:

@@ -5,14 +5,14 @@ microseconds a lane. ℓ joins the stresses at whole contacts by a straight line
 contacts around ℓ*.
 """
 
-from collections.abc import Sequence
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.chunks import Kernel, Layout
+from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout
 from slippulse_jax.lattice import lane_crossing, lane_series
 
 LONG = 2000.0
@@ -22,7 +22,7 @@ LAYOUT = Layout(chunk=128)
 """As many lanes a chunk as leave the table of the series in the second-level cache."""
 
 
-def which_are_long(lanes: Sequence[Float[np.ndarray, " n"]]) -> Int[np.ndarray, " m"]:
+def which_are_long(lanes: Lanes) -> Int[np.ndarray, " m"]:
     """Lanes for which the series is used, by a rule that looks at a lane's own numbers and rounds the same way everywhere.
 
     The leading term of Eq. (25), ln[2/(1+β)]/κ_2, with ln(1 + x) ≈ 2x/(2 + x): correctly rounded operations only.
@@ -39,6 +39,7 @@ def which_are_long(lanes: Sequence[Float[np.ndarray, " n"]]) -> Int[np.ndarray, 
         return tall[2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b)) >= LONG]
 
 
+@functools.cache
 def long_length_kernel(max_contacts: int) -> Kernel:
     """ℓ of relaxed lanes; NaN where the search did not settle, which the recursion then has to decide."""
 
