@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from oracles.dense_chain import DenseChain
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
@@ -51,9 +52,7 @@ def test_infinitely_fast_ageing_is_none():
 
 def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
     """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
-    from oracles import plain_series
-
-    plain = plain_series.PlainSeries((10.0, 0.03, 0.3), np.ones(30), np.zeros(30), "free", lambda a: 0.5 + 0 * a)
+    plain = DenseChain.uniform((10.0, 0.03, 0.3), np.ones(30), np.zeros(30), strength=lambda a: 0.5 + 0 * a)
     chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=30, right="free")
     got = sp.series(chain, events=12, ageing=sp.Ageing(0.5, 1e12), recorded_breaks=2000, stop_when_spanning=False)
     got = jax.tree.map(np.asarray, got)

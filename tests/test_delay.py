@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from oracles import plain_delay
+from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.catalogue import SeriesStatus
@@ -18,7 +18,7 @@ def rough(delay):
     slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
     theta, phi = rng.uniform(0.9, 1.1, 30), rng.uniform(0, 0.2, 30)
     chain = sp.chain(sp.Slider(*slider), sites=30, right="free", threshold=theta, prestress=phi)
-    return plain_delay.PlainDelay(slider, theta, phi, delay), chain
+    return DenseChain.uniform(slider, theta, phi, delay=delay), chain
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
@@ -32,10 +32,10 @@ def test_series_against_dense_program(delay):
         order = plain.event()
         assert list(got.break_site[got.break_event == e]) == order, e
         assert abs(got.load[e] - plain.load) < 1e-9
-        assert abs(got.force_after[e] - plain.force()) < 1e-9
+        assert abs(got.force_after[e] - plain.push()) < 1e-9
         assert abs(got.stored[e] - (plain.energy() - start)) < 1e-9
     assert (np.asarray(got.breaks) > delay + 1).any(), "an event in which contacts repin while it goes on"
-    assert abs(got.state.pinning - plain.pinned).max() < 1e-9
+    assert abs(got.state.pinning - plain.pinning).max() < 1e-9
     assert got.drift < 1e-12
     assert got.energy_drift < 1e-12
 
@@ -45,13 +45,11 @@ def test_rupture_against_dense_program(delay):
     plain, chain = rough(delay)
     load = 5.0
     got = sp.rupture(chain, relaxed(chain, load), repin_delay=delay)
-    start = plain.energy
-    plain.load = load
-    before = start()
-    order = plain.event(load)
+    before = plain.at(load=load).energy()
+    order = plain.rupture()
     assert list(got.order[: len(order)]) == order
     assert int(got.breaks) == len(order) > delay + 1
-    assert abs(got.state.pinning - plain.pinned).max() < 1e-10
+    assert abs(got.state.pinning - plain.pinning).max() < 1e-10
     assert abs(got.energy - (before - plain.energy())) < 1e-10
     assert got.drift < 1e-12
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import plain_chain
+from oracles import dense_chain
 
 from slippulse_jax import Slider, precursor_length
 from slippulse_jax.lattice.lengths import precursor_arrests
@@ -26,8 +26,8 @@ def complex_step_gradient(theta, count):
     for i in range(3):
         moved = theta.astype(complex)
         moved[i] += 1j * STEP
-        load, pinning = plain_chain.responses(*moved, sites=count + 4, right="semi-infinite", reach=count + 1)
-        gradient[i] = plain_chain.interpolated(plain_chain.front_stress(load, pinning, count + 1), count).imag / STEP
+        load, pinning = dense_chain.responses(*moved, sites=count + 4, right="semi-infinite", reach=count + 1)
+        gradient[i] = dense_chain.crossing(dense_chain.front_stress(load, pinning, count + 1) - 1).imag / STEP
     return gradient
 
 
@@ -116,8 +116,8 @@ def test_finite_chain_has_derivatives_too():
     for i in range(3):
         moved = theta.astype(complex)
         moved[i] += 1j * STEP
-        load, pinning = plain_chain.responses(*moved, sites=100, right="free", reach=29)
-        expected = plain_chain.interpolated(plain_chain.front_stress(load, pinning, 29), 28).imag / STEP
+        load, pinning = dense_chain.responses(*moved, sites=100, right="free", reach=29)
+        expected = dense_chain.crossing(dense_chain.front_stress(load, pinning, 29) - 1).imag / STEP
         assert abs(got[i] / expected - 1) < 1e-8
 
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from oracles import plain_interface
+from oracles import dense_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
 
@@ -94,7 +94,7 @@ def test_counts_against_dense_solves():
     known = sp.Knowledge(theta)
     found = sp.design(known, height=[8, 14], sigma=0.0, kind="whole")
     for j, height in enumerate([8, 14]):
-        counts = [plain_interface.front(height, q, 0.3, np.ones(60), np.zeros(60), 0, 60)[0] for q in np.exp(theta)]
+        counts = [dense_chain.front(height, q, 0.3, np.ones(60), np.zeros(60), 0, 60)[0] for q in np.exp(theta)]
         share = np.unique(counts, return_counts=True)[1] / 41
         assert found.information[j] == pytest.approx(-share @ np.log(share), abs=1e-12)
     blurred = sp.design(known, height=[8, 14], sigma=0.3, kind="whole")

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from oracles.dense_chain import chain_matrix, responses
 from scipy import stats
 
 import slippulse_jax as sp
@@ -107,8 +108,6 @@ def test_a_single_contact_jumps_below_the_critical_width_and_slides_above():
 
 def test_critical_width_of_the_papers_slider():
     """Below it the contact at the edge is unstable in its surroundings, above it not; the surroundings from dense solves."""
-    from oracles.plain_chain import chain_matrix, responses
-
     own = responses(25, 0.03, 0.3, 300, "semi-infinite", 1)[1]
     matrix = chain_matrix(25, 0.03, 0.3, 801)
     force = np.zeros(1602)
@@ -135,8 +134,6 @@ def test_smallest_smooth_width_of_a_stiff_slider():
 
 def plain_edge_loads(law, stretches, sites):
     """Newton's method on the whole chain, as a dense matrix, for one prescribed stretch of the first contact after another."""
-    from oracles.plain_chain import chain_matrix
-
     force, dx = np.asarray(law.force), float(law.spacing)
     slope = np.diff(force) / dx
     matrix = chain_matrix(25, 0.03, 0.3, sites)[1:]  # without the row that holds the edge

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import plain_dynamics
+from oracles import leapfrog
+from oracles.dense_chain import responses
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import relaxed
@@ -20,9 +21,7 @@ def test_against_plain_leapfrog(damping, friction):
     chain = sp.chain(sp.Slider(*slider), sites=sites, right="free")
     rule = SelfHealing() if friction is None else CrackLike(friction)
     got = sp.simulate_inertial(chain, duration=60.0, damping=damping, rule=rule)
-    x, pin, count, books = plain_dynamics.run(
-        slider, sites, float(got.step), round(float(got.time / got.step)), damping, friction
-    )
+    x, pin, count, books = leapfrog.run(slider, sites, float(got.step), round(float(got.time / got.step)), damping, friction)
     assert np.array_equal(got.breaks, count)
     assert abs(np.append(got.upper, got.layer) - x).max() < 1e-9
     assert abs(got.state.pinning - pin).max() < 1e-9
@@ -37,7 +36,7 @@ def test_a_stiff_bond_makes_no_block_heavier():
     chain = sp.chain(sp.Slider(*slider), sites=sites, right="free", upper=upper)
     got = sp.simulate_inertial(chain, duration=60.0)
     steps = round(float(got.time / got.step))
-    x, pin, count, _ = plain_dynamics.run(slider, sites, float(got.step), steps, 0.0, extra={bond: 40.0})
+    x, pin, count, _ = leapfrog.run(slider, sites, float(got.step), steps, 0.0, extra={bond: 40.0})
     assert np.array_equal(got.breaks, count)
     assert abs(np.append(got.upper, got.layer) - x).max() < 1e-9
     assert abs(got.state.pinning - pin).max() < 1e-9
@@ -128,8 +127,6 @@ def test_inertia_lengthens_the_precursor_and_leaves_nucleation_alone():
 
 def test_breaking_at_exactly_the_threshold_shortens_the_overdamped_front():
     """With instantaneous breaks a contact gives up exactly σ_s, not the overload of the quasi-static picture: fewer than 26."""
-    from oracles.plain_chain import responses
-
     load, pinning = responses(25, 0.03, 0.3, 200, "semi-infinite", 60)
     s = 1
     while load[s] / load[0] + pinning[s, :s].sum() >= 1:  # every contact behind gave up exactly 1

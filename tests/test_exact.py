@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from oracles import plain_interface
+from oracles import dense_chain
 from oracles.lattice_mp import Chain, random_sliders
 
 import slippulse_jax as sp
@@ -361,7 +361,7 @@ def test_falling_thresholds_met_in_a_shallow_dip():
     ]
     site, expected = np.arange(90), []
     for *slider, phi, slope in rows:
-        expected.append(plain_interface.front(*slider, 1 + slope * site, np.full(90, phi), 0, 90)[0])
+        expected.append(dense_chain.front(*slider, 1 + slope * site, np.full(90, phi), 0, 90)[0])
     length, contacts_broken, _, status = fronts(*rows)
     assert list(contacts_broken) == expected
     assert (status == Outcome.ARRESTED).all()

@@ -5,7 +5,7 @@ import json
 import jax
 import numpy as np
 import pytest
-from oracles import plain_interface
+from oracles import dense_chain
 from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
@@ -25,9 +25,7 @@ X = np.arange(SITES)
 
 def dense_lengths(theta, phi, heights=HEIGHTS):
     """From the program that solves the whole matrix anew after every break."""
-    return np.array(
-        [plain_interface.length(plain_interface.front(h, STIFFNESS, POISSON, theta, phi, 0, SITES)[1]) for h in heights]
-    )
+    return np.array([dense_chain.crossing(dense_chain.front(h, STIFFNESS, POISSON, theta, phi, 0, SITES)[1]) for h in heights])
 
 
 def wave(amplitude=0.04):
@@ -62,7 +60,7 @@ def test_a_length_reads_the_threshold_at_its_arrest():
     found = sp.recover_profile(uniform, stiffness=STIFFNESS)
     compared = 0
     for height, length in zip(HEIGHTS, lengths, strict=True):
-        t = 1 + plain_interface.front(height, STIFFNESS, POISSON, np.ones(SITES), 0 * X, 0, SITES)[1]
+        t = 1 + dense_chain.front(height, STIFFNESS, POISSON, np.ones(SITES), 0 * X, 0, SITES)[1]
         if length <= len(t) - 1:  # the front under uniform thresholds came as far
             assert abs(np.interp(length, X[: len(t)], t) - np.interp(length, X, theta / theta[0])) < 1e-9
             compared += 1

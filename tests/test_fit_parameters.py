@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oracles import plain_chain
+from oracles import dense_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm
@@ -263,7 +263,7 @@ def test_force_and_displacement_give_the_strength():
 
 def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
-    load, _ = plain_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
+    load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
     y = np.array([[np.log(10.0), np.log(0.03), 0.3, 0.0, 0.0]])
     assert forces(y, 0).value[0] == pytest.approx(load.sum() / load[0], rel=1e-9)
     assert displacements(y, 0).value[0] == pytest.approx(1 / load[0], rel=1e-9)

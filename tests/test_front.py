@@ -4,7 +4,7 @@ import jax
 import mpmath
 import numpy as np
 import pytest
-from oracles import plain_chain
+from oracles import dense_chain
 from oracles.lattice_mp import Chain
 
 from slippulse_jax import Slider, first_precursor, precursor_length
@@ -50,7 +50,7 @@ def test_against_dense_chain(right, number):
     sites = 140 if right == "semi-infinite" else 400  # what lies beyond the matrix of an endless chain is eliminated exactly
     got = precursor_arrests(sliders, right=right, sites=None if right == "semi-infinite" else sites)
     for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
-        count, length, _, behind = plain_chain.first_precursor(*slider, sites, right)
+        count, length, _, behind = dense_chain.first_precursor(*slider, sites, right)
         assert got.contacts_broken[i] == count, slider
         assert abs(got.length[i] - length) <= 1e-9, slider
         assert behind[1] == 0, "the contact at the edge is the most stressed one behind the front"
@@ -70,10 +70,10 @@ def test_right_end_changes_the_answer(right, count, length):
 def test_length_of_the_chain_order_of_breaks_and_stress_behind_by_dense_solves():
     """What was worked out before any code, at Fig. 2's parameters and beside them, by the matrix program alone."""
     slider = 25.0, 0.03, 0.3
-    assert [plain_chain.first_precursor(*slider, 200, right)[0] for right in ("free", "clamped")] == [26, 26]
-    behind = [plain_chain.first_precursor(height, 0.03, 0.3)[3][0] for height in (25.0, 50.0)]
+    assert [dense_chain.first_precursor(*slider, 200, right)[0] for right in ("free", "clamped")] == [26, 26]
+    behind = [dense_chain.first_precursor(height, 0.03, 0.3)[3][0] for height in (25.0, 50.0)]
     np.testing.assert_allclose(behind, [0.774, 0.987], atol=5e-4)  # in the second it all but breaks again
-    load, pinning = plain_chain.responses(*slider, sites=400, right="semi-infinite", reach=60)
+    load, pinning = dense_chain.responses(*slider, sites=400, right="semi-infinite", reach=60)
     for choose, count in ((np.min, 26), (np.max, 25)):  # of those at threshold: nearest to the edge, farthest from it
         pinned, ready, broken = np.zeros(60), np.array([0]), []
         while len(ready):
@@ -103,7 +103,7 @@ def test_front_that_reaches_the_end_has_no_length():
 def test_no_domino():
     """A short, soft slider: the neighbour of the edge contact stays below threshold."""
     front = first_precursor(Slider(3.0, 1e-4, 0.3))
-    count, length, _, _ = plain_chain.first_precursor(3.0, 1e-4, 0.3)
+    count, length, _, _ = dense_chain.first_precursor(3.0, 1e-4, 0.3)
     assert (int(front.contacts_broken), float(front.length)) == (count, length) == (1, 0.0)
     assert int(front.status) == Outcome.NO_DOMINO
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from oracles import plain_chain
+from oracles import dense_chain
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
@@ -30,11 +30,8 @@ UNIT = STRENGTH / AREAL  # u_s, in m
 
 def dense_fields(height, stiffness, prestress=0.0, broken=None):
     """Contacts broken, slip and stress after arrest, of the first 120 contacts, by solving the whole chain."""
-    load, pinning = plain_chain.responses(height, stiffness, 0.3, 400, "semi-infinite", 120)
-    edge = (1 - prestress) * load / load[0]
-    stress = np.zeros(120)
-    for s in range(120):
-        stress[s] = prestress + edge[s] + pinning[s, :s] @ stress[:s]
+    load, pinning = dense_chain.responses(height, stiffness, 0.3, 400, "semi-infinite", 120)
+    edge, stress = (1 - prestress) * load / load[0], dense_chain.front_stress(load, pinning, 120, prestress)
     count = int(np.nonzero(stress[1:] < 1)[0][0]) + 1 if broken is None else broken
     moved = np.where(np.arange(120) < count, stress, 0)
     slip = pinning @ moved

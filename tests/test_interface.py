@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from oracles import plain_interface
-from oracles.dense_chain import Dense, end_stiffness
+from oracles import dense_chain
+from oracles.dense_chain import DenseChain, chain_matrix
 
 import slippulse_jax as sp
 from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
@@ -25,7 +25,7 @@ def test_against_dense_chain(delay, right):
         slider = (rng.uniform(5, 25), 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0, 0.45))
         phi, slope = rng.uniform(-0.9, 0.4), rng.uniform(-0.002, 0.01)
         theta = 1 + slope * np.arange(sites)
-        count, excess, load, stress = plain_interface.front(*slider, theta, np.full(sites, phi), delay, sites, right)
+        count, excess, load, stress = dense_chain.front(*slider, theta, np.full(sites, phi), delay, sites, right)
         if right == "semi-infinite" and count == sites:
             continue
         got = first_precursor(
@@ -43,7 +43,7 @@ def test_against_dense_chain(delay, right):
         assert abs(got.arrest.stress - stress).max() < 1e-9
         assert abs(got.edge_stress - stress[0]) < 1e-9
         if count > 1:
-            assert abs(got.length - plain_interface.length(excess)) < 1e-8
+            assert abs(got.length - dense_chain.crossing(excess)) < 1e-8
 
 
 def test_profile_against_dense_chain():
@@ -51,11 +51,11 @@ def test_profile_against_dense_chain():
     for delay in (0, 2):
         theta, phi = rng.uniform(0.85, 1.15, 100), rng.uniform(-0.3, 0.3, 100)
         theta[0], phi[0] = 0.9, 0.1
-        count, excess, load, stress = plain_interface.front(25, 0.03, 0.3, theta, phi, delay, 100)
+        count, excess, load, stress = dense_chain.front(25, 0.03, 0.3, theta, phi, delay, 100)
         got = jax.tree.map(np.asarray, first_precursor(FIG2, interface=Profile(theta, phi, delay), recorded_sites=100))
         assert int(got.contacts_broken) == count
         assert abs(got.load - load) < 1e-10
-        assert abs(got.length - plain_interface.length(excess)) < 1e-9
+        assert abs(got.length - dense_chain.crossing(excess)) < 1e-9
         assert abs(got.arrest.stress - stress).max() < 1e-9
 
 
@@ -67,22 +67,18 @@ def test_negative_prestress_in_bulk_and_in_the_cascade():
     found = precursor_arrests(Slider(*np.transpose(cases)), interface=Interface(phi))
     for i, (height, stiffness, poisson) in enumerate(cases):
         even, carried = np.ones(sites), np.full(sites, phi[i])
-        count, excess, _, stress = plain_interface.front(height, stiffness, poisson, even, carried, 0, sites)
+        count, excess, _, stress = dense_chain.front(height, stiffness, poisson, even, carried, 0, sites)
         assert found.contacts_broken[i] == count
         assert abs(found.edge_stress[i] - stress[0]) < 1e-10
-        assert abs(found.length[i] - (plain_interface.length(excess) if count > 1 else 0)) < 1e-9
-        transverse = 1 / (2 * (1 + poisson) * height)
-        end = end_stiffness("semi-infinite", height, 1.0, transverse, stiffness)
-        bonds, k = np.full(sites - 1, height), np.full(sites, stiffness)
-        dense = Dense(bonds, even[1:], transverse * even, k, even, carried, stiffness, end)
-        load, first = dense.nucleate(0 * even)
-        pinning, order = dense.rupture(0 * even, load, first, 200)
+        assert abs(found.length[i] - (dense_chain.crossing(excess) if count > 1 else 0)) < 1e-9
+        dense = DenseChain.uniform((height, stiffness, poisson), even, carried, "semi-infinite")
+        order = dense.event()
         chain = sp.chain(Slider(height, stiffness, poisson), sites=sites, prestress=carried)
         state, trigger = sp.nucleate(chain, relaxed(chain))
         event = sp.rupture(chain, state, trigger=trigger)
         assert list(np.asarray(event.order[: len(order)])) == order
         assert int(event.breaks) == len(order)
-        assert abs(event.state.pinning - pinning).max() < 1e-10
+        assert abs(event.state.pinning - dense.pinning).max() < 1e-10
         assert order == list(site[:count])
 
 
@@ -117,8 +113,6 @@ def test_lengths_under_prestress():
 
 def test_runaway_threshold_to_a_millionth():
     """φ_c = (1 + G_00)/2, with G_00 from a dense endless chain: finite just below, endless at and above."""
-    from oracles.plain_chain import chain_matrix
-
     sites, middle = 801, 400
     matrix = chain_matrix(25, 0.03, 0.3, sites)
     force = np.zeros(2 * sites)
@@ -138,12 +132,12 @@ def test_above_the_threshold_a_soft_short_slider_may_still_stop_the_front():
     slider = (10.381840251071646, 0.024884160056852563, 0.05409050217326783)
     critical = (1 + float(lattice_modes(Slider(*slider)).weight.sum())) / 2
     for phi, stops in ((critical + 1e-4, True), (critical + 0.02, False)):
-        count, excess, *_ = plain_interface.front(*slider, np.ones(120), np.full(120, phi), 0, 120)
+        count, excess, *_ = dense_chain.front(*slider, np.ones(120), np.full(120, phi), 0, 120)
         assert (count < 100) == stops
         length = precursor_length(Slider(*slider), interface=Interface(phi))
         assert np.isfinite(length) == stops
         if stops:
-            assert abs(length - plain_interface.length(excess)) < 1e-6
+            assert abs(length - dense_chain.crossing(excess)) < 1e-6
 
 
 def test_falling_thresholds_run_away_where_nothing_holds():

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles.plain_chain import responses
+from oracles.dense_chain import responses
 from scipy.integrate import quad
 
 import slippulse_jax as sp

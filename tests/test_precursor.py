@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from oracles import plain_chain
+from oracles import dense_chain
 
 from slippulse_jax import Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.bulk import chunks as batch
@@ -22,7 +22,7 @@ def test_fields_solve_the_chain(right):
     record = first_precursor(
         Slider(25, 0.03, 0.3), right=right, sites=None if right == "semi-infinite" else n, recorded_sites=n
     )
-    matrix = plain_chain.chain_matrix(25, 0.03, 0.3, n, right)
+    matrix = dense_chain.chain_matrix(25, 0.03, 0.3, n, right)
     for position in (0, 1, 13, int(record.contacts_broken)):
         fields = record.fields_at(position)
         rhs = np.concatenate([np.zeros(n), 0.03 * np.asarray(fields.pinning)])

@@ -1,1 +1,17 @@
-"""Independent programs that the package is checked against; none imports it."""
+"""Independent programs that check the package; none imports it, nor JAX, which a test holds.
+
+========== ============================================ ==========================================================
+program    method                                       checks
+========== ============================================ ==========================================================
+dense_chain one dense matrix, solved after every break;  first precursor, its load and stresses, prestress, profiles,
+           responses that carry complex steps           delay; equilibrium; ruptures and series with their energies,
+                                                        ageing, spring; derivatives of ℓ; gauge readings
+leapfrog   NumPy, the textbook's leapfrog               motion with inertia, damping and friction, and its energies
+lattice_mp mpmath: modes from the 2 × 2 bulk matrix,    front stress between sites, ℓ* and its derivatives, tall
+           break-by-break recursion, plain series       sliders, resonances; the macroscopic law's and the
+           (60–100 digits); the continuum's series,     continuum's lengths, Eq. (58)
+           and quadrature under a frozen upper slider
+========== ============================================ ==========================================================
+
+`test_problems` and `test_oracles` check them against each other.
+"""

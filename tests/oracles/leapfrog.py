@@ -1,8 +1,8 @@
-"""An independent program: the inertial chain in plain NumPy, from its dense stiffness matrix, by leapfrog in its textbook form."""
+"""The inertial chain in plain NumPy, from its dense stiffness matrix, by leapfrog in its textbook form."""
 
 import numpy as np
 
-from oracles.plain_chain import chain_matrix
+from oracles.dense_chain import chain_matrix
 
 
 def run(slider, sites, dt, steps, damping, friction=None, right="free", extra=None):

@@ -1,0 +1,22 @@
+"""Chains of given fields, for the dense program and for the package."""
+
+import jax
+import jax.numpy as jnp
+from oracles.dense_chain import DenseChain, uniform_springs
+
+import slippulse_jax as sp
+
+
+def both_chains(slider, sites, right, fields):
+    """`DenseChain` and `Chain` of the same bonds, contacts, thresholds and prestress."""
+    *_, across, _, end = uniform_springs(*slider, sites, right)
+    dense = DenseChain(
+        fields["upper"], fields["layer"], across, fields["contact"], end,
+        stiffness=slider[1], threshold=fields["threshold"], prestress=fields["prestress"],
+    )  # fmt: skip
+    return dense, sp.chain(sp.Slider(*slider), sites=sites, right=right, **fields)
+
+
+def batch(trees):
+    """One tree of stacked leaves."""
+    return jax.tree.map(lambda *x: jnp.stack(x), *trees)
