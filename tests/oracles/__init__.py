@@ -1,17 +1,17 @@
-"""Independent programs that check the package; none imports it, nor JAX, which a test holds.
+"""Independent programs that check the package. None imports it, nor JAX; a test holds that.
 
-========== ============================================ ==========================================================
-program    method                                       checks
-========== ============================================ ==========================================================
+=========== ============================================ ==========================================================
+program     method                                       checks
+=========== ============================================ ==========================================================
 dense_chain one dense matrix, solved after every break;  first precursor, its load and stresses, prestress, profiles,
-           responses that carry complex steps           delay; equilibrium; ruptures and series with their energies,
-                                                        ageing, spring; derivatives of ℓ; gauge readings
-leapfrog   NumPy, the textbook's leapfrog               motion with inertia, damping and friction, and its energies
-lattice_mp mpmath: modes from the 2 × 2 bulk matrix,    front stress between sites, ℓ* and its derivatives, tall
-           break-by-break recursion, plain series       sliders, resonances; the macroscopic law's and the
-           (60–100 digits); the continuum's series,     continuum's lengths, Eq. (58)
-           and quadrature under a frozen upper slider
-========== ============================================ ==========================================================
+            responses that carry complex steps           delay; equilibrium; ruptures and series with their energies,
+                                                         ageing, spring; derivatives of ℓ; gauge readings
+lattice_mp  mpmath: modes from the 2 × 2 bulk matrix,    front stress between sites, ℓ* and its derivatives, tall
+            break-by-break recursion, plain series       sliders, resonances; the macroscopic law's and the
+            (60–100 digits); the continuum's series,     continuum's lengths, Eq. (58)
+            and quadrature under a frozen upper slider
+leapfrog    NumPy, the textbook's leapfrog               motion with inertia, damping and friction, and its energies
+=========== ============================================ ==========================================================
 
-`test_problems` and `test_oracles` check them against each other.
+`test_problems` checks them against each other.
 """
