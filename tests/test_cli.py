@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slippulse_jax import cli
+from slippulse_jax.cli import main as cli
 from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.plain import plain
 from slippulse_jax.status import Outcome
@@ -22,10 +22,10 @@ PMMA = "fit_examples/pmma_block/lengths.csv"
 FIG2 = ["--height", "25", "--stiffness", "0.03", "--poisson", "0.3"]
 
 
-def slippulse(*arguments, **kwargs):
+def slippulse(*arguments, cwd=ROOT, env=None, **kwargs):
     return subprocess.run(
         [sys.executable, "-m", "slippulse_jax.cli.main", *arguments],
-        capture_output=True, text=True, cwd=kwargs.pop("cwd", ROOT), timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)}, **kwargs
+        capture_output=True, text=True, cwd=cwd, timeout=300, env=(env or os.environ) | {"PYTHONPATH": str(ROOT)}, **kwargs
     )  # fmt: skip
 
 
@@ -52,6 +52,43 @@ def test_length():
     assert "ℓ   = 25.789811 λc" in done.stdout
     assert "Λ   = 26 λc" in done.stdout
     assert "arrested" in done.stdout
+
+
+CACHES = ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA")
+"""What says where a user's caches are, on one system or another."""
+
+
+@pytest.fixture
+def own_cache(tmp_path):
+    """Environment of a user who has set nothing but a folder for caches, and that folder."""
+    names = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+    return {k: v for k, v in os.environ.items() if k not in names} | dict.fromkeys(CACHES, str(tmp_path)), tmp_path
+
+
+def test_compiled_programs_are_kept_between_calls(own_cache):
+    env, folder = own_cache
+    first = slippulse("length", *FIG2, env=env)
+    assert (first.returncode, first.stderr) == (0, "")
+    programs = sorted(folder.rglob("*-cache"))
+    assert programs
+    old = programs[0].with_name("of_last_year-cache")
+    old.touch()
+    os.utime(old, (0, 0))
+    again = slippulse("length", *FIG2, env=env | {"JAX_LOG_COMPILES": "1"})
+    assert again.stdout == first.stdout
+    assert "Persistent compilation cache hit" in again.stderr
+    assert "compilation cache miss" not in again.stderr.lower()
+    assert sorted(folder.rglob("*-cache")) == programs
+
+
+def test_the_cache_can_be_switched_off_and_may_be_unwritable(own_cache):
+    env, folder = own_cache
+    assert slippulse("--no-cache", "length", *FIG2, env=env).returncode == 0
+    assert slippulse("length", *FIG2, env=env | {"SLIPPULSE_CACHE": "off"}).returncode == 0
+    assert list(folder.iterdir()) == []
+    (folder / "a_file").touch()
+    done = slippulse("length", *FIG2, env=env | dict.fromkeys(CACHES, str(folder / "a_file")))
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_length_in_si_as_json():

@@ -57,6 +57,8 @@ def _form(given: dict[str, float | None]) -> dict[str, float]:
 
 
 def _length(form: dict[str, float], poisson: float, right: Any, sites: int | None) -> dict[str, Any]:
+    import jax
+
     from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
     from slippulse_jax.lattice.modes import check_right_end, lattice_modes
     from slippulse_jax.slider import Slider
@@ -76,7 +78,9 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
             )
     except ValueError as error:
         refuse(error)
-    ended = arrest(slider, right, sites, DEFAULT_MAX_CONTACTS)
+    ended, load = jax.jit(  # one program: step by step JAX would compile sixty
+        lambda slider: (arrest(slider, right, sites, DEFAULT_MAX_CONTACTS), lattice_modes(slider, right, sites).load)
+    )(slider)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
@@ -90,7 +94,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
         "sites": sites,
         "length": float(ended.length),
         "contacts_broken": int(ended.contacts_broken),
-        "load": float(lattice_modes(slider, right, sites).load),
+        "load": float(load),
         "edge_stress": float(ended.edge_stress),
         "status": status.name.lower(),
         "message": status.message,

@@ -10,6 +10,7 @@ import sys
 
 import click
 
+from slippulse_jax.cli.cache import compile_everything_anew, keep_compiled_programs
 from slippulse_jax.cli.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_when_interrupted
 from slippulse_jax.status import NotConverged
 
@@ -55,8 +56,18 @@ def _version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 @click.option(
     "--version", is_flag=True, is_eager=True, expose_value=False, callback=_version, help="Show the version and exit."
 )
-def slippulse() -> None:
+@click.option(
+    "--cache/--no-cache",
+    default=True,
+    envvar="SLIPPULSE_CACHE",
+    help="Keep compiled programs for the next call (default), or not; SLIPPULSE_CACHE=off does the same.",
+)
+def slippulse(cache: bool) -> None:
     """Self-healing slip pulses at the onset of frictional sliding."""
+    if cache:
+        keep_compiled_programs()
+    else:
+        compile_everything_anew()
 
 
 def main() -> None:

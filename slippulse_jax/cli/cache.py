@@ -1,0 +1,64 @@
+"""Keep compiled programs from one call of ``slippulse`` to the next, in the user's cache folder.
+
+Only the command line does this, and by environment variables that JAX reads when it is imported later: importing the package
+changes no setting of JAX.
+"""
+
+import hashlib
+import itertools
+import os
+import platform
+import time
+import warnings
+from pathlib import Path
+
+KEPT_DAYS = 60
+"""Age at which a program is deleted: by then another release of JAX, or of this package, has usually replaced it."""
+
+
+def keep_compiled_programs() -> None:
+    """Let JAX keep what it compiles; without a folder that can be written, it compiles anew each time.
+
+    A folder that the user has chosen, by JAX_COMPILATION_CACHE_DIR, is left to the user's settings.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    try:
+        folder = _folder()
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # JAX runs what it finds there
+        for program in folder.iterdir():
+            if time.time() - program.stat().st_mtime > KEPT_DAYS * 86400:
+                program.unlink(missing_ok=True)
+    except (OSError, RuntimeError):  # no folder, or no home for one
+        return
+    if os.access(folder, os.W_OK):
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        # what cannot be read is compiled, what cannot be written is left: nothing that a user needs to know
+        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+
+
+def compile_everything_anew() -> None:
+    """Compile everything anew, even where JAX_COMPILATION_CACHE_DIR is set."""
+    os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+
+
+def _folder() -> Path:
+    """Folder of this user and this kind of processor: home folders are shared by machines that cannot run each other's code."""
+    if platform.system() == "Windows":
+        cache = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif platform.system() == "Darwin":
+        cache = Path.home() / "Library" / "Caches"
+    else:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "slippulse_jax" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
+
+
+def _processor() -> str:
+    """What a compiler sees of the first core; where that cannot be read, the machine's name."""
+    kinds = ("vendor_id", "model name", "flags", "CPU implementer", "CPU part", "Features")
+    try:
+        with Path("/proc/cpuinfo").open(encoding="utf-8") as cores:
+            return "".join(line for line in itertools.takewhile(str.strip, cores) if line.startswith(kinds))
+    except OSError:
+        return f"{platform.node()} {platform.machine()}"
