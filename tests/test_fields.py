@@ -10,10 +10,9 @@ from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
 from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.recover.inversion import LEVEL, Smoothness, condition, mixture, squared_exponential
 from slippulse_jax.inference.recover.model import profile_model
-from slippulse_jax.inference.recover.prior import Smoothness, condition, mixture, squared_exponential
 from slippulse_jax.inference.recover.recovery import Determination
-from slippulse_jax.inference.recover.search import LEVEL
 from slippulse_jax.interface import Profile
 from slippulse_jax.lattice.delayed import front_stress
 from slippulse_jax.lattice.modes import lattice_modes

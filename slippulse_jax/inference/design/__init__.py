@@ -1,1 +1,1 @@
-"""Which experiment to do next."""
+"""Design experiments: rank candidates by the information expected about the interface stiffness."""

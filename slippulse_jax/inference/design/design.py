@@ -1,13 +1,13 @@
-r"""Which experiment to do next: what each candidate would tell about the stiffness, given what is known.
+r"""Rank candidate experiments by what they are expected to add to the knowledge of the stiffness.
 
-Two answers side by side. The **expected information** is Bayesian and global: it sees that two roots will be told apart, that a
-length saturates, that a front may never stop (`information`). The **D-optimal** gain is local: with
+Two measures side by side. The **expected information** is Bayesian and global: it accounts for several roots, for a length
+that saturates, and for a front that never stops (`information`). The **D-optimal** gain is local: with
 J = dℓ/d ln k, s the standard deviation of ln k within a root and σ the error of the length,
 
     D = E[ ½ ln(1 + s²J²/σ²) ],
 
-what a straight line through each sample would give. They agree where ℓ is straight over the prior; a candidate for which the
-first is large and the second small tells roots apart, one for which both are small sits on the plateau of Λ/H.
+the information if ℓ were linear about each sample. They agree where ℓ is linear over the prior. Where the first is large and
+the second small, the candidate distinguishes roots; where both are small, it lies on the plateau of Λ/H.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ MOST_EXPERIMENTS = 12
 
 
 class Candidate(NamedTuple):
-    """An experiment that could be done; lengths in λc, in m where `correlation_length` is given."""
+    """One candidate experiment; lengths in λc, or in m where `correlation_length` is given."""
 
     height: float
     sigma: float
@@ -42,7 +42,7 @@ class Candidate(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One experiment of a sequence, and what is expected of it and all before it together."""
+    """One experiment of a sequence, and the gain expected from it and all before it together."""
 
     candidate: int
     gain: Gain
@@ -50,7 +50,7 @@ class Step(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
-    """Outcome of `design`: one entry a candidate, in the order given. Information is in nats."""
+    """Outcome of `design`: one entry per candidate, in the order given. Information is in nats."""
 
     knowledge: Knowledge
     candidates: list[Candidate]
@@ -58,13 +58,13 @@ class Design:
     information_error: np.ndarray  # (c,) of its quadrature
     d_optimal: np.ndarray  # (c,) E ½ ln(1 + s²J²/σ²)
     log_stderr: np.ndarray  # (c,) expected standard error of ln k afterwards, over all roots
-    told_apart: np.ndarray  # (c,) probability that one root is left with 95 %
+    told_apart: np.ndarray  # (c,) probability that one root will have a posterior of 95 % or more
     length: np.ndarray  # (m, c) of every sample, in λc
-    sequence: list[Step]  # greedy; each adds most to what those before it tell
+    sequence: list[Step]  # greedy: each adds most to those before it
 
     @property
     def ranking(self) -> np.ndarray:
-        """Candidates from the most informative to the least."""
+        """Candidates from the most to the least informative."""
         return np.argsort(-self.information, kind="stable")
 
     @property
@@ -82,7 +82,7 @@ class Design:
         return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
 
     def report(self) -> str:
-        """Text to read."""
+        """Report as text."""
         return report(self)
 
     def __str__(self) -> str:
@@ -92,7 +92,7 @@ class Design:
         return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the samples as plain Python values, ready for JSON."""
+        """Plain Python values of everything but the samples, ready for JSON."""
         return to_dict(self)
 
 
@@ -110,17 +110,17 @@ def design(
     experiments: int = 1,
     seed: int = 0,
 ) -> Design:
-    """Rank candidate experiments by what they are expected to tell about the interface stiffness.
+    """Rank candidate experiments by the information expected about the interface stiffness.
 
     The conditions broadcast against each other, and each entry is a candidate.
 
     Parameters
     ----------
     knowledge : Knowledge
-        What is known of the stiffness: of k/K, or of the areal stiffness where the material is given.
+        Knowledge of k/K, or of the areal stiffness where the material is given.
     height, sigma : array_like, shape () or (c,)
-        Height of the block and standard error of a length measured on it: in λc, or in m where the material is given. σ may be
-        0 for counts.
+        Height of the block, and standard error σ of a length measured on it: in λc, or in m where the material is given. σ may
+        be 0 for counts.
     poisson, prestress, threshold_slope : array_like
         ν; φ = σ_0/σ_s in (−1, 1); ε, rise of the threshold per contact.
     correlation_length, young : array_like, optional
@@ -128,9 +128,9 @@ def design(
     kind : {"length", "whole"}
         Whether a length is measured, or whole contacts are counted.
     experiments : int
-        How many to plan: a sequence in which each adds most to those before it. A candidate may be taken again.
+        Length of the planned sequence, in which each experiment adds most to those before it. A candidate may be repeated.
     seed : int
-        Of the random shifts by which sequences of two and more are evaluated.
+        Seed of the scrambled Sobol points with which sequences of two or more are evaluated.
 
     Returns
     -------
@@ -139,28 +139,28 @@ def design(
     Raises
     ------
     ValueError
-        If a value lies outside its domain, the shapes do not broadcast, or the knowledge is of another kind of stiffness.
+        If a value lies outside its domain, the shapes do not broadcast, or the knowledge is about another kind of stiffness.
     NotConverged
         If the exact solution did not converge for a candidate; never seen.
 
     Notes
     -----
-    The information of outcomes that are independent given the stiffness is submodular: the greedy sequence has at least
-    1 − 1/e of that of the best set.
+    The information of outcomes that are independent given the stiffness is submodular, so the greedy sequence obtains at
+    least 1 − 1/e of the information of the best set.
     """
     candidates = _candidates(height, sigma, poisson, prestress, threshold_slope, correlation_length, young, kind)
     if knowledge.in_si != (correlation_length is not None):
         known, needed = ("areal stiffness in Pa/m", "give correlation_length and young") if knowledge.in_si else (
             "k/K", "it must be areal (in_si=True) where the material is given"
         )  # fmt: skip
-        raise ValueError(f"the knowledge is of {known}: {needed}")
+        raise ValueError(f"the knowledge is about {known}: {needed}")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
     prior = Prior(knowledge.theta, knowledge.probability, knowledge.labels)
     length, slope = lengths_of(candidates, knowledge.theta)
     error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
     gains = [expected_gain(prior, column, s, kind) for column, s in zip(length.T, error, strict=True)]
-    # a count is a length with an error of a contact's width besides
+    # a count adds to σ² the variance of rounding to a whole contact
     variance = error**2 + (kind == "whole") / 12
     local = 0.5 * np.log1p(knowledge.within_sd**2 * slope**2 / variance)
     information, information_error, log_stderr, told_apart = (np.array(x) for x in zip(*gains, strict=True))
@@ -225,7 +225,7 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
 
 
 def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ* and dℓ*/d ln k at every ln(stiffness) and of every candidate, in λc; the slope is 0 where the front never stops."""
+    """Length ℓ* of every candidate at every ln(stiffness), in λc, and dℓ*/d ln k, which is 0 where the front never stops."""
     numbers = np.array([c[:5] for c in candidates])
     scale = np.array([c.correlation_length or 1.0 for c in candidates])
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])

@@ -1,4 +1,4 @@
-r"""What an outcome y tells about θ, known as weighted samples θ_i: expected information, standard error, roots told apart.
+r"""Information expected from an outcome y about θ, given as weighted samples θ_i; standard error; roots distinguished.
 
 An experiment measures a length ℓ(θ) with a normal error σ, or counts whole contacts, ceil(ℓ + error); a front that never stops
 is an outcome of its own. The expected information (mutual information, in nats) is
@@ -17,16 +17,16 @@ from scipy.special import logsumexp, ndtr, ndtri, xlogy
 Kind = Literal["length", "whole"]
 
 REACH = 7.0
-"""Standard errors beyond the lengths up to which outcomes are summed."""
+"""Range of the outcomes summed over, in standard errors beyond the lengths."""
 
 STEP = 0.25
-"""Distance of outcomes summed over, in standard errors."""
+"""Spacing of the outcomes summed over, in standard errors."""
 
 SURE = 0.95
-"""Probability of one root from which on the roots count as told apart."""
+"""Smallest posterior of one root with which the roots count as told apart."""
 
 REPLICATES, POINTS = 8, 512
-"""Scrambled Sobol sequences, and points of each."""
+"""Number of scrambled Sobol sequences, and points of each."""
 
 
 class Prior(NamedTuple):
@@ -37,7 +37,7 @@ class Prior(NamedTuple):
     root: np.ndarray  # 0, 1, …
 
     def thinned(self) -> tuple["Prior", np.ndarray]:
-        """Every other sample of each root, and their indices."""
+        """Keep every other sample of each root; also return their indices."""
         kept = np.sort(np.concatenate([np.flatnonzero(self.root == r)[::2] for r in range(self.root.max() + 1)]))
         share = np.bincount(self.root, self.weight)
         weight = self.weight[kept]
@@ -47,12 +47,12 @@ class Prior(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What is expected of one experiment, or of several together."""
+    """Gain expected from one experiment, or from several together."""
 
     information: float  # nats
     error: float  # of the information: of the quadrature, or a standard error
     log_stderr: float  # expected standard deviation of θ afterwards
-    told_apart: float  # probability that one root is left with `SURE`
+    told_apart: float  # probability that one root will have a posterior of `SURE` or more
 
 
 def likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
@@ -80,12 +80,12 @@ def likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> n
 
 
 def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
-    """Outcomes to sum over and their weights, both of shape (n,)."""
+    """Outcomes to sum over, and their weights, both of shape (n,)."""
     finite = length[np.isfinite(length)]
     y, dy = np.empty(0), np.empty(0)
     if finite.size:
         if kind == "length":
-            # only where there is something: the lengths may lie in clumps far apart
+            # only near the lengths, which may lie in clumps far apart
             edges = np.unique(np.floor(finite[:, None] / sigma) + np.arange(-REACH, REACH + 1))
             y = (edges[:, None] + step * np.arange(round(1 / step))).ravel() * sigma
             dy = np.full(len(y), step * sigma)
@@ -99,7 +99,7 @@ def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -
 
 
 def expected_gain(prior: Prior, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
-    """Of one experiment whose length at each sample is `length`, shape (m,); by quadrature."""
+    """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
     found = _quadrature(prior, length, sigma, kind, STEP)
     thin, kept = prior.thinned()
     coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(prior, length, sigma, kind, 2 * STEP)
@@ -113,7 +113,7 @@ def _quadrature(prior: Prior, length: np.ndarray, sigma: float, kind: Kind, step
     for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
         p = likelihood(y[part], length, sigma, kind)
         total = p @ prior.weight
-        # one outcome no sample leads to is worth nothing
+        # outcomes that no sample leads to have no probability
         known = total > 0
         p, total, share = p[known], total[known], (dy[part] * total)[known]
         entropy = xlogy(p, p) @ prior.weight - xlogy(total, total)
@@ -125,7 +125,7 @@ def _quadrature(prior: Prior, length: np.ndarray, sigma: float, kind: Kind, step
 
 
 def _afterwards(prior: Prior, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviation of θ and whether one root is sure, for posteriors of shape (n, m)."""
+    """Standard deviation of θ, and whether one root is sure, for posteriors of shape (n, m)."""
     theta = prior.theta - prior.weight @ prior.theta
     mean = posterior @ theta
     variance = posterior @ theta**2 - mean**2
@@ -134,14 +134,14 @@ def _afterwards(prior: Prior, posterior: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 class Drawn(NamedTuple):
-    """Truths and errors drawn for a sequence of experiments, the same for all candidates."""
+    """Truths and errors drawn for a sequence of experiments, common to all candidates."""
 
     truth: np.ndarray  # (n,) the sample that is the truth
     noise: np.ndarray  # (n, steps), standard normal
 
 
 def draw(prior: Prior, steps: int, seed: int) -> Drawn:
-    """`REPLICATES` independently scrambled Sobol sequences, one after another."""
+    """Draw `REPLICATES` independently scrambled Sobol sequences, one after another."""
     from scipy.stats.qmc import Sobol
 
     rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def log_likelihoods(drawn: Drawn, step: int, length: np.ndarray, sigma: float, k
 
 
 def joint_gain(prior: Prior, drawn: Drawn, log_p: np.ndarray) -> Gain:
-    """Of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
+    """Gain of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
     with np.errstate(divide="ignore"):
         joint = log_p + np.log(prior.weight)
     total = np.asarray(logsumexp(joint, axis=1))

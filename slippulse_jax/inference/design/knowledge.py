@@ -1,7 +1,7 @@
-"""What is known of the interface's stiffness before the next experiment: weighted samples of its logarithm.
+"""Knowledge of the interface stiffness before the next experiment: weighted samples of its logarithm.
 
-Weighted samples hold any shape: a normal curve, one that ends abruptly, or the two roots that one length may have. On a grid
-the weights are the quadrature's, and sums over the samples are integrals.
+Weighted samples represent any distribution: a normal one, one that ends abruptly, or the two roots that one length may have. On
+a grid the weights are those of the quadrature, and sums over the samples are integrals.
 """
 
 import dataclasses
@@ -26,10 +26,10 @@ NODES = 1201
 """Samples of a grid."""
 
 NEGLIGIBLE = 1e-9
-"""Weight over the largest below which a sample is left out."""
+"""Weight, relative to the largest, below which a sample is left out."""
 
 VALLEY = 0.5
-"""Two peaks of a density are two roots where it falls between them to less than this part of the lower one."""
+"""Two peaks of a density count as two roots where it falls between them below this fraction of the lower one."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ class Knowledge:
     log_stiffness : array_like, shape (m,)
         ln of k/K, or of the areal stiffness k/λc² in Pa/m where the material is given.
     weight : array_like, shape (m,), optional
-        Probabilities; equal by default, as for samples of a Markov chain. They need not add up to one.
+        Probabilities, normalised on input; equal by default, as for samples of a Markov chain.
     root : array_like of int, shape (m,), optional
-        Which root (mode) each sample belongs to; all to one by default.
+        Root (mode) that each sample belongs to; one for all by default.
     in_si : bool
         Whether the stiffness is areal, in Pa/m.
 
@@ -87,7 +87,7 @@ class Knowledge:
     def lognormal(
         cls, stiffness: ArrayLike, log_sd: ArrayLike, *, share: ArrayLike = 1.0, in_si: bool = False, nodes: int = NODES
     ) -> "Knowledge":
-        """A stiffness known to a factor, or several of which one is right.
+        """Build from a lognormal distribution, or a mixture of several roots.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class Knowledge:
         log_sd : array_like
             Standard deviation of ln(stiffness).
         share : array_like
-            Probability of each root; need not add up to one.
+            Probability of each root, normalised on input.
         in_si : bool
         nodes : int
             Samples of the grid.
@@ -123,16 +123,17 @@ class Knowledge:
         bounds: tuple[float, float] | None = None,
         nodes: int = NODES,
     ) -> "Knowledge":
-        """Posterior of the stiffness after earlier measurements, on a grid, with as many roots as it has modes.
+        """Compute the posterior of the stiffness after earlier measurements, on a grid; each mode is a root.
 
         Parameters
         ----------
         measurements : Measurements
-            Lengths, counts, and fronts without arrest. In SI with Young's modulus the stiffness is areal, in Pa/m.
+            Lengths, counts and censored lengths. In SI with Young's modulus the stiffness is areal, in Pa/m.
         prior : Knowledge, optional
-            Of the same kind of stiffness; its samples are weighed by the likelihood. By default ln(stiffness) is uniform.
+            Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood. By default ln(stiffness) is
+            uniform.
         bounds : (float, float), optional
-            Of that uniform prior; from where no domino starts up to k/K = 1 by default.
+            Range of the uniform prior; by default from the softest interface with a precursor up to k/K = 1.
         nodes : int
             Samples of the grid.
 
@@ -163,17 +164,16 @@ class Knowledge:
 
     @classmethod
     def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
-        """What a fit says of its stiffness: the likelihood along its profile, the other parameters fitted anew at each value.
+        """Take the profile likelihood of the stiffness of a fit.
 
-        With one parameter that is the posterior of `from_measurements`; with several it stands for the marginal one, as far as
-        the profile of a parameter has its shape.
+        With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
 
         Parameters
         ----------
         result : FitResult
-            Of a fit of one stiffness, for all measurements.
+            Of a fit with one stiffness common to all measurements.
         nodes : int
-            Samples of the grid, about.
+            Samples of the grid, approximately.
 
         Raises
         ------
@@ -245,7 +245,7 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np
 
 
 def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """θ and ln of the weights of a grid, finer where the posterior is."""
+    """Choose a grid of θ, finer where the posterior is; also return the logarithms of its weights."""
     if bounds is None:
         bounds = float((softest(m) / ratio).min()), float((STIFFEST / ratio).max())
     low, high = bounds
@@ -266,7 +266,7 @@ def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None
 
 
 def _roots(density: np.ndarray) -> np.ndarray:
-    """Number of the mode each node belongs to: modes are parted where the density falls below `VALLEY` of the lower peak."""
+    """Number the modes, and say which each node belongs to; they are separated by valleys (`VALLEY`)."""
     rises = np.concatenate([[True], density[1:] > density[:-1]])
     falls = np.concatenate([density[:-1] >= density[1:], [True]])
     peaks = np.flatnonzero(rises & falls)

@@ -13,7 +13,7 @@ BIT = np.log(2)
 
 
 def label(one: "Candidate", many: list["Candidate"]) -> str:
-    """A candidate by what sets it apart from the others."""
+    """Name a candidate by the conditions in which the candidates differ."""
     name = f"H = {one.height:.5g} λc" if one.correlation_length is None else f"H = {one.height * 1e3:.5g} mm"
     others = {
         "poisson": f"ν = {one.poisson:g}",
@@ -27,7 +27,7 @@ def label(one: "Candidate", many: list["Candidate"]) -> str:
 
 
 def report(found: "Design") -> str:
-    """Text to read."""
+    """Format a design as text."""
     k = found.knowledge
     unit = " Pa/m" if k.in_si else ""
     symbol = "k/λc²" if k.in_si else "k/K"
@@ -35,7 +35,7 @@ def report(found: "Design") -> str:
     lines = [f"Known: {symbol} " + (" or " if several else "").join(
         f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots
     )]  # fmt: skip
-    lines.append(f"       standard deviation of ln k, all together: {k.log_sd:.3g}")
+    lines.append(f"       standard deviation of ln k, over all roots: {k.log_sd:.3g}")
     wide = max(len(label(c, found.candidates)) for c in found.candidates)
     apart = f" {'told apart':>11}" if several else ""
     lines.append(f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'D-optimal':>10} {'se of ln k':>11}{apart}")
@@ -63,7 +63,7 @@ def report(found: "Design") -> str:
 
 
 def _by_root(found: "Design") -> str:
-    """What the first candidate would measure under each root."""
+    """Length expected of the best candidate under each root."""
     k, best = found.knowledge, found.best
     scale, name = _scale(found)
     seen = []
@@ -76,15 +76,16 @@ def _by_root(found: "Design") -> str:
 
 
 def notes(found: "Design") -> list[str]:
-    """What a careful reader should know before going to the laboratory."""
+    """List warnings to read before the experiment."""
     said = []
     if (found.information_error > 0.1 * np.maximum(found.information, 0.05)).any():
-        said.append("Note: the samples are too few for an error this small; give more (nodes, or a longer chain).")
+        said.append("Note: too few samples for an error this small; give more (nodes, or a longer chain).")
     endless = found.knowledge.probability @ np.isinf(found.length)
     for i in np.flatnonzero(endless > 1e-3).tolist():
-        said.append(f"Note: {label(found.candidates[i], found.candidates)}: with {endless[i]:.0%} the front never stops.")
+        name = label(found.candidates[i], found.candidates)
+        said.append(f"Note: {name}: with probability {endless[i]:.0%} the front never stops.")
     if found.information.max() < 0.1:
-        said.append("Note: no candidate tells anything much: the lengths are on their plateau, or known to within σ already.")
+        said.append("Note: no candidate adds much information: the lengths are on their plateau, or already known to within σ.")
     return said
 
 
@@ -99,7 +100,7 @@ def _scale(found: "Design") -> tuple[np.ndarray, str]:
 
 
 def to_dict(found: "Design") -> dict[str, Any]:
-    """Everything but the samples as plain Python values, ready for JSON; information in nats."""
+    """Plain Python values of everything but the samples, ready for JSON; information in nats."""
     lengths = found.expected_length
     content = {
         "knowledge": {

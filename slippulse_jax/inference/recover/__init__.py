@@ -1,1 +1,1 @@
-"""A threshold or prestress that varies along the interface, from measured lengths."""
+"""Recover a threshold or prestress that varies along the interface from measured lengths."""

@@ -1,10 +1,10 @@
-"""Lengths of first precursors on one profile of threshold or prestress under several sliders, and their derivatives in it.
+"""Lengths of first precursors on one profile under several sliders, and their derivatives in the profile.
 
 Two functions of the unknown u, which is the profile at its knots (ln(θ/θ_0), or φ in σ_s) followed by the shift of ln k:
 
-- the lengths, which jump where a strong place comes to stop a front that used to pass it;
+- the lengths, which jump where a strong place begins to stop a front that used to pass it;
 - the excess stress e = t − θ at the measured arrest, which is zero where the model agrees. It is smooth in u wherever the front
-  may stop, so a search that starts far off goes by it first. Near the truth both say the same: ℓ − measured = −e/e'.
+  stops, so a search starts with it. Near the solution both are equivalent: ℓ − measured = −e/e'.
 """
 
 import functools
@@ -26,7 +26,7 @@ from slippulse_jax.slider import Slider
 Kind = Literal["threshold", "prestress"]
 
 LANES = 8
-"""Fronts are computed in groups of so many."""
+"""Fronts computed together: one compiled program serves any number of measurements."""
 
 
 class Look(NamedTuple):
@@ -64,7 +64,6 @@ class ProfileModel(NamedTuple):
         phi = self.prestress if varies else self.prestress + along
         height, stiffness, poisson = self.lanes
         lanes = (height, stiffness * np.exp(u[-1]), poisson, self.measured, theta, phi)
-        # in eights, so that few numbers of lanes are ever compiled
         padded = np.resize(np.arange(len(height)), LANES * -(-len(height) // LANES))
         with jax.enable_x64(True):
             columns = function()(*(lane[padded] for lane in lanes))
@@ -78,7 +77,7 @@ class ProfileModel(NamedTuple):
 def profile_model(
     m: Measurements, kind: Kind, stiffness: np.ndarray, measured: np.ndarray, sites: int, knots: int
 ) -> ProfileModel:
-    """The model of these measurements, with their own prestress and threshold slope as known parts.
+    """Build the model of these measurements, with their prestress and threshold slope as known parts.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def profile_model(
     sites : int
         Contacts followed.
     knots : int
-        At most so many positions at which the profile is described, evenly spaced.
+        Largest number of positions at which the profile is described, evenly spaced.
     """
     n = len(m)
     site = np.arange(sites)
@@ -141,14 +140,14 @@ def _excesses() -> Callable[..., tuple[Array, ...]]:
 
 
 def _between(values: Array, at: Array) -> tuple[Array, Array]:
-    """Value and slope at a real position, on straight lines between sites."""
+    """Interpolate linearly between sites: value and slope at a real position."""
     left = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, values.size - 2)
     slope = values[left + 1] - values[left]
     return values[left] + (at - left) * slope, slope
 
 
 def _onto_knots(by_site: Float[np.ndarray, "n sites"], knots: np.ndarray) -> Float[np.ndarray, "n k"]:
-    """Derivatives in the values at the knots, between which the profile is a straight line."""
+    """Turn derivatives in the sites into derivatives in the knots, between which the profile is linear."""
     site = np.arange(by_site.shape[1])
     left = np.clip(np.searchsorted(knots, site, side="right") - 1, 0, len(knots) - 2)
     share = (site - knots[left]) / (knots[left + 1] - knots[left])

@@ -1,17 +1,18 @@
 r"""A threshold or prestress that varies along the interface, from the lengths of precursors that stop at different places.
 
-Under the hard rule what a contact gives up as the front passes is the stress it carries, whatever its threshold. So for given
-prestress the front stress t(s) does not depend on the thresholds, but for the first, which sets the load, and a front that
-stops at ℓ reads one of them:
+Under the hard rule a contact releases the stress it carries as the front passes, whatever its threshold. So for a given
+prestress the front stress t(s) depends on one threshold only, that of contact 0, which sets the load; and a front that stops at
+ℓ measures one more:
 
     θ(ℓ)/θ_0 = t(ℓ),
 
-to within σ |t' − θ'|, and says of the contacts before only that they were weaker than t. A prestress is released all along the
-way: t is linear in it, and a length sees a weighted mean of it, with most weight near the arrest (`docs/sensitivity.md`).
+to within σ |t' − θ'|. Of the contacts before ℓ the length implies only that their thresholds were below t. A prestress is
+released all along the way: t is linear in it, and a length determines a weighted mean of it, with most weight near the arrest
+(`docs/sensitivity.md`).
 
-Between the readings the profile is what a smooth function would do: ln(θ/θ_0), or φ, is a Gaussian process of standard
-deviation s and length scale L (`slippulse_jax.inference.recover.prior`). Gauss–Newton steps, damped so that each descends, go
-through the backward recursion's derivatives in every contact; s and L are weighed by their evidence.
+Between the arrests the profile is assumed smooth: ln(θ/θ_0), or φ, is a Gaussian process of standard deviation s and length
+scale L (`slippulse_jax.inference.recover.inversion`). The Gauss–Newton steps use the derivatives in every contact from the
+backward recursion; s and L are weighted by their evidence.
 """
 
 import dataclasses
@@ -23,10 +24,9 @@ from jaxtyping import ArrayLike
 from scipy.special import chdtrc, ndtri
 
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.recover.inversion import LEVEL, Found, Problem, Smoothness, mixture, search
 from slippulse_jax.inference.recover.model import Kind, Look, profile_model
-from slippulse_jax.inference.recover.prior import Smoothness, mixture
 from slippulse_jax.inference.recover.report import report, to_dict
-from slippulse_jax.inference.recover.search import LEVEL, Found, Problem, search
 
 MOST_KNOTS = 256
 """Positions at which a profile is described; between them it is a straight line."""
@@ -36,18 +36,18 @@ _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
 
 
 class Determination(enum.Enum):
-    """How much of the profile the lengths determine; the value is what the report says."""
+    """How much of the profile the lengths determine; the value is the sentence of the report."""
 
     DETERMINED = "determined between the first and the last arrest"
     PARTLY = "determined in places only"
     AVERAGES = "determined as averages over long stretches only, not place by place"
-    UNDERDETERMINED = "under-determined: this is the prior, bent to fit, and not a measured profile"
+    UNDERDETERMINED = "under-determined: this is the prior bent to fit, not a measured profile"
     NOT_EXPLAINED = "no smooth profile gives these lengths"
-    NOT_CONVERGED = "given up: no smooth profile was found that lets every front run to its arrest"
+    NOT_CONVERGED = "given up: no smooth profile was found on which every front reaches its arrest"
 
 
 class Readings(NamedTuple):
-    """What each length says by itself of the threshold where its front stopped."""
+    """The threshold at each arrest, from that length alone."""
 
     position: np.ndarray  # (n,), in λc
     value: np.ndarray  # (n,), θ(ℓ)/θ_0 = t(ℓ)
@@ -63,13 +63,13 @@ class RecoveredProfile:
     position: np.ndarray  # (k,) knots, in λc from the left edge
     profile: np.ndarray  # (k,) θ/θ_0, or φ in σ_s
     stderr: np.ndarray  # (k,) in the same unit
-    prior_stderr: np.ndarray  # (k,) what `stderr` would be without the lengths
+    prior_stderr: np.ndarray  # (k,) `stderr` without the lengths
     covariance: np.ndarray  # (k, k) of ln(θ/θ_0), or of φ
     determined: np.ndarray  # (k,) where the standard error is at most half of what the prior lets the profile vary
     resolution: np.ndarray  # (k, k) row i is the averaging kernel of knot i, for ln(θ/θ_0) or φ
     fitted: np.ndarray  # (n,) lengths on `profile`, in λc
     chi2: float  # Σ [(fitted − measured)/σ]²
-    prior_misfit: float  # fᵀK⁻¹f at the best setting: what the prior objects to
+    prior_misfit: float  # fᵀK⁻¹f at the best setting
     smoothness: Smoothness  # the setting of most evidence
     settings: list[Smoothness]
     weight: np.ndarray  # (h,) probability of each of `settings`
@@ -80,22 +80,22 @@ class RecoveredProfile:
 
     @property
     def degrees(self) -> float:
-        """Numbers determined by the lengths rather than by the prior: the trace of the resolution."""
+        """Count the numbers that the lengths rather than the prior determine: the trace of the resolution."""
         return float(np.trace(self.resolution))
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the interval at each knot, in the unit of the profile; both of shape (k,)."""
+        """Lower and upper ends of the interval at each knot, in the unit of the profile; both of shape (k,)."""
         half = ndtri((1 + level) / 2) * _stderr(self.covariance)
         if self.kind == "threshold":
             return self.profile * np.exp(-half), self.profile * np.exp(half)
         return self.profile - half, self.profile + half
 
     def at(self, x: ArrayLike) -> np.ndarray:
-        """The profile at positions x in λc; beyond the last knot it stays what it is there."""
+        """Evaluate the profile at positions x in λc; it is constant beyond the last knot."""
         return np.interp(np.asarray(x, dtype=np.float64), self.position, self.profile)
 
     def report(self) -> str:
-        """Text to read."""
+        """Report as text."""
         return report(self)
 
     def __str__(self) -> str:
@@ -105,7 +105,7 @@ class RecoveredProfile:
         return f"RecoveredProfile({self.kind}, {self.determination.name}: {self.degrees:.1f} numbers; report() says more)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain Python values, ready for JSON."""
+        """Plain Python values, ready for JSON."""
         return to_dict(self)
 
 
@@ -120,7 +120,7 @@ def recover_profile(
     length_scale: float | None = None,
     max_steps: int = 50,
 ) -> RecoveredProfile:
-    """Threshold or prestress along one interface, from first-precursor lengths under several conditions.
+    """Recover threshold or prestress along one interface from first-precursor lengths.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ def recover_profile(
         What varies: the threshold, relative to that of contact 0 (lengths do not depend on σ_s), or the prestress in σ_s,
         under a uniform threshold of 1 and on top of the `prestress` of the measurements.
     log_stiffness_sd : float
-        Standard error of ln k, the same for all measurements; it then widens the profile's.
+        Standard error of ln k, common to all measurements; it adds to that of the profile.
     mean : float
         Prior mean of a prestress, in σ_s; its standard deviation is `LEVEL`.
     amplitude, length_scale : float, optional
         Standard deviation of the profile about its mean (of ln θ, or of φ in σ_s) and the distance in λc over which it varies.
-        Weighed by evidence where not given.
+        Averaged over 6 values each, weighted by evidence, where not given.
     max_steps : int
         Gauss–Newton steps.
 
@@ -149,7 +149,7 @@ def recover_profile(
     Raises
     ------
     ValueError
-        If an argument lies outside its domain, or a measurement is no length, naming it.
+        If an argument lies outside its domain, or a measurement is neither a length nor a count.
     """
     m = measurements
     _check(m, kind, log_stiffness_sd, amplitude, length_scale, max_steps)
@@ -168,7 +168,7 @@ def recover_profile(
     mean_u, covariance, resolution = mixture(found.posteriors, found.weight)
     f, covariance, resolution = (problem.mean + mean_u)[:k], covariance[:k, :k], resolution[:k, :k]
     prior_variance = np.sum([w * np.diag(problem.prior(s))[:k] for w, s in zip(found.weight, settings, strict=True)], axis=0)
-    # what is learnt of the level of a prestress is not learnt of any place
+    # a better known level of the prestress determines it at no particular place
     varying = prior_variance - (LEVEL**2 if kind == "prestress" else 0)
     at_mean = model.lengths(problem.mean + mean_u)
     fitted = at_mean.value
@@ -213,17 +213,17 @@ def _check(
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
     if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
-        raise MeasurementError(f"{m.source}: several correlation lengths: the lengths are not of one interface")
+        raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
 
 
 def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     """Lengths and standard errors in λc."""
     if m.length_sigma is None or not np.isfinite(m.length_sigma).all():
-        raise MeasurementError(f"{m.source}: a profile needs the standard errors of the lengths")
+        raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
     kinds = np.array(m.kind)
     whole = kinds == "whole"
     for i in np.flatnonzero(~whole & (kinds != "length")).tolist():
-        raise MeasurementError(f"{m.place(i)}: kind {m.kind[i]!r}: a profile takes lengths and whole-contact counts")
+        raise MeasurementError(f"{m.place(i)}: kind {m.kind[i]!r}: recover_profile takes lengths and whole-contact counts")
     sigma = np.sqrt(m.length_sigma**2 + whole / 12)
     if not (sigma > 0).all():
         raise MeasurementError(f"{m.place(int(np.argmin(sigma)))}: a standard error must be positive")
@@ -244,7 +244,7 @@ def _stderr(covariance: np.ndarray) -> np.ndarray:
 def _judge(found: Found, chi2: float, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray) -> Determination:
     if not found.converged:
         return Determination.NOT_CONVERGED
-    # not weighed by evidence: where no variation is seen that prefers a stiff prior, which needs no data
+    # equal weights: where no variation is seen, the evidence prefers a stiff prior, which no data determine
     degrees = np.mean([np.trace(p.resolution[: len(knots), : len(knots)]) for p in found.posteriors])
     spare = max(len(measured) - degrees, 1.0)
     if not np.isfinite(chi2) or chdtrc(spare, chi2) < 1e-3:

@@ -20,14 +20,14 @@ def stretches(found: "RecoveredProfile") -> list[tuple[float, float]]:
 
 
 def report(found: "RecoveredProfile") -> str:
-    """Text to read."""
+    """Format a recovered profile as text."""
     n = len(found.measurements)
     low, high = found.interval(0.95)
     where = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in stretches(found)) or "nowhere"
     lines = [
         f"{found.kind.capitalize()} profile from {n} length{'s' * (n > 1)}: {found.determination.value}",
-        f"  numbers determined by the lengths: {found.degrees:.2f} of {len(found.position)} values described",
-        f"  standard error at most half the prior's at x/λc: {where}",
+        f"  independent values that the lengths determine: {found.degrees:.2f}, of {len(found.position)} knots",
+        f"  determined (standard error at most half the prior's) at x/λc: {where}",
         f"  χ² = {found.chi2:.4g} for {n} lengths; prior misfit {found.prior_misfit:.4g}; {found.steps} steps",
         f"  prior: {_prior(found)}",
     ]
@@ -43,7 +43,7 @@ def report(found: "RecoveredProfile") -> str:
         )
     if found.kind == "threshold":
         lines.append(
-            "  A length reads the threshold where its front stopped, and says of the contacts before only that they broke."
+            "  A length determines the threshold where its front stopped; before that it implies only that the contacts broke."
         )
     return "\n".join(lines)
 
@@ -54,19 +54,19 @@ def _prior(found: "RecoveredProfile") -> str:
     if len(found.settings) == 1:
         return f"{given}, as given"
     if np.ptp(found.weight) == 0:
-        return f"{len(found.settings)} settings alike (too few lengths to choose)"
+        return f"{len(found.settings)} settings, equal weights (too few lengths to choose)"
     return f"{given} of most evidence ({found.weight.max():.0%}), averaged over {len(found.settings)} settings"
 
 
 def _rows(found: "RecoveredProfile") -> np.ndarray:
-    """Some positions, those of the arrests among them where they are few."""
+    """Positions listed in the report: evenly spaced, and the arrests where they are few."""
     last = found.measurements.length.max()
     arrests = np.unique(found.measurements.length.round())
     return np.unique(np.concatenate([np.linspace(0, last, 6).round(), arrests if len(arrests) <= 8 else []]))
 
 
 def to_dict(found: "RecoveredProfile") -> dict[str, Any]:
-    """Everything as plain Python values, ready for JSON; numbers that are not finite are None."""
+    """Plain Python values, ready for JSON; numbers that are not finite are None."""
     arrays = ("position", "profile", "stderr", "prior_stderr", "fitted")
     content = {
         "kind": found.kind,
