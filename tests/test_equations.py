@@ -1,55 +1,42 @@
 """Every equation of the paper has a function that computes it and a test that checks it; and some of those tests."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.paper import equations
 
 DOCS = Path(__file__).parent.parent / "docs"
 
 
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def test_no_equation_is_missing():
+    assert len(equations.ORDER) == 67  # 65 labels on 66 printed equations, and the two lattice equations without a number
+    assert equations.missing() == []
 
 
-@pytest.fixture(scope="module")
-def index():
-    return load("equation_index")
+def test_page_is_up_to_date():
+    assert equations.page() == (DOCS / "equations.md").read_text(encoding="utf-8")
 
 
-def test_no_equation_is_missing(index):
-    assert len(index.ORDER) == 67  # 65 labels on 66 printed equations, and the two lattice equations without a number
-    assert index.missing() == []
-
-
-def test_page_is_up_to_date(index):
-    assert index.page() == (DOCS / "equations.md").read_text(encoding="utf-8")
-
-
-def test_numbers_run_as_printed(index):
-    numbers = [n for row in index.equations().values() for n in row["number"].split(", ") if n]
+def test_numbers_run_as_printed():
+    numbers = [n for row in equations.equations().values() for n in row["number"].split(", ") if n]
     assert sorted(map(int, numbers)) == list(range(1, 67))
 
 
-def test_the_index_notices_what_is_missing(index, monkeypatch):
-    found = index.index()
+def test_the_index_notices_what_is_missing(monkeypatch):
+    found = equations.index()
     for computed, tested, complaint in (([], ["t"], "cra44: no function"), (["f"], [], "cra44: no test")):
-        monkeypatch.setattr(index, "index", lambda c=computed, t=tested: found | {"cra44": (c, t)})
-        (only,) = index.missing()
+        monkeypatch.setattr(equations, "index", lambda c=computed, t=tested: found | {"cra44": (c, t)})
+        (only,) = equations.missing()
         assert only.startswith(complaint)
 
 
-def test_labels_are_read_as_they_are_written(index):
-    assert index.named("see label" + "s cra26, cra34–cra36 and cra44; cra58 is not meant") == [
+def test_labels_are_read_as_they_are_written():
+    assert equations.named("see label" + "s cra26, cra34–cra36 and cra44; cra58 is not meant") == [
         "cra26", "cra34", "cra35", "cra36", "cra44"
     ]  # fmt: skip
-    assert index.named("eliminating from cra48–cra50") == []
+    assert equations.named("eliminating from cra48–cra50") == []
 
 
 def test_springs_from_the_material():

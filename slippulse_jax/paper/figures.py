@@ -1,4 +1,4 @@
-"""The paper's Figures 2 and 3, computed: the drawings, and the numbers they are drawn from; lines carry their labels."""
+"""Compute and draw the paper's Figures 2 and 3."""
 
 import csv
 import io
@@ -6,13 +6,22 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
+from slippulse_jax import theory
 from slippulse_jax.files import write_atomically
+from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
+from slippulse_jax.lattice.exact_lanes import exact_lengths
+from slippulse_jax.lattice.lengths import precursor_lengths
 from slippulse_jax.plot.style import LIGHT
+from slippulse_jax.slider import Slider
 
-HEIGHT, STIFFNESS, POISSON, SITES = 25.0, 0.03, 0.3, 100
-"""Parameters of Fig. 2; SITES is the L/λc of both figures."""
+POISSON, SITES = 0.3, 100
+"""Poisson's ratio and L/λc of both figures."""
+
+FIG2 = Slider(25.0, 0.03, POISSON)
+"""The slider of Fig. 2."""
 
 STIFFNESSES = {0.03: LIGHT.vermilion, 0.01: LIGHT.blue, 0.003: LIGHT.ink}
 HEIGHTS = {10: LIGHT.vermilion, 25: LIGHT.blue, 50: LIGHT.ink}
@@ -26,44 +35,30 @@ Table = dict[str, np.ndarray]
 
 def fig2_fields() -> Table:
     """Fig. 2 a, b: displacements in u_s and stress in σ_s against x/λc, at nucleation, s = 13 and arrest s = 26."""
-    import slippulse_jax as sp
-    from slippulse_jax.lattice.exact import exact_fields
-
     x = np.arange(61)
     table: Table = {"x": x}
     for s in (0, 13, 26):
-        fields = exact_fields(sp.Slider(HEIGHT, STIFFNESS, POISSON), s, x)
-        for name, value in fields._asdict().items():
+        for name, value in exact_fields(FIG2, s, x)._asdict().items():
             table[f"{name}_s{s}"] = np.asarray(value)
     return table
 
 
 def fig2_stress() -> Table:
     """Fig. 2 c: stress at nucleation, at the passing front tip, and their difference, in σ_s, against x/λc."""
-    import slippulse_jax as sp
-    from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
-
-    slider, x = sp.Slider(HEIGHT, STIFFNESS, POISSON), np.arange(61)
-    tip = np.asarray(exact_front_stress(slider, x))
-    before = np.asarray(exact_fields(slider, 0, x).stress)
+    x = np.arange(61)
+    tip, before = np.asarray(exact_front_stress(FIG2, x)), np.asarray(exact_fields(FIG2, 0, x).stress)
     # at x = 0 their limit, contact 0 having broken
-    continuum, frozen = (np.asarray(f(slider, x)) for f in (sp.theory.continuum_stress, sp.theory.frozen_stress))
+    continuum, frozen = (np.asarray(f(FIG2, x)) for f in (theory.continuum_stress, theory.frozen_stress))
     return {"x": x, "nucleation": before, "front": tip, "extra": tip - before, "continuum": continuum, "frozen": frozen}
 
 
 def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
-    """Λ/λc by every level of theory; the finite chain's whole count where the front stops inside it, NaN where it does not."""
-    import jax
-
-    import slippulse_jax as sp
-    from slippulse_jax.lattice.front import arrest
-    from slippulse_jax.status import Outcome
-
-    slider = sp.Slider(height, stiffness, POISSON)
-    theory = sp.theory
+    """Λ/λc by every level of theory, and contacts broken in finite chains, NaN where the front runs through."""
+    slider = Slider(height, stiffness, POISSON)
+    lattice = exact_lengths(slider)
     table = {
-        "lattice": sp.exact_length(slider),
-        "contacts": sp.exact_front(slider).contacts_broken,
+        "lattice": lattice,
+        "contacts": _contacts(lattice),
         "continuum": theory.length_continuum(slider),
         "frozen": theory.length_frozen(slider),
         "eq58": theory.length(slider),
@@ -71,15 +66,13 @@ def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
         "envelope": theory.envelope_length(slider),
     }
     for right in ("free", "clamped"):
-
-        def one(h: Any, q: Any, right: Any = right) -> Any:
-            end = arrest(sp.Slider(h, q, POISSON), right, SITES, SITES + 1)
-            return end.contacts_broken, end.status
-
-        count, status = jax.jit(jax.vmap(one))(*np.broadcast_arrays(height, stiffness))
-        stopped = np.asarray(status) != Outcome.RAN_THROUGH
-        table[f"{right}_L{SITES}"] = np.where(stopped, np.asarray(count, float), np.nan)
+        table[f"{right}_L{SITES}"] = _contacts(precursor_lengths(slider, right=right, sites=SITES))
     return {"height": height, "stiffness": stiffness} | {k: np.asarray(v) for k, v in table.items()}
+
+
+def _contacts(length: np.ndarray) -> np.ndarray:
+    """Whole contacts broken; NaN where the front does not stop."""
+    return np.where(np.isfinite(length), np.maximum(np.ceil(length), 1), np.nan)
 
 
 def fig3a() -> Table:
@@ -116,8 +109,6 @@ def draw_figures(
     ValueError
         For an unknown format or name.
     """
-    import jax
-
     formats, names = list(formats), list(names)
     for value, known in ((formats, FORMATS), (names, tuple(_FIGURES))):
         for x in value:

@@ -1,22 +1,19 @@
-"""Which function computes each equation of the paper, and which test checks it, read from the code: docs/equations.md.
+"""Index of the paper's equations: the function that computes each and the test that checks it, read from the code.
 
-The labels are in `equations.csv`. A function, class or field computes what its docstring or comment names after the word
+The labels are in ``equations.csv``. A function, class or field computes what its docstring or comment names after the word
 "label" or "labels", or what its `quantity` carries; a test checks what it names after that word, in its docstring or a comment.
-
-python docs/equation_index.py            writes the page
-python docs/equation_index.py --check    says whether it is up to date
 """
 
 import ast
 import csv
 import re
-import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent
+PACKAGE = Path(__file__).resolve().parent.parent
+TESTS = PACKAGE.parent / "tests"
+"""Where the tests are in a checkout."""
 
 LABEL = r"(?:cra\d+[a-z]?\d?|discr\d)"
 NAMED = re.compile(rf"\b[Ll]abels?\s+({LABEL}(?:(?:,\s+and|\s+and|,|–)\s*{LABEL})*)")
@@ -24,8 +21,8 @@ PARENTHESIS = re.compile(rf"\(({LABEL}(?:(?:, |–){LABEL})*)\)\s*(?:,.*|;.*)?$"
 
 
 def equations() -> dict[str, dict[str, str]]:
-    """Rows of equations.csv by label, in the order of the paper."""
-    with open(HERE / "equations.csv", newline="", encoding="utf-8") as file:
+    """Read the rows of equations.csv by label, in the order of the paper."""
+    with open(Path(__file__).with_name("equations.csv"), newline="", encoding="utf-8") as file:
         return {row["label"]: row for row in csv.DictReader(file)}
 
 
@@ -33,7 +30,7 @@ ORDER = list(equations())
 
 
 def expand(text: str) -> list[str]:
-    """The labels a text like "cra26, cra28–cra33" stands for, in the paper's order."""
+    """Expand a text like "cra26, cra28–cra33" to its labels, in the paper's order."""
     found: list[str] = []
     for part in re.split(r",\s*and\s+|\s+and\s+|,\s*", text):
         first, *rest = part.split("–")
@@ -45,12 +42,12 @@ def expand(text: str) -> list[str]:
 
 
 def named(text: str) -> list[str]:
-    """Labels that a text names after "label" or "labels"."""
+    """Find the labels that a text names after "label" or "labels"."""
     return [label for match in NAMED.finditer(text) for label in expand(match[1])]
 
 
 def definitions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
-    """Functions and classes with their qualified names; not those inside functions."""
+    """Yield functions and classes with their qualified names, but not those inside functions."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield prefix + node.name, node
@@ -59,7 +56,7 @@ def definitions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]
 
 
 def in_code(path: Path) -> Iterator[tuple[str, str]]:
-    """(label, qualified name) of what a module computes."""
+    """Yield (label, qualified name) of what a module computes."""
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     for name, node in definitions(ast.parse(text)):
@@ -80,7 +77,7 @@ def in_code(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def in_tests(path: Path) -> Iterator[tuple[str, str]]:
-    """(label, name) of what the tests of a module check."""
+    """Yield (label, name) of what the tests of a module check."""
     text = path.read_text(encoding="utf-8")
     for name, node in definitions(ast.parse(text)):
         if name.startswith("test_"):
@@ -89,16 +86,16 @@ def in_tests(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def index() -> dict[str, tuple[list[str], list[str]]]:
-    """For every label: where it is computed, and where it is tested, as module.name and file::test."""
+    """Find where each label is computed and where it is tested, as module.name and file::test."""
     computed, tested = defaultdict(list), defaultdict(list)
-    for path in sorted((ROOT / "slippulse_jax").rglob("*.py")):
-        module = ".".join(path.relative_to(ROOT / "slippulse_jax").with_suffix("").parts)
-        if module.startswith("claims."):  # they measure what others compute
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        if module.startswith("paper."):  # which measures what others compute
             continue
         for label, name in in_code(path):
             if f"{module}.{name}" not in computed[label]:
                 computed[label].append(f"{module}.{name}")
-    for path in sorted((ROOT / "tests").glob("test_*.py")):
+    for path in sorted(TESTS.glob("test_*.py")):
         for label, name in in_tests(path):
             if f"{path.name}::{name}" not in tested[label]:
                 tested[label].append(f"{path.name}::{name}")
@@ -109,7 +106,7 @@ def index() -> dict[str, tuple[list[str], list[str]]]:
 
 
 def missing() -> list[str]:
-    """What the index lacks, one complaint each."""
+    """List the equations without a function or a test."""
     return [
         f"{label}: no {what} names it"
         for label, found in index().items()
@@ -119,7 +116,7 @@ def missing() -> list[str]:
 
 
 def page() -> str:
-    """The page, as Markdown."""
+    """Write the page of the index, as Markdown."""
     rows = []
     for label, (computed, tested) in index().items():
         equation = equations()[label]
@@ -131,16 +128,9 @@ def page() -> str:
 
 HEADER = """# Index of the paper's equations
 
-Written by `docs/equation_index.py` from the code; a test fails where an equation has no function or no test. Labels are those
-of the paper's LaTeX source, numbers count them as they are set (the Appendix goes on from 26); the two lattice equations have
-no number, and a label only in a comment. Where the paper errs ([errata](errata.md)), the function computes the corrected form.
+Written by `docs/generate_pages.py` from the code; a test fails where an equation has no function or no test. Labels are those
+of the paper's LaTeX source. Numbers count the equations as typeset, the Appendix from 26 on; the two lattice equations have no
+number, and a label only in a comment. Where the paper errs ([errata](errata.md)), the function computes the corrected form.
 
 | number | label | what | computed by | checked by |
 |---|---|---|---|---|"""
-
-if __name__ == "__main__":
-    if missing():
-        sys.exit("\n".join(missing()))
-    if sys.argv[1:] == ["--check"]:
-        sys.exit(page() != (HERE / "equations.md").read_text(encoding="utf-8"))
-    (HERE / "equations.md").write_text(page(), encoding="utf-8")

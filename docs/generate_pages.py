@@ -1,0 +1,28 @@
+"""Write the pages whose content is read from the code: docs/errata.md and docs/equations.md.
+
+python docs/generate_pages.py            writes them
+python docs/generate_pages.py --check    fails if one is out of date
+"""
+
+import sys
+from pathlib import Path
+
+from slippulse_jax.paper import equations, errata
+
+DOCS = Path(__file__).resolve().parent
+
+
+def main() -> None:
+    """Write, or compare, each page."""
+    if missing := equations.missing():
+        sys.exit("\n".join(missing))
+    for name, text in (("equations", equations.page()), ("errata", errata.page())):
+        page = DOCS / f"{name}.md"
+        if sys.argv[1:] != ["--check"]:
+            page.write_text(text, encoding="utf-8")
+        elif page.read_text(encoding="utf-8") != text:
+            sys.exit(f"{page} is out of date: run python docs/generate_pages.py")
+
+
+if __name__ == "__main__":
+    main()
