@@ -78,8 +78,8 @@ def command_line() -> str:
         "usage or input (one line that names file, line and column), 3 did not converge, 4 a sweep is incomplete, 130",
         "interrupted.\n",
         "Compiled programs are kept in the user's cache folder (`~/.cache/slippulse_jax` on Linux), so that the next call",
-        "starts at once; `slippulse --no-cache …` or `SLIPPULSE_CACHE=off` keep nothing. `JAX_COMPILATION_CACHE_DIR` names another",
-        "folder.\n",
+        "starts at once; `slippulse --no-cache …` or `SLIPPULSE_CACHE=off` keep nothing. `JAX_COMPILATION_CACHE_DIR` names",
+        "another folder.\n",
         f"```text\n{slippulse.get_help(root)}\n```\n",
     ]
     for name in slippulse.list_commands(root):

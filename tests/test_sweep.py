@@ -168,3 +168,25 @@ def test_pictures():
     with pytest.raises(ValueError, match="one or two axes"):
         plot.sweep(map_of.isel(height=0, stiffness=0))
     assert map_of.length.sel(height=20).plot()
+
+
+def test_an_interface_gives_the_numbers_that_are_not_swept():
+    axes = {"height": [10.0, 25.0], "stiffness": 0.03, "poisson": 0.3, "outputs": ["length", "status"]}
+    fixed = sp.sweep(**axes, interface=sp.Interface(prestress=0.1, repin_delay=2))
+    assert fixed.identical(sp.sweep(**axes, prestress=0.1, threshold_slope=0.0, repin_delay=2))
+    swept = sp.sweep(**axes, interface=sp.Interface(repin_delay=2), prestress=[0.0, 0.1])
+    np.testing.assert_array_equal(swept.length.sel(prestress=0.1), fixed.length)
+    assert "repin_delay" not in sp.sweep(**axes, interface=sp.Interface(0.1)).coords, "the closed form has no place for it"
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"interface": sp.Interface(0.1), "prestress": [0.0]}, ValueError, "prestress is given twice: in the interface and as"),
+        ({"interface": sp.Interface([0.1, 0.2])}, ValueError, r"interface has shape \(2,\): must be one"),
+        ({"interface": sp.Profile([1.0, 1.1])}, TypeError, "a Profile"),
+    ],
+)
+def test_an_interface_that_does_not_fit_is_refused(given, error, message):
+    with pytest.raises(error, match=message):
+        sp.sweep(height=10.0, stiffness=0.03, poisson=0.3, **given)

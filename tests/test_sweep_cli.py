@@ -65,7 +65,7 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     assert "the same command goes on" in done.stderr
     done = invoke(*GRID, "--store", store, "--no-resume")
     assert done.exit_code == 2
-    assert "a sweep was begun there" in done.stderr
+    assert "holds a sweep already" in done.stderr
     done = invoke(*GRID, "--store", store, "--json")
     assert done.exit_code == 0
     content = json.loads(done.stdout)

@@ -208,8 +208,8 @@ def test_cut_off_chunk_and_chunk_of_another_place(reference, tmp_path):
         ({"outputs": ("length", "status")}, r"outputs: \['length'\], now \['length', 'status'\]"),
         ({"max_contacts": 99}, "max_contacts: 10000000, now 99"),
         ({"prestress": 0.1}, "prestress: not given, now 0.1"),
-        ({"chunk": 7}, "has 5 points a chunk, not 7"),
-        ({"resume": False}, "a sweep was begun there"),
+        ({"chunk": 7}, "has 5 points per chunk, not 7"),
+        ({"resume": False}, "holds a sweep already"),
     ],
 )
 def test_another_sweep_is_refused(reference, change, message):

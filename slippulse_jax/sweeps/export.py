@@ -1,4 +1,4 @@
-"""A sweep as CSV, NetCDF, JSON or a line of text; rows are written as they are read, in constant memory."""
+"""A sweep as CSV, NetCDF, JSON or a summary; rows are written as they are read, in constant memory."""
 
 import csv
 import io
@@ -29,7 +29,7 @@ def write(found: xr.Dataset, path: Path) -> None:
 
 
 def write_csv(found: xr.Dataset, file: TextIO) -> None:
-    """One line a point: the swept parameters and the outputs; the last axis runs fastest."""
+    """Write one line per point, swept parameters and outputs; the last axis runs fastest."""
     table = csv.writer(file, lineterminator="\n")
     swept = [name for name in found.coords if found[name].ndim]
     table.writerow([*swept, *found.data_vars])
@@ -46,7 +46,7 @@ def write_csv(found: xr.Dataset, file: TextIO) -> None:
 
 
 def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
-    """Request, axes, and either all values (null where there is no number) or the range of each output."""
+    """Request, axes, and either all values (null if not finite) or the range of each output."""
     content: dict[str, Any] = {
         "points": math.prod(found.sizes.values()),
         "complete": bool(found.attrs["complete"]),
@@ -65,7 +65,7 @@ def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
 
 
 def summary(found: xr.Dataset, where: str) -> str:
-    """What there is, in lines for a person."""
+    """Number of points and range of each output, as text."""
     sizes = " × ".join(f"{dim} {n}" for dim, n in found.sizes.items()) or "one"
     lines = [f"{math.prod(found.sizes.values())} points ({sizes}) in {where}"]
     for name, column in found.data_vars.items():
@@ -76,7 +76,7 @@ def summary(found: xr.Dataset, where: str) -> str:
 
 
 def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
-    """Smallest and largest finite value, and how many are not finite, read a piece at a time."""
+    """Smallest and largest finite value and number of values not finite, read piece by piece."""
     low, high, missing = math.inf, -math.inf, 0
     pieces = [column]
     if column.ndim:

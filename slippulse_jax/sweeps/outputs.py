@@ -1,4 +1,4 @@
-"""What a sweep can compute at each point, and how: a table, and one function a group of outputs."""
+"""Outputs of a sweep: a table of them, and one function per group that computes them for many points."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 
 from slippulse_jax import theory
-from slippulse_jax.bulk.threads import spread
+from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.exact_lanes import EXACT_OUTCOMES, exact_fronts
@@ -16,22 +17,22 @@ from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome, Status
-from slippulse_jax.sweeps.request import Columns, Request
+from slippulse_jax.status import Outcome
+from slippulse_jax.sweeps.request import SLIDER, Columns, Request
 
-BLOCK = 512
-"""Points a call of a compiled function that is not chunked by itself."""
+LAYOUT = Layout(chunk=512)
+"""Of the outputs that have no layout of their own."""
 
 
 class Output(NamedTuple):
-    """One output: what it is, and which group computes it."""
+    """One output and the group that computes it."""
 
     long_name: str
     unit: str
     group: str
-    takes: frozenset[str] = frozenset()  # parameters beyond the slider's that it takes into account
+    takes: frozenset[str] = frozenset()  # parameters it depends on beyond those of the slider
     dtype: str = "float64"
-    status: Iterable[Status] | None = None  # whose members its values are
+    outcomes: tuple[Outcome, ...] = ()  # what its values stand for
     comment: str = ""
 
 
@@ -89,17 +90,17 @@ SETS = {
 """Names that stand for several outputs; those that the request does not allow are left out."""
 
 
-def choose(asked: Any, parameters: set[str]) -> tuple[str, ...]:
-    """Names of outputs, sets resolved, each once, in the order asked for.
+def choose(requested: str | Iterable[str], parameters: set[str]) -> tuple[str, ...]:
+    """Resolve the names of outputs and sets, each output once, in the order requested.
 
     Raises
     ------
     ValueError
-        For a name that is none, or an output that takes no account of a parameter that was given.
+        For an unknown name, or an output that does not depend on a parameter that was given.
     """
-    beyond = parameters - {"height", "stiffness", "poisson"}
+    beyond = parameters - set(SLIDER)
     chosen: dict[str, None] = {}
-    for name in (asked,) if isinstance(asked, str) else tuple(asked):
+    for name in (requested,) if isinstance(requested, str) else requested:
         if name in SETS:
             chosen |= {one: None for one in SETS[name] if not _objection(one, beyond)}
         elif name not in OUTPUTS:
@@ -120,22 +121,21 @@ def _objection(name: str, given: set[str]) -> str:
     needed = name.removeprefix("dlength_d")
     if output.group == "gradient" and needed in _FRONT and not given & _FRONT:
         return f"output {name!r} needs {needed}: give it, 0 for instance"
-    # the width belongs to one output and does not disturb the others
-    ignored = given - output.takes - {"width"}
+    ignored = given - output.takes - {"width"}  # the width is for one output and does not disturb the others
     return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
 
 
 def evaluate(request: Request, start: int, stop: int) -> Columns:
-    """Outputs of points `start` to `stop`. The bits of a point do not depend on which points are computed with it."""
+    """Compute the outputs of points `start` to `stop`; the bits of a point do not depend on the other points."""
     columns = request.columns(start, stop)
     found: Columns = {}
     for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
         found |= _GROUPS[group](request, columns)
-    return {name: np.asarray(found[name]).astype(OUTPUTS[name].dtype, copy=False) for name in request.outputs}
+    return {name: found[name].astype(OUTPUTS[name].dtype, copy=False) for name in request.outputs}
 
 
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
-    """``function(slider, **options)`` on all points of one repinning delay at a time: it is compiled in."""
+    """``function(slider, **options)`` on the points of one repinning delay after another: a program is compiled for each."""
     options: dict[str, Any] = {"right": request.right, "sites": request.sites, "max_contacts": request.max_contacts}
     if not request.has_interface:
         return function(_slider(columns), **options)
@@ -153,7 +153,7 @@ def _by_delay(request: Request, columns: Columns, function: Callable[..., Column
 
 
 def _slider(columns: Columns) -> Slider:
-    return Slider(columns["height"], columns["stiffness"], columns["poisson"])
+    return Slider(*(columns[name] for name in SLIDER))
 
 
 def _length(request: Request, columns: Columns) -> Columns:
@@ -162,7 +162,7 @@ def _length(request: Request, columns: Columns) -> Columns:
 
 def _front(request: Request, columns: Columns) -> Columns:
     found = _by_delay(request, columns, lambda slider, **options: bulk.precursor_arrests(slider, **options)._asdict())
-    del found["length"]  # the same number, rounded otherwise: whatever else is asked for, `_length` gives it
+    del found["length"]  # `_length` gives it, whatever other outputs there are: the two may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
@@ -174,22 +174,8 @@ def _gradient(request: Request, columns: Columns) -> Columns:
     return _by_delay(request, columns, gradients)
 
 
-def _load(request: Request, columns: Columns) -> Columns:
-    return _in_blocks(_load_of(request.right, request.sites), columns, "height", "stiffness", "poisson", "prestress")
-
-
-@functools.cache
-def _load_of(right: RightEnd, sites: int | None) -> Callable[..., Any]:
-    def one(height: Any, stiffness: Any, poisson: Any, prestress: Any) -> Any:
-        # contact 0 has to be brought from its prestress to its threshold, which the gradient of thresholds leaves at 1
-        return {"nucleation_load": (1 - prestress) * lattice_modes(Slider(height, stiffness, poisson), right, sites).load}
-
-    return jax.jit(jax.vmap(one))
-
-
 def _exact(_: Request, columns: Columns) -> Columns:
-    names, relaxed = ("height", "stiffness", "poisson", "prestress", "threshold_slope"), np.zeros_like(columns["height"])
-    length, status = exact_fronts(np.stack([columns.get(name, relaxed) for name in names]))
+    length, status = exact_fronts(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
     return {"exact_length": length, "exact_status": status}
 
 
@@ -198,7 +184,24 @@ def _smooth(request: Request, columns: Columns) -> Columns:
     return {"smooth_length": bulk.lengths(_slider(columns), rule=rule, max_contacts=request.max_contacts)}
 
 
-_THEORY = {
+def _load(request: Request, columns: Columns) -> Columns:
+    kernel = _load_kernel(request.right, request.sites)
+    (load,) = over_lanes(kernel, _fields(columns, *SLIDER, "prestress"), LAYOUT)
+    return {"nucleation_load": load}
+
+
+@functools.cache
+def _load_kernel(right: RightEnd, sites: int | None) -> Kernel:
+    def loads(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
+        *numbers, prestress = lanes
+        relaxed = jax.vmap(lambda *slider: lattice_modes(Slider(*slider), right, sites).load)(*numbers)
+        # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
+        return ((1 - prestress) * relaxed,)
+
+    return loads
+
+
+_LEVELS = {
     "length_eq25": theory.length_eq25,
     "length_eq58": theory.length,
     "length_frozen": theory.length_frozen,
@@ -209,34 +212,43 @@ _THEORY = {
 
 
 def _theory(request: Request, columns: Columns) -> Columns:
-    chosen = {name: function for name, function in _THEORY.items() if name in request.outputs}
+    lanes = _fields(columns, *SLIDER)
+    return {name: over_lanes(_theory_kernel(name), lanes, LAYOUT)[0] for name in _LEVELS if name in request.outputs}
 
-    def levels(height: Any, stiffness: Any, poisson: Any) -> Columns:
-        slider = Slider(height, stiffness, poisson)
-        return {name: function(slider) for name, function in chosen.items()}
 
-    return _in_blocks(levels, columns, "height", "stiffness", "poisson")
+@functools.cache
+def _theory_kernel(name: str) -> Kernel:
+    return lambda lanes: (_LEVELS[name](Slider(*lanes)),)
 
 
 def _macroscopic(_: Request, columns: Columns) -> Columns:
-    def law(height: Any, stiffness: Any, poisson: Any, prestress: Any) -> Columns:
-        b = np.asarray(Slider(height, stiffness, poisson).b)
-        return {"length_macroscopic": height * np.asarray(theory.macroscopic_length(b, poisson, prestress=prestress))}
+    (length,) = over_lanes(_macroscopic_kernel, _fields(columns, *SLIDER, "prestress"), LAYOUT)
+    return {"length_macroscopic": length}
 
-    return _in_blocks(law, columns, "height", "stiffness", "poisson", "prestress")
+
+def _macroscopic_kernel(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
+    height, stiffness, poisson, prestress = lanes
+    b = Slider(height, stiffness, poisson).b
+    return (height * theory.macroscopic_length(b, poisson, prestress=prestress),)
 
 
 def _validity(_: Request, columns: Columns) -> Columns:
-    return _in_blocks(_conditions, columns, "height", "stiffness", "poisson")
+    continuous, frozen, far = over_lanes(_validity_kernel, _fields(columns, *SLIDER), LAYOUT)
+    return {"is_continuous": continuous, "is_frozen": frozen, "is_far_from_edge": far}
 
 
-@jax.jit
-def _conditions(height: Any, stiffness: Any, poisson: Any) -> Any:
-    slider = Slider(height, stiffness, poisson)
-    continuous = (slider.kappa_1 < 1 / 3) & (height > 10)
+def _validity_kernel(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array, Array]:
+    slider = Slider(*lanes)
+    continuous = (slider.kappa_1 < 1 / 3) & (lanes[0] > 10)
     frozen = continuous & (slider.kappa_T**2 / slider.kappa**2 < 0.1)
     far = frozen & (slider.kappa * theory.length_eq25(slider) > 3)
-    return {"is_continuous": continuous, "is_frozen": frozen, "is_far_from_edge": far}
+    return continuous, frozen, far
+
+
+def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
+    """The columns of these parameters, zeros for those not given."""
+    zeros = np.zeros(len(columns["height"]))
+    return [columns.get(name, zeros) for name in names]
 
 
 _GROUPS = {
@@ -250,24 +262,3 @@ _GROUPS = {
     "macroscopic": _macroscopic,
     "validity": _validity,
 }
-
-
-def _in_blocks(function: Callable[..., Any], columns: Columns, *names: str) -> Columns:
-    """Columns of ``function(*parameters)``, called on blocks of one size: one program, the same bits in any company."""
-    n = len(columns["height"])
-    given = [np.asarray(columns.get(name, np.zeros(n)), np.float64) for name in names]
-    found: Columns = {}
-
-    def run(start: int) -> dict[str, np.ndarray]:
-        index = np.arange(start, min(start + BLOCK, n))
-        block = function(*(values[np.resize(index, BLOCK)] for values in given))
-        return {name: np.asarray(values)[: len(index)] for name, values in block.items()}
-
-    def fill(start: int) -> None:
-        for name, values in run(start).items():
-            found[name][start : start + len(values)] = values
-
-    with jax.enable_x64(True):
-        found |= {name: np.empty(n, values.dtype) for name, values in run(0).items()}
-    spread(fill, range(0, n, BLOCK))
-    return found

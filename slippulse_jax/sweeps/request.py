@@ -1,4 +1,4 @@
-"""What a sweep is asked for: described in full, never materialised, so that 10⁸ points cost what their axes cost."""
+"""The request of a sweep: described in full but never materialised, so that 10⁸ points take the memory of their axes."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slippulse_jax.interface import Interface
+from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
 from slippulse_jax.lattice.precursor import check_max_contacts
@@ -16,12 +16,12 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.units import Quantity, quantities
 
 Columns = dict[str, np.ndarray]
-"""One value a point for each parameter, or for each output."""
+"""Values by name of parameter or output, one per point."""
 
-_SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
+SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
 INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites")}
-PARAMETERS: dict[str, Quantity] = {**_SLIDER, **INTERFACE, **quantities(SmoothBreak)}
-"""What can be swept, in the order of the axes."""
+PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak)}
+"""Parameters that can be swept, in the order of the axes."""
 
 LONG_NAMES = {
     "height": "height of the slider, H/λc",
@@ -35,7 +35,7 @@ LONG_NAMES = {
 
 
 class Request(NamedTuple):
-    """A sweep, checked.
+    """A sweep whose parameters have been checked.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Request(NamedTuple):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Parameters that are swept."""
+        """Names of the swept parameters."""
         return tuple(name for name, values in self.parameters.items() if values.ndim)
 
     @property
@@ -78,7 +78,7 @@ class Request(NamedTuple):
 
     @property
     def has_interface(self) -> bool:
-        """Whether anything beyond the paper's own interface was given."""
+        """Whether any parameter of the interface was given."""
         return any(name in self.parameters for name in INTERFACE)
 
     def columns(self, start: int, stop: int) -> Columns:
@@ -91,7 +91,7 @@ class Request(NamedTuple):
         }
 
     def describe(self) -> dict[str, Any]:
-        """The request as JSON takes it; the values of the axes, which are coordinates of the result, by their digest."""
+        """The request for JSON; the values of the axes, which are coordinates of the result, by their digest."""
         parameters = {
             name: {"size": values.size, "sha256": _digest(values)} if values.ndim else {"value": values.item()}
             for name, values in self.parameters.items()
@@ -107,7 +107,7 @@ class Request(NamedTuple):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that the result depends on."""
+        """SHA-256 of everything that the result depends on."""
         return hashlib.sha256(json.dumps(self.describe(), sort_keys=True).encode()).hexdigest()
 
 
@@ -124,7 +124,7 @@ def make_request(
     sites: int | None,
     max_contacts: int,
 ) -> Request:
-    """Check everything before anything is computed.
+    """Check all parameters before anything is computed.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def make_request(
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     parameters = {name: _values(name, given[name]) for name in PARAMETERS if given.get(name) is not None}
-    if missing := [name for name in _SLIDER if name not in parameters]:
+    if missing := [name for name in SLIDER if name not in parameters]:
         raise ValueError(f"a sweep needs {', '.join(missing)}: a number, or an array to sweep over")
     _check_domains(parameters)
     if points:
@@ -142,6 +142,31 @@ def make_request(
         if not sizes or len(set(sizes.values())) > 1:
             raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
     return Request(parameters, not points, outputs, right, sites, max_contacts)
+
+
+def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
+    """Add the fixed numbers of `interface` to the parameters; an axis takes the place of one that is 0.
+
+    Raises
+    ------
+    TypeError
+        If `interface` is a `Profile`.
+    ValueError
+        If it holds arrays, or a number other than 0 that is given as an axis too.
+    """
+    check_bulk(interface)
+    if interface is None:
+        return given
+    if interface.shape:
+        raise ValueError(
+            f"interface has shape {interface.shape}: a sweep takes one; give arrays as axes, prestress=… for instance"
+        )
+    numbers = {name: getattr(interface, name) for name in INTERFACE}
+    if twice := [name for name, number in numbers.items() if number != 0 and given[name] is not None]:
+        raise ValueError(f"{twice[0]} is given twice: in the interface and as an axis")
+    if interface.repin_delay == 0:
+        del numbers["repin_delay"]  # which the closed form has no place for
+    return given | {name: number for name, number in numbers.items() if given[name] is None}
 
 
 def _values(name: str, given: Any) -> np.ndarray:
@@ -156,9 +181,9 @@ def _values(name: str, given: Any) -> np.ndarray:
 
 
 def _check_domains(parameters: Columns) -> None:
-    """Let the classes that own the parameters refuse what lies outside their domains, each axis by itself."""
+    """Check each axis by the class that owns its parameter."""
     fixed = {"height": 2.0, "stiffness": 1.0, "poisson": 0.0}
-    for name in _SLIDER:
+    for name in SLIDER:
         Slider(**{**fixed, name: parameters[name]})
     zero = np.zeros(())
     Interface(parameters.get("prestress", zero))

@@ -1,4 +1,4 @@
-"""Run a sweep, in memory or into a store; begin, go on, and share it with other processes."""
+"""Run a sweep, in memory or into a store; resume it, and share it with other processes."""
 
 import os
 import time
@@ -12,18 +12,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
-from slippulse_jax.sweeps import lazy
-from slippulse_jax.sweeps import store as storing
+from slippulse_jax.sweeps import dataset
+from slippulse_jax.sweeps import store as stores
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
-from slippulse_jax.sweeps.request import Columns, Request, make_request
+from slippulse_jax.sweeps.request import Columns, Request, make_request, with_interface
 from slippulse_jax.sweeps.store import Store, StoreError
 
 LARGE, SMALL = 1 << 20, 1 << 14
-"""Points a chunk, by default: where the recursion alone is asked for, and where anything costs more."""
+"""Points per chunk by default: of lengths by the recursion, and of anything that costs more."""
 
-_PROBE, _PAUSE = 1024, 0.2  # points computed again before going on; seconds between two looks at the store
+_PROBE, _PAUSE = 1024, 0.2  # points computed again on resuming; seconds between two looks at the store
 
 
 def sweep(
@@ -35,6 +36,7 @@ def sweep(
     threshold_slope: ArrayLike | None = None,
     repin_delay: ArrayLike | None = None,
     width: ArrayLike | None = None,
+    interface: Interface | None = None,
     points: bool = False,
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
     right: RightEnd = "semi-infinite",
@@ -46,55 +48,58 @@ def sweep(
     share: tuple[int, int] | None = None,
     progress: bool | None = None,
 ) -> xr.Dataset:
-    """First precursors over ranges of parameters, as a labelled dataset.
+    """Compute first precursors over ranges of parameters, as a labelled dataset.
 
     Parameters
     ----------
     height, stiffness, poisson : array_like
-        H/λc, k/K and ν: a number each, or a one-dimensional array, which becomes an axis.
+        H/λc, k/K and ν: each a number, or a one-dimensional array, which becomes an axis.
     prestress, threshold_slope, repin_delay : array_like, optional
-        Of the interface, likewise; as for `Interface`.
+        Parameters of the interface to sweep, likewise; as for `Interface`.
     width : array_like, optional
         Width of the smooth break rule, in σ_s, for the output ``smooth_length``.
+    interface : Interface, optional
+        Of numbers, for the parameters of the interface that are fixed.
     points : bool
         Take the arrays together, as points, instead of every combination.
     outputs : str or sequence of str
-        What to compute: names of `slippulse_jax.sweeps.outputs.OUTPUTS`, or "gradients", "theory", "validity".
+        Names of `slippulse_jax.sweeps.outputs.OUTPUTS`, or "gradients", "theory", "validity".
     right, sites, max_contacts
         As for `precursor_length`.
     store : path, optional
-        Folder to write the result to as it is computed, in constant memory; a sweep found there is gone on with.
+        Folder to write the result to as it is computed, in constant memory; a sweep found there is resumed.
     resume : bool
-        Whether a sweep found in `store` may be gone on with.
+        Whether a sweep found in `store` may be resumed.
     chunk : int, optional
-        Points a file of the store.
+        Points per file of the store.
     share : (int, int), optional
         Index and number of the processes that share the sweep; by default those of ``jax.distributed``. Chunk i belongs to
         process i mod number.
     progress : bool, optional
-        Show a progress bar, on stderr or in the notebook; by default where someone can see it.
+        Show a progress bar, on stderr or in the notebook; by default only on a terminal.
 
     Returns
     -------
     xarray.Dataset
-        One variable an output, one dimension an axis, with units, versions and request as attributes; float64. A stored
-        sweep is read from its store where it is looked at. Attribute ``complete`` is 0 where other processes have not finished.
+        One variable per output, one dimension per axis, in float64, with units, versions and request as attributes. A
+        stored sweep is read on demand. Attribute ``complete`` is 0 while shares of other processes are missing.
 
     Raises
     ------
     ValueError
-        For bad parameters or outputs, before anything is computed.
+        If a parameter or an output is not valid, before anything is computed.
     StoreError
-        A `ValueError`: for a store of another request, version or processor.
+        A `ValueError`: if the store belongs to another request, version or processor.
 
     Notes
     -----
-    The bits of a point depend on its own parameters alone: not on chunks, resumption, processes or number of devices.
+    The bits of a point depend on its own parameters alone: not on chunks, resuming, processes or number of devices.
     """
-    given = {
+    given: dict[str, Any] = {
         "height": height, "stiffness": stiffness, "poisson": poisson, "prestress": prestress,
         "threshold_slope": threshold_slope, "repin_delay": repin_delay, "width": width,
     }  # fmt: skip
+    given = with_interface(given, interface)
     chosen = choose(outputs, {name for name, values in given.items() if values is not None})
     request = make_request(given, points=points, outputs=chosen, right=right, sites=sites, max_contacts=max_contacts)
     _check_right_end(request)
@@ -104,29 +109,29 @@ def sweep(
     if store is None:
         if count > 1:
             raise ValueError(f"{count} processes share this sweep: give it a store they can all write to")
-        return lazy.in_memory(request, _kept(request, chunk or default_chunk(request), progress))
-    at = _begin(Path(store), request, chunk, resume)
-    _fill(at, index, count, progress)
+        return dataset.in_memory(request, _compute_all(request, chunk or default_chunk(request), progress))
+    folder = _open_or_create(Path(store), request, chunk, resume)
+    _compute_missing(folder, index, count, progress)
     if share is None and count > 1:
-        _wait_for_the_others(at)
-    return lazy.stored(at)
+        _wait_for_other_processes(folder)
+    return dataset.stored(folder)
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a stored sweep, finished or not, as one labelled dataset that is read where it is looked at.
+    """Open a stored sweep, finished or not, as a labelled dataset that is read on demand.
 
     Points not yet computed are NaN (−1 in whole numbers), and the attribute ``complete`` is 0 then.
 
     Raises
     ------
     StoreError
-        If there is no sweep in the folder, or one that is damaged; for a damaged chunk, when it is read.
+        If the folder holds no sweep, or a damaged one; of a damaged chunk, when it is read.
     """
-    return lazy.stored(storing.open_store(Path(store)))
+    return dataset.stored(stores.open_store(Path(store)))
 
 
 def default_chunk(request: Request) -> int:
-    """Points a chunk: so many that files are few, so few that little is lost by a kill."""
+    """Points per chunk: enough that files are few, few enough that little is lost by a kill."""
     cheap = {"length", "load"}
     return LARGE if all(OUTPUTS[name].group in cheap for name in request.outputs) else SMALL
 
@@ -148,18 +153,18 @@ def _check_share(share: tuple[int, int] | None) -> tuple[int, int]:
     return index, count
 
 
-def _begin(path: Path, request: Request, chunk: int | None, resume: bool) -> Store:
-    if not storing.exists(path):
-        storing.create(path, request, chunk or default_chunk(request))
+def _open_or_create(path: Path, request: Request, chunk: int | None, resume: bool) -> Store:
+    if not stores.exists(path):
+        stores.create(path, request, chunk or default_chunk(request))
     elif not resume:
-        raise StoreError(f"{path}: a sweep was begun there; resume it, or give another folder")
-    store = storing.open_store(path)
-    storing.check_same(store, request, chunk)
+        raise StoreError(f"{path}: holds a sweep already; resume it, or give another folder")
+    store = stores.open_store(path)
+    stores.check_same(store, request, chunk)
     return store
 
 
-def _fill(store: Store, index: int, count: int, progress: bool | None) -> None:
-    """Compute this process's chunks that are not there, or not whole; one is written while the next is computed."""
+def _compute_missing(store: Store, index: int, count: int, progress: bool | None) -> None:
+    """Compute the chunks of this process that are missing or damaged; one is written while the next is computed."""
     mine = range(index, store.chunks, count)
     _check_digits(store)
     with _bar(sum(b - a for a, b in map(store.span, mine)), progress) as bar, ThreadPoolExecutor(1) as writer:
@@ -169,13 +174,13 @@ def _fill(store: Store, index: int, count: int, progress: bool | None) -> None:
             columns = None if _is_whole(store, one) else evaluate(store.request, start, stop)
             if writing is not None:
                 writing.result()
-            writing = None if columns is None else writer.submit(_put, store, one, columns)
+            writing = None if columns is None else writer.submit(_write, store, one, columns)
             bar.update(stop - start)
         if writing is not None:
             writing.result()
 
 
-def _put(store: Store, index: int, columns: Columns) -> None:
+def _write(store: Store, index: int, columns: Columns) -> None:
     store.clear_leftovers(index)
     store.write(index, columns)
 
@@ -192,7 +197,7 @@ def _is_whole(store: Store, index: int) -> bool:
 
 
 def _check_digits(store: Store) -> None:
-    """Compute the first points that are there again: another processor or build may round differently."""
+    """Compute the first stored points again: another processor or build may round differently."""
     for one in store.present():
         try:
             there = store.read(one)
@@ -206,14 +211,14 @@ def _check_digits(store: Store) -> None:
         return
 
 
-def _wait_for_the_others(store: Store) -> None:
-    """Until every chunk is there. Should a process die, jax.distributed ends the others."""
+def _wait_for_other_processes(store: Store) -> None:
+    """Wait until every chunk is there; if a process dies, jax.distributed ends the others."""
     while len(store.present()) < store.chunks:
         time.sleep(_PAUSE)
 
 
-def _kept(request: Request, chunk: int, progress: bool | None) -> Columns:
-    """All columns in memory."""
+def _compute_all(request: Request, chunk: int, progress: bool | None) -> Columns:
+    """Compute all points in memory."""
     columns = {name: np.empty(request.size, OUTPUTS[name].dtype) for name in request.outputs}
     with _bar(request.size, progress) as bar:
         for start in range(0, request.size, chunk):
@@ -225,7 +230,7 @@ def _kept(request: Request, chunk: int, progress: bool | None) -> Columns:
 
 
 def _bar(size: int, progress: bool | None) -> Any:
-    """A progress bar with the time left; by default only where someone can see it."""
+    """Progress bar with the time left; by default only on a terminal."""
     from tqdm.auto import tqdm
 
     disable = None if progress is None else not progress

@@ -1,13 +1,13 @@
-"""A sweep on disk: a folder with the request, the axes, and one file for each chunk of points.
+"""A sweep on disk: a folder with the request, the axes, and one file per chunk of points.
 
 ::
 
-    manifest.json       request, digest of the request, versions, points a chunk
+    manifest.json       request, digest of the request, versions, points per chunk
     axes.npz            values of the parameters
     chunks/000000.npz   outputs of the first points, one member each; its SHA-256 is the file's zip comment
 
-Every file is written whole or not at all, and a chunk is the same bytes whoever computes it, so that any process may be killed
-at any moment and what is there counts. A chunk file can be read without this package: it is a NumPy archive.
+Every file is written whole or not at all, and every process writes the same bytes for a chunk. So any process may be killed
+at any moment, and every file there is counts. A chunk is a NumPy archive, readable without this package.
 """
 
 import functools
@@ -27,13 +27,13 @@ from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request
 
 FORMAT = 1
 VERSIONS = ("slippulse_jax", "jax", "jaxlib")
-"""What the digits of a result depend on, beside the request and the processor."""
+"""Packages on which the digits of a result depend, beside the request and the processor."""
 
 _COMMENT = "sha256 {} of all before; request {} chunk {:06d}"
 
 
 class StoreError(ValueError):
-    """A store that cannot be used as asked: another request, another version, not a store, or damaged."""
+    """A store that cannot be used: of another request or version, damaged, or no store at all."""
 
 
 class Store:
@@ -44,7 +44,7 @@ class Store:
     path : Path
     request : Request
     chunk : int
-        Points a file; the last has fewer.
+        Points per file; the last may have fewer.
     versions : dict
         Of the packages that computed it.
     """
@@ -61,7 +61,7 @@ class Store:
         return -(-self.request.size // self.chunk)
 
     def span(self, index: int) -> tuple[int, int]:
-        """First point of a chunk, and the first beyond it."""
+        """First point of a chunk, and the first of the next."""
         return index * self.chunk, min((index + 1) * self.chunk, self.request.size)
 
     def file(self, index: int) -> Path:
@@ -91,26 +91,26 @@ class Store:
         except (zipfile.BadZipFile, KeyError, ValueError) as error:
             raise StoreError(f"{path}: damaged chunk ({error}); the same sweep, resumed, computes it again") from None
         if set(columns) != set(self.request.outputs) or any(v.shape != (stop - start,) for v in columns.values()):
-            raise StoreError(f"{path}: holds other outputs or points than this sweep; delete it to have it computed again")
+            raise StoreError(f"{path}: holds other outputs or points than this sweep; delete it, then resume")
         return columns
 
     def present(self) -> list[int]:
-        """Chunks whose files are there, not looked into."""
+        """Chunks whose files exist; the files are not read."""
         names = (p.stem for p in (self.path / "chunks").glob("*.npz"))
         return sorted(i for i in (int(name) for name in names if name.isdigit()) if i < self.chunks)
 
     def clear_leftovers(self, index: int) -> None:
-        """Remove what a process killed while writing this chunk has left."""
+        """Remove temporary files of a process that was killed while writing this chunk."""
         for left in (self.path / "chunks").glob(f".{index:06d}.npz.*.tmp"):
             left.unlink(missing_ok=True)
 
 
 def create(path: Path, request: Request, chunk: int) -> Store:
-    """Make the folder of a new sweep, or find that another process has just made it."""
+    """Make the folder of a new sweep; another process may have just made it."""
     if path.exists() and not path.is_dir():
         raise StoreError(f"{path}: is a file; a store is a folder")
     if path.is_dir() and any(p.name not in ("chunks", "axes.npz") and not p.name.startswith(".") for p in path.iterdir()):
-        raise StoreError(f"{path}: is a folder with other things in it; give one that is new or empty")
+        raise StoreError(f"{path}: is a folder with other things in it; give a new or empty one")
     (path / "chunks").mkdir(parents=True, exist_ok=True)
     axes = io.BytesIO()
     np.savez(axes, allow_pickle=False, **request.parameters)
@@ -128,12 +128,12 @@ def create(path: Path, request: Request, chunk: int) -> Store:
 
 
 def open_store(path: Path) -> Store:
-    """Find the sweep in a folder.
+    """Open the sweep in a folder.
 
     Raises
     ------
     StoreError
-        If there is none, or one that this version cannot read.
+        If there is none, or one of another format.
     """
     try:
         manifest: dict[str, Any] = json.loads((path / "manifest.json").read_bytes())
@@ -160,12 +160,18 @@ def open_store(path: Path) -> Store:
 
 
 def exists(path: Path) -> bool:
-    """Whether a sweep was begun there."""
+    """Whether the folder holds a sweep."""
     return (path / "manifest.json").exists()
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Refuse to go on with a store of another request or another version, saying what differs."""
+    """Check that the store is of the same request and versions.
+
+    Raises
+    ------
+    StoreError
+        Saying what differs.
+    """
     if store.request.digest != request.digest:
         old, new = store.request.describe(), request.describe()
         differs = [
@@ -178,14 +184,14 @@ def check_same(store: Store, request: Request, chunk: int | None) -> None:
         ]
         raise StoreError(f"{store.path}: holds another sweep ({'; '.join(differs)}); give it a store of its own")
     if chunk is not None and chunk != store.chunk:
-        raise StoreError(f"{store.path}: has {store.chunk} points a chunk, not {chunk}; leave chunk out to go on with it")
+        raise StoreError(f"{store.path}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
     if changed := {k: (v, store.versions.get(k)) for k, v in current_versions().items() if v != store.versions.get(k)}:
         differs = "; ".join(f"{name} {old}, now {new}" for name, (new, old) in changed.items())
         raise StoreError(f"{store.path}: was computed with {differs}: digits may differ. Finish it there, or start a new store")
 
 
 def current_versions() -> dict[str, str]:
-    """Versions of what the digits depend on."""
+    """Versions of the packages on which the digits depend."""
     return {name: _version(name) for name in VERSIONS}
 
 
@@ -202,7 +208,7 @@ def _brief(request: Request, name: str) -> str:
 
 
 def _sealed(archive: bytes, digest: str, index: int) -> bytes:
-    """A zip archive with its own checksum as the comment that ends it."""
+    """The zip archive with its own checksum as the comment at its end."""
     comment = _COMMENT.format(hashlib.sha256(archive).hexdigest(), digest, index).encode()
     return archive[:-2] + struct.pack("<H", len(comment)) + comment
 

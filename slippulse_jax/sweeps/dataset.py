@@ -1,7 +1,7 @@
-"""The result as one labelled dataset: in memory, or read from a store when and where it is looked at.
+"""The labelled dataset of a sweep: in memory, or read from a store on demand.
 
-A variable of a stored sweep is an array of xarray's own lazy indexing: nothing is read before values are asked for, and then
-only the chunk files that hold them. dask is not needed; with it, ``.chunk()`` works as on any dataset.
+A variable of a stored sweep uses xarray's own lazy indexing: values are read when they are needed, and only from the chunk
+files that hold them. dask is not needed; with it, ``.chunk()`` works as on any dataset.
 """
 
 import functools
@@ -13,7 +13,6 @@ import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from slippulse_jax.status import Status
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import LONG_NAMES, PARAMETERS, Columns, Request
 from slippulse_jax.sweeps.store import Store, StoreError, current_versions
@@ -22,11 +21,11 @@ OPEN_CHUNKS = 8
 """Chunk files kept in memory while a dataset is read."""
 
 _PIECE = 1 << 20
-"""Points looked up at a time."""
+"""Points read at a time."""
 
 
 class StoredColumn(BackendArray):
-    """One output of a stored sweep; ``[...]`` reads what it needs. Points not yet computed read as NaN, whole numbers as −1."""
+    """One output of a stored sweep, read on demand; points not yet computed are NaN, in whole numbers −1."""
 
     def __init__(self, store: Store, name: str) -> None:
         self.store, self.name = store, name
@@ -50,7 +49,7 @@ class StoredColumn(BackendArray):
             return np.full(stop - start, unknown(self.dtype), self.dtype)
 
     def _outer(self, key: tuple[Any, ...]) -> np.ndarray:
-        """Values at every combination of the indices, one index or slice or array an axis."""
+        """Values at every combination of the indices, one index, slice or array per axis."""
         taken = [np.atleast_1d(np.arange(n)[k]) for n, k in zip(self.shape, key, strict=True)]
         strides = np.cumprod((1, *self.shape[:0:-1]))[::-1]
         result = np.empty([len(t) for t in taken], self.dtype)
@@ -79,18 +78,18 @@ class StoredColumn(BackendArray):
 
 
 def unknown(dtype: np.dtype) -> Any:
-    """What stands for a point that has not been computed."""
+    """Value of a point that has not been computed."""
     return np.nan if dtype.kind == "f" else -1
 
 
 def in_memory(request: Request, columns: Columns) -> xr.Dataset:
-    """Dataset of a sweep that was kept in memory."""
+    """Dataset of a sweep in memory."""
     data = {name: columns[name].reshape(request.shape) for name in request.outputs}
     return _dataset(request, data, {**current_versions(), "complete": True})
 
 
 def stored(store: Store) -> xr.Dataset:
-    """Dataset of a stored sweep, read where it is looked at; attribute ``complete`` says whether all of it is there."""
+    """Dataset of a stored sweep, read on demand; its attribute ``complete`` is 1 once every chunk is there."""
     if store.request.size == 0:
         raise StoreError(f"{store.path}: no points")
     data = {name: indexing.LazilyIndexedArray(StoredColumn(store, name)) for name in store.request.outputs}
@@ -126,9 +125,8 @@ def _output(name: str) -> dict[str, Any]:
     about: dict[str, Any] = {"long_name": output.long_name, "units": output.unit}
     if output.comment:
         about["comment"] = output.comment
-    if output.status is not None:
-        members: list[Status] = list(output.status)
-        about["flag_values"] = np.array([m.value for m in members], output.dtype)
-        about["flag_meanings"] = " ".join(m.name.lower() for m in members)
-        about["comment"] = "; ".join(f"{m.value}: {m.message}" for m in members)
+    if output.outcomes:
+        about["flag_values"] = np.array([one.value for one in output.outcomes], output.dtype)
+        about["flag_meanings"] = " ".join(one.name.lower() for one in output.outcomes)
+        about["comment"] = "; ".join(f"{one.value}: {one.message}" for one in output.outcomes)
     return about
