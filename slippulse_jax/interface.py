@@ -39,17 +39,17 @@ def _check_delay(interface: "Interface | Profile") -> None:
 
 
 def check_bulk(interface: "Interface | None") -> None:
-    """Refuse a profile where an interface is numbers that broadcast with the slider's.
+    """Check that the numbers of `interface` broadcast with a slider's, as those of a `Profile` do not.
 
     Raises
     ------
     TypeError
-        Saying what takes one.
+        If it is not an `Interface`, naming the functions that take a profile.
     """
     if interface is not None and not isinstance(interface, Interface):
         raise TypeError(
-            f"interface = {type(interface).__name__}(…): lengths in bulk take an Interface, whose numbers broadcast with the "
-            "slider's. A Profile belongs to one slider: use precursor_length or first_precursor"
+            f"interface = {type(interface).__name__}(…): must be an Interface, whose numbers broadcast with the slider's; "
+            "for the Profile of one slider use precursor_length or first_precursor"
         )
 
 

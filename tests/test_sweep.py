@@ -184,7 +184,7 @@ def test_an_interface_gives_the_numbers_that_are_not_swept():
     [
         ({"interface": sp.Interface(0.1), "prestress": [0.0]}, ValueError, "prestress is given twice: in the interface and as"),
         ({"interface": sp.Interface([0.1, 0.2])}, ValueError, r"interface has shape \(2,\): must be one"),
-        ({"interface": sp.Profile([1.0, 1.1])}, TypeError, "a Profile"),
+        ({"interface": sp.Profile([1.0, 1.1])}, TypeError, "for the Profile of one slider use"),
     ],
 )
 def test_an_interface_that_does_not_fit_is_refused(given, error, message):

@@ -158,9 +158,7 @@ def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[s
     if interface is None:
         return given
     if interface.shape:
-        raise ValueError(
-            f"interface has shape {interface.shape}: a sweep takes one; give arrays as axes, prestress=… for instance"
-        )
+        raise ValueError(f"interface has shape {interface.shape}: must be one; give arrays as axes, such as prestress=…")
     numbers = {name: getattr(interface, name) for name in INTERFACE}
     if twice := [name for name, number in numbers.items() if number != 0 and given[name] is not None]:
         raise ValueError(f"{twice[0]} is given twice: in the interface and as an axis")
