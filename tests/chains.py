@@ -17,6 +17,14 @@ def both_chains(slider, sites, right, fields):
     return dense, sp.chain(sp.Slider(*slider), sites=sites, right=right, **fields)
 
 
+SITES = 150
+
+
+def long_series(chain, *protocol, ageing=None):
+    """150 events of a chain of `SITES`, with a record of breaks: one program for each protocol and way of ageing, whatever is asked."""
+    return sp.series(chain, *protocol, events=150, ageing=ageing, recorded_breaks=4000, stop_when_spanning=False)
+
+
 def batch(trees):
     """One tree of stacked leaves."""
     return jax.tree.map(lambda *x: jnp.stack(x), *trees)

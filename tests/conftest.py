@@ -16,11 +16,16 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", COMPILED)
 os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2 * 10**9))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
+import hypothesis
 import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# the same examples in every run, and no state between runs
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None, max_examples=25)
+hypothesis.settings.load_profile("same")
 
 MOST_MEMORY = 1.5e9
 """Bytes that a worker may keep in compiled programs and the rest."""

@@ -20,16 +20,17 @@ from slippulse_jax.lattice.distribution import (
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
 
-def plain_ensemble(draw, junctions, stretch, rng):
-    """Independent program: one junction after another, broken one by one."""
+def plain_ensemble(thresholds, stretch):
+    """Independent program: one junction after another, broken one by one; a row of thresholds each."""
     force = np.zeros(len(stretch))
-    for _ in range(junctions):
-        pinned, until = 0.0, draw(rng)
+    for row in thresholds:
+        drawn = iter(row)
+        pinned, until = 0.0, next(drawn)
         for i, x in enumerate(stretch):
             while until <= x:
-                pinned, until = until, until + draw(rng)
+                pinned, until = until, until + next(drawn)
             force[i] += x - pinned
-    return force / junctions
+    return force / len(thresholds)
 
 
 def test_exponential_thresholds_have_a_closed_form():
@@ -78,12 +79,13 @@ def test_explicit_junctions_against_the_master_equation_and_a_plain_program(kind
     assert abs(many - law(stretch)).max() < 5 * 0.6 / np.sqrt(200_000)
     from scipy.special import gamma
 
-    draws = {
-        "normal": lambda r: stats.truncnorm.ppf(r.uniform(), -1 / width, 1 / width, 1, width),
-        "uniform": lambda r: 1 + np.sqrt(3) * width * (2 * r.uniform() - 1),
-        "weibull": lambda r: r.weibull(1 / width) / gamma(1 + width),
+    rng, shape = np.random.default_rng(2), (800, 100)
+    drawn = {
+        "normal": lambda: stats.truncnorm.ppf(rng.uniform(size=shape), -1 / width, 1 / width, 1, width),
+        "uniform": lambda: 1 + np.sqrt(3) * width * (2 * rng.uniform(size=shape) - 1),
+        "weibull": lambda: rng.weibull(1 / width, shape) / gamma(1 + width),
     }
-    plain = plain_ensemble(draws[kind], 800, stretch, np.random.default_rng(2))
+    plain = plain_ensemble(drawn[kind](), stretch)
     assert abs(plain - law(stretch)).max() < 5 * 0.6 / np.sqrt(800)
 
 

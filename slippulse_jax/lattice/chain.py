@@ -131,8 +131,9 @@ def chain(
             bad = ~(np.isfinite(value) & inside(np.asarray(value)))
             if bad.any():
                 raise ValueError(f"{name} = {np.asarray(value)[bad].flat[0]:g}: must be {domain}")
-        array = jnp.asarray(value)
-        return jnp.broadcast_to(array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float), (count,))
+        array = jnp.asarray(value)  # a Python number takes the slider's precision: left weak, it would be a program of its own
+        given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
+        return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
 
     K_T, q = slider.K_T, jnp.asarray(slider.stiffness)
     zero = jnp.zeros_like(K_T)

@@ -13,6 +13,7 @@ On the lattice K_s = k(1 − G_00)/G_00, with G_00 the response of the site to i
 fall are softer, so that the whole chain loses stability earlier: where its load comes down as the first contact is drawn on.
 """
 
+import functools
 from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -107,6 +108,7 @@ class ForceLaw(eqx.Module):
         return jnp.where(stretch < 0, stretch, inside)
 
 
+@functools.partial(jax.jit, static_argnames="points")
 def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: int = 801) -> ForceLaw:
     """The force law of infinitely many junctions, from the master equation.
 
@@ -139,6 +141,7 @@ def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: 
     return ForceLaw(dx, force)
 
 
+@functools.partial(jax.jit, static_argnames="junctions")
 def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: Array, key: Array) -> Float[Array, " G"]:
     """Mean stretch of `junctions` explicit junctions at increasing X, every break at exactly its threshold.
 
