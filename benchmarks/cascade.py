@@ -4,10 +4,8 @@ The numba loop breaks the most overloaded contact and adds its response to all s
 sent out from the broken site in both directions. It is given them and the stresses ready made, while the package's time
 includes its response (worked out once where lanes share a chain), both equilibria and the record of the rupture.
 
-    python -m benchmarks.cascade
+    python -m benchmarks cascade
 """
-
-import time
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +13,7 @@ import numba
 import numpy as np
 
 import slippulse_jax as sp
+from benchmarks.timing import side_by_side
 from slippulse_jax.lattice.chain import State
 from slippulse_jax.lattice.response import propagators
 
@@ -53,38 +52,38 @@ def events(P, Q, source, contact, threshold, stress, max_breaks):
     return order[:breaks]
 
 
-def best(f, seconds=2.0):
-    times, end = [], time.perf_counter() + seconds
-    while time.perf_counter() < end or len(times) < 3:
-        start = time.perf_counter()
-        f()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def main():
-    print("| N | lanes | breaks | slippulse_jax, ms | numba, ms | numba / slippulse_jax |")
-    print("|---|---|---|---|---|---|")
-    for n in (300, 3000):
+def ruptures(sizes=(300, 3000), lanes=(1, 64)):
+    """Sites, lanes, breaks, and the shortest time of this package and of numba in s, which must break the same contacts."""
+    for n in sizes:
         c = sp.chain(FIG2, sites=n)
         links = [np.asarray(x) for x in jax.jit(propagators)(c)[:3]]
         arrays = (*links, np.asarray(c.contact), np.asarray(c.threshold))
-        for lanes in (1, 64):
-            loads = jnp.linspace(6.0, 8.0, lanes) if lanes > 1 else jnp.array([6.0])
+        for count in lanes:
+            loads = jnp.linspace(6.0, 8.0, count) if count > 1 else jnp.array([6.0])
             one = lambda load, c=c, n=n: sp.rupture(c, State(jnp.zeros(n), load), max_breaks=1000)  # noqa: E731
-            run = jax.jit(one if lanes == 1 else jax.vmap(one))
-            given = loads[0] if lanes == 1 else loads
+            run = jax.jit(one if count == 1 else jax.vmap(one))
+            given = loads[0] if count == 1 else loads
             found = jax.block_until_ready(run(given))
             stresses = np.asarray(jax.vmap(lambda u, c=c, n=n: sp.equilibrium(c, State(jnp.zeros(n), u)).stress)(loads))
             orders = [events(*arrays, s, 1000) for s in stresses]
             breaks = np.atleast_1d(found.breaks)
             for order, k, mine in zip(orders, breaks, np.atleast_2d(found.order), strict=True):
                 np.testing.assert_array_equal(order, mine[:k])
-            ours = best(lambda run=run, given=given: jax.block_until_ready(run(given)))
-            theirs = best(lambda arrays=arrays, stresses=stresses: [events(*arrays, s, 1000) for s in stresses])
-            print(
-                f"| {n} | {lanes} | {breaks.sum()} | {1e3 * ours:.3g} | {1e3 * theirs:.3g} | {theirs / ours:.2f} |", flush=True
+            taken = side_by_side(
+                {
+                    "ours": lambda run=run, given=given: jax.block_until_ready(run(given)),
+                    "theirs": lambda arrays=arrays, stresses=stresses: [events(*arrays, s, 1000) for s in stresses],
+                },
+                100 if count == 1 else 10,
             )
+            yield n, count, int(breaks.sum()), taken["ours"], taken["theirs"]
+
+
+def main():
+    print("| N | lanes | breaks | slippulse_jax, ms | numba, ms | numba / slippulse_jax |")
+    print("|---|---|---|---|---|---|")
+    for n, lanes, breaks, ours, theirs in ruptures():
+        print(f"| {n} | {lanes} | {breaks} | {1e3 * ours:.3g} | {1e3 * theirs:.3g} | {theirs / ours:.2f} |", flush=True)
 
 
 if __name__ == "__main__":

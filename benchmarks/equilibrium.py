@@ -1,9 +1,7 @@
 """Equilibrium of a chain against scipy.linalg.solve_banded on the same matrix, in one run.
 
-python -m benchmarks.equilibrium
+python -m benchmarks equilibrium
 """
-
-import time
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 import slippulse_jax as sp
+from benchmarks.timing import side_by_side
 from slippulse_jax.lattice.chain import relaxed
 
 jax.config.update("jax_enable_x64", True)
@@ -41,15 +40,6 @@ def banded(chain, load):
     return bands, rhs
 
 
-def best(f, seconds=2.0):
-    times, end = [], time.perf_counter() + seconds
-    while time.perf_counter() < end or len(times) < 3:
-        start = time.perf_counter()
-        f()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
 def main():
     solve = jax.jit(sp.equilibrium)
     print("| N | slippulse_jax, ms | solve_banded, ms | ratio | largest difference, u_s |")
@@ -62,8 +52,14 @@ def main():
         x = solve_banded((2, 2), bands, rhs)
         found = solve(c, state)
         difference = float(jnp.abs(found.layer - x[1::2]).max())
-        mine = best(lambda c=c, state=state: jax.block_until_ready(solve(c, state)))
-        theirs = best(lambda bands=bands, rhs=rhs: solve_banded((2, 2), bands, rhs))
+        taken = side_by_side(
+            {
+                "ours": lambda c=c, state=state: jax.block_until_ready(solve(c, state)),
+                "theirs": lambda bands=bands, rhs=rhs: solve_banded((2, 2), bands, rhs),
+            },
+            int(np.clip(10**6 // n, 3, 100)),
+        )
+        mine, theirs = taken["ours"], taken["theirs"]
         print(f"| {n} | {1e3 * mine:.3g} | {1e3 * theirs:.3g} | {theirs / mine:.2f} | {difference:.1e} |", flush=True)
 
 

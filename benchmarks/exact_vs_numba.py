@@ -3,7 +3,7 @@
 Points: H/λc 2–10⁵ and k/K 1e-6–1 log-uniform, ν 0–0.5 uniform, unsorted. The recursion's time goes with the length, the exact
 solution's does not; `precursor_lengths` changes from one to the other at some 2000 contacts. Everything on all cores. numba is
 timed on every n-th point of the same draw and scaled up.
-Run: python -m benchmarks.exact_vs_numba [points [of them by numba]].
+Run: python -m benchmarks exact_vs_numba [points [of them by numba]].
 """
 
 import sys
@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from benchmarks.lengths import parallel
+from benchmarks.rivals import parallel
 from slippulse_jax import Slider, exact_lengths, precursor_lengths
 
 POINTS, SAMPLE = 1_000_000, 20_000

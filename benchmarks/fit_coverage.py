@@ -1,6 +1,6 @@
 """How often the intervals of a fit hold the truth, and how often degenerate studies are refused a number.
 
-Prints two tables, every share with its own sampling error. Run: python -m benchmarks.fit_coverage [studies, 500 by default]
+Prints two tables, every share with its own sampling error. Run: python -m benchmarks fit_coverage [studies, 500 by default]
 [part …] [--seed N] [--profile-only], a part being identifiable, near-plateau (with :1, :3 or :8 for so many specimens alone) or
 degenerate.
 

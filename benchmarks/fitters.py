@@ -8,7 +8,7 @@ package chooses its own starts, but for the row "its search alone", which gets t
 Reached: on the way from the estimate to the true value χ² nowhere rises by more than 3.84 above that of the true value.
 Number: the share of studies given an error bar, one of more than a factor e not counted. Holds: of those, the share whose 68 %
 bar holds the true value; for this package's intervals (which may be in pieces) too. (lmfit.conf_interval wants two parameters.)
-Run: python -m benchmarks.fitters [studies, 100 by default]
+Run: python -m benchmarks fitters [studies, 100 by default]
 """
 
 import sys

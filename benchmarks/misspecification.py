@@ -4,7 +4,7 @@ Counts of broken contacts less a half, of the chain with inertia and of a second
 itself, as a check), at five heights and four stiffnesses, with 2 % of noise; σ² is that of the noise and 1/12 for the count. Prints
 the bias of k/K, the share of estimates over five times the truth (at the second root), and the coverage of the intervals, in %
 and with their sampling errors.
-Run: python -m benchmarks.misspecification [studies for each stiffness, 8 by default] [source …: itself, inertia, ageing]
+Run: python -m benchmarks misspecification [studies for each stiffness, 8 by default] [source …: itself, inertia, ageing]
 [--errors "error model" …] [--seed N]
 """
 

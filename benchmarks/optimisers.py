@@ -9,7 +9,7 @@ Three uses of each, on studies of one, two and four parameters, of lengths with 
 Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged. Lengths:
 values of ℓ* computed for one start, search or fit, those of the derivatives included (median). Milliseconds: the same.
 Adam, by far the slowest, gets every fourth study.
-Run: python -m benchmarks.optimisers [studies, 20 by default] [beginning of a problem's name …]
+Run: python -m benchmarks optimisers [studies, 20 by default] [beginning of a problem's name …]
 """
 
 import argparse

@@ -1,6 +1,7 @@
-"""10⁴ events at N = 2000, beside a numba event loop with the same O(N) update per break: python -m benchmarks.series."""
+"""10⁴ events at N = 2000, beside a numba event loop with the same O(N) update per break: python -m benchmarks series."""
 
 import argparse
+import functools
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 import slippulse_jax as sp
+from benchmarks.timing import side_by_side
 from slippulse_jax.lattice.chain import State
 from slippulse_jax.lattice.response import dense, response
 
@@ -56,14 +58,32 @@ def event_loops(greens, per_loads, events):
     return breaks
 
 
-def best_of(work, times=3):
-    """Seconds and result; compiled before."""
-    out, seconds = work(), []
-    for _ in range(times):
-        start = time.perf_counter()
-        out = work()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds), out
+def chain(sites, height=25.0):
+    return sp.chain(sp.Slider(height, 0.03, 0.3), sites=sites)
+
+
+@functools.cache
+def responses(sites):
+    return jax.jit(lambda height: dense(response(chain(sites, height)))[:sites, :sites])
+
+
+def prepare(sites, height=25.0):
+    """What numba's loop is given: every response, and the stresses under a unit load."""
+    state = State(np.zeros(sites), np.asarray(1.0))
+    return np.asarray(responses(sites)(height)), np.asarray(sp.equilibrium(chain(sites, height), state).stress)
+
+
+def single(sites, events):
+    """Shortest time of this package and of numba in s, and the catalogue; both must break the same."""
+    jax.config.update("jax_enable_x64", True)
+    green, per_load = prepare(sites)
+    one = jax.jit(lambda: sp.series(chain(sites), events=events))
+    taken = side_by_side(
+        {"ours": lambda: jax.block_until_ready(one()), "theirs": lambda: event_loop(green, per_load, events)}, 3
+    )
+    got, (_, breaks) = one(), event_loop(green, per_load, events)
+    np.testing.assert_array_equal(breaks, got.breaks)
+    return taken["ours"], taken["theirs"], got
 
 
 def main() -> None:
@@ -77,41 +97,38 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     numba.set_num_threads(given.threads)
 
-    def chain(height=25.0):
-        return sp.chain(sp.Slider(height, 0.03, 0.3), sites=given.sites)
-
-    responses = jax.jit(lambda height: dense(response(chain(height)))[: given.sites, : given.sites])
-
-    def prepare(height):
-        state = State(np.zeros(given.sites), np.asarray(1.0))
-        return np.asarray(responses(height)), np.asarray(sp.equilibrium(chain(height), state).stress)
-
-    green, per_load = prepare(25.0)
-    numba_s, (_, breaks) = best_of(lambda: event_loop(green, per_load, given.events))
-    one = jax.jit(lambda: sp.series(chain(), events=given.events))
-    jax_s, got = best_of(lambda: jax.block_until_ready(one()))
-    print(f"N = {given.sites}, {given.events} events, {breaks.sum()} breaks; the same in every event: "
-          f"{np.array_equal(breaks, got.breaks)}; drift {float(got.drift):.1e} σ_s")  # fmt: skip
-    print(f"one chain, one core: numba {numba_s:.4f} s, JAX {jax_s:.4f} s: numba/JAX = {numba_s / jax_s:.2f}")
+    ours, theirs, got = single(given.sites, given.events)
+    print(
+        f"N = {given.sites}, {given.events} events, {int(got.breaks.sum())} breaks, the same as numba's; drift {float(got.drift):.1e} σ_s"
+    )
+    print(f"one chain, one core: numba {theirs:.4f} s, JAX {ours:.4f} s: numba/JAX = {theirs / ours:.2f}")
 
     # numba's dense responses are too large for all lanes at once: as many as there are threads, the rest by proportion
     heights = np.linspace(20, 30, given.batch)
-    prepare_s, pairs = best_of(lambda: [prepare(h) for h in heights[: given.threads]], times=1)
+    began = time.perf_counter()
+    pairs = [prepare(given.sites, h) for h in heights[: given.threads]]
+    prepare_s = time.perf_counter() - began
     greens, per_loads = (np.stack(x) for x in zip(*pairs, strict=True))
     share = given.batch / given.threads
-    serial_s, _ = best_of(lambda: [event_loop(*pair, given.batch_events) for pair in pairs])
-    parallel_s, breaks = best_of(lambda: event_loops(greens, per_loads, given.batch_events))
-    batch = jax.jit(jax.vmap(lambda h: sp.series(chain(h), events=given.batch_events).breaks))
-    jax_s, got = best_of(lambda: np.asarray(batch(heights)))
+    batch = jax.jit(jax.vmap(lambda h: sp.series(chain(given.sites, h), events=given.batch_events).breaks))
+    got = np.asarray(batch(heights))
+    np.testing.assert_array_equal(event_loops(greens, per_loads, given.batch_events), got[: given.threads])
     halves = np.split(heights, given.threads)
     with ThreadPoolExecutor(given.threads) as pool:
-        threads_s, _ = best_of(lambda: list(pool.map(lambda h: np.asarray(batch(h)), halves)))
-    print(f"batch of {given.batch} chains, {given.batch_events} events, {got.sum()} breaks; the same in every event of the first: "
-          f"{np.array_equal(breaks, got[: given.threads])}")  # fmt: skip
-    print(f"one core: numba {share * serial_s:.3f} s, JAX {jax_s:.3f} s: numba/JAX = {share * serial_s / jax_s:.2f}")
-    print(f"{given.threads} threads: numba {share * parallel_s:.3f} s, JAX {threads_s:.3f} s: "
-          f"numba/JAX = {share * parallel_s / threads_s:.2f}")  # fmt: skip
-    print(f"making numba's responses, {1e3 * prepare_s / given.threads:.1f} ms a chain, is not counted; JAX's set-up is")
+        taken = side_by_side(
+            {
+                "numba": lambda: [event_loop(*pair, given.batch_events) for pair in pairs],
+                "JAX": lambda: np.asarray(batch(heights)),
+                "numba, threads": lambda: event_loops(greens, per_loads, given.batch_events),
+                "JAX, threads": lambda: list(pool.map(lambda h: np.asarray(batch(h)), halves)),
+            },
+            3,
+        )
+    print(f"batch of {given.batch} chains, {given.batch_events} events, {got.sum()} breaks, the same as numba's in the first")
+    for cores, also in (("one core", ""), (f"{given.threads} threads", ", threads")):
+        theirs, ours = share * taken["numba" + also], taken["JAX" + also]
+        print(f"{cores}: numba {theirs:.3f} s, JAX {ours:.3f} s: numba/JAX = {theirs / ours:.2f}")
+    print(f"making numba's responses, {1e3 * prepare_s / given.threads:.1f} ms per chain, is not counted; JAX's set-up is")
 
 
 if __name__ == "__main__":

@@ -17,12 +17,7 @@ SITES = 80
 
 @jax.jit
 def length(numbers):
-    return sp.precursor_length(sp.Slider(numbers[0], numbers[1], numbers[2]), sp.Interface(numbers[3], numbers[4]))
-
-
-@jax.jit
-def exact(numbers):
-    return sp.exact_length(sp.Slider(numbers[0], numbers[1], numbers[2]), sp.Interface(numbers[3], numbers[4]))
+    return sp.precursor_length(sp.Slider(numbers[0], numbers[1], numbers[2]), interface=sp.Interface(numbers[3], numbers[4]))
 
 
 @given(strategies.sliders(), strategies.interfaces())
@@ -31,16 +26,14 @@ def test_length_of_any_slider_by_dense_solves(slider, interface):
     theta = 1 + slope * np.arange(SITES)
     count, excess, *_ = dense_chain.front(*slider, theta, np.full(SITES, phi), 0, SITES)
     assume(count < SITES)
-    found, real = float(length(jnp.array([*slider, *interface]))), float(exact(jnp.array([*slider, *interface])))
+    found = float(length(jnp.array([*slider, *interface])))
     assert abs(found - (dense_chain.crossing(excess) if count > 1 else 0)) < 1e-8
     assert max(np.ceil(found), 1) == count
-    if count > 1 and slope >= 0 and found % 1 > 1e-9:  # on falling thresholds ℓ* may lie in a dip that no contact sees
-        assert np.ceil(real) == count
 
 
 @jax.jit
 def profile_length(slider, theta, phi):
-    return sp.precursor_length(sp.Slider(slider[0], slider[1], slider[2]), sp.Profile(theta, phi))
+    return sp.precursor_length(sp.Slider(slider[0], slider[1], slider[2]), interface=sp.Profile(theta, phi))
 
 
 @given(strategies.sliders(), strategies.profiles(40))
@@ -73,6 +66,4 @@ def test_numbers_outside_their_domain_are_refused_or_nan(slider, name, data):
     values = dict(zip(NAMES, slider, strict=True)) | {name: data.draw(strategies.outside(NAMES[name]))}
     with pytest.raises(ValueError, match=f"{name} = "):
         sp.Slider(**values)
-    traced = jnp.array([*values.values(), 0.0, 0.0])
-    assert np.isnan(length(traced))
-    assert np.isnan(exact(traced))
+    assert np.isnan(length(jnp.array([*values.values(), 0.0, 0.0])))

@@ -1,0 +1,157 @@
+"""The bounds that must hold, one row each: speed beside numba, start-up, and the way from a function to the physics.
+
+``python -m benchmarks bounds`` runs all rows, ``python -m benchmarks bounds points start`` some of them. Every speed is a ratio of
+runs taken in turns. Ruptures have rows for N = 300 and 3000; long fronts are H/λc log-uniform in 10⁴–10⁵, b in 0.2–5.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import rivals
+from benchmarks.timing import side_by_side
+from slippulse_jax import Slider, exact_lengths, precursor_lengths
+
+ROOT = Path(__file__).resolve().parent.parent
+LENGTHS = ROOT / "fit_examples" / "pmma_block" / "lengths.csv"
+
+Row = tuple[str, float, str]
+"""What, how much, and the bound."""
+
+
+def points() -> Iterator[Row]:
+    """200 000 random points on all cores, and what their derivatives add."""
+    rng, n = np.random.default_rng(0), 200_000
+    given = rng.uniform(10, 50, n), 10 ** rng.uniform(-3, np.log10(0.03), n), rng.uniform(0.1, 0.45, n)
+    slider, out = Slider(*given), np.empty(n)
+    taken = side_by_side(
+        {
+            "value": lambda: precursor_lengths(slider),
+            "numba": lambda: rivals.parallel(*given, out),
+            "derivatives": lambda: precursor_lengths(slider, derivatives=1),
+        },
+        12,
+    )
+    yield "200 000 points, numba on all cores over this package", taken["numba"] / taken["value"], "≥ 2.5"
+    yield "value with three derivatives over value", taken["derivatives"] / taken["value"], "≤ 3"
+
+
+def long() -> Iterator[Row]:
+    """100 000 long fronts; numba by 200 of them."""
+    rng, n, few = np.random.default_rng(1), 100_000, 200
+    height, b, nu = 10 ** rng.uniform(4, 5, n), np.exp(rng.uniform(np.log(0.2), np.log(5), n)), rng.uniform(0, 0.5, n)
+    given = height, b / (2 * (1 + nu) * height), nu
+    slider, out = Slider(*given), np.empty(few)
+    taken = side_by_side(
+        {
+            "ℓ": lambda: precursor_lengths(slider),
+            "ℓ*": lambda: exact_lengths(slider),
+            "numba": lambda: rivals.parallel(*(x[:few] for x in given), out),
+        },
+        3,
+    )
+    for name in ("ℓ", "ℓ*"):
+        yield f"100 000 long fronts, numba over {name}, per point", taken["numba"] * n / few / taken[name], "≥ 100"
+
+
+def ruptures() -> Iterator[Row]:
+    """Single ruptures beside the numba loop of `benchmarks.cascade`."""
+    from benchmarks.cascade import ruptures
+
+    for sites, lanes, _, ours, theirs in ruptures(lanes=(1,)):
+        yield f"a rupture of {sites} sites, numba over this package ({lanes} lane)", theirs / ours, "≥ 1"
+
+
+def series() -> Iterator[Row]:
+    """10 000 events beside the numba loop of `benchmarks.series`, which is given its responses."""
+    from benchmarks.series import single
+
+    ours, theirs, _ = single(2000, 10_000)
+    yield "10 000 events at N = 2000, numba over this package", theirs / ours, "as before"
+
+
+def start() -> Iterator[Row]:
+    """Start-up in s, with an empty folder of compiled programs and with what the first call left there."""
+
+    def python(code: str) -> float:
+        return min(_seconds([sys.executable, "-c", code], os.environ | {}) for _ in range(3))
+
+    yield "import, s", python("import slippulse_jax as sp; sp.precursor_length") - python("pass"), "≤ 1"
+    command = [sys.executable, "-m", "slippulse_jax.cli.main"]
+    for name, words, first, second in (
+        ("length", ["length", "--height", "25", "--stiffness", "0.03", "--poisson", "0.3"], "≤ 2.5", "≤ 1.5"),
+        ("fit", ["fit", str(LENGTHS)], "≤ 5", "≤ 2.5"),
+    ):
+        cold, warm = [], []
+        for _ in range(3):
+            with tempfile.TemporaryDirectory() as folder:
+                keep = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")} | {
+                    "XDG_CACHE_HOME": folder
+                }
+                cold.append(_seconds([*command, *words], keep))
+                warm.append(_seconds([*command, *words], keep))
+        yield f"slippulse {name}, first call, s", min(cold), first
+        yield f"slippulse {name}, second call, s", min(warm), second
+
+
+def _seconds(command: list[str], environment: dict[str, str]) -> float:
+    began = time.perf_counter()
+    subprocess.run(command, capture_output=True, check=True, cwd=ROOT, env=environment)
+    return time.perf_counter() - began
+
+
+def _visits(code: str) -> tuple[list[str], int]:
+    """Modules of the package a program passes through, in order, and the frames of the package down to the lattice modes."""
+    watch = f"""
+import sys
+import slippulse_jax as sp
+for name in sp.__all__: getattr(sp, name)
+seen, depth = [], []
+def watch(frame, event, argument):
+    name = frame.f_globals.get("__name__", "")
+    if event == "call" and name.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<":
+        if not seen or seen[-1] != name: seen.append(name)
+        if name == "slippulse_jax.lattice.modes" and not depth:
+            above = 0
+            while frame is not None:
+                above += frame.f_globals.get("__name__", "").startswith("slippulse_jax"); frame = frame.f_back
+            depth.append(above)
+sys.setprofile(watch)
+{code}
+sys.setprofile(None)
+print(",".join(seen), depth[0] if depth else 0, sep=";")
+"""
+    done = subprocess.run([sys.executable, "-c", watch], capture_output=True, text=True, check=True, cwd=ROOT)
+    modules, depth = done.stdout.strip().splitlines()[-1].split(";")
+    return modules.split(","), int(depth)
+
+
+def path() -> Iterator[Row]:
+    """How far it is from a public function to a line of physics, and how many modules a fit passes through."""
+    _, frames = _visits("sp.precursor_lengths(sp.Slider([25.0, 30.0], 0.03, 0.3))")
+    yield "frames from precursor_lengths to the lattice modes", frames, "≤ 7"
+    visited, _ = _visits(f"sp.fit(sp.read_measurements({str(LENGTHS)!r}))")
+    fitting = [name for name in visited if name.startswith("slippulse_jax.inference")]
+    yield "modules that a fit passes through", len(set(visited)), "≤ 12"
+    yield "of them, those of inference", len(set(fitting)), ""
+
+
+ROWS = {"points": points, "long": long, "ruptures": ruptures, "series": series, "start": start, "path": path}
+
+
+def main(names: list[str]) -> None:
+    """Print a table."""
+    print("| | found | bound |\n|---|---|---|")
+    for name in names or ROWS:
+        for what, value, bound in ROWS[name]():
+            print(f"| {what} | {value:.3g} | {bound} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

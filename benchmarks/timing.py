@@ -1,0 +1,26 @@
+"""Times in s, taken so that a busy moment of the machine falls on all alike."""
+
+import time
+from collections.abc import Callable
+
+
+def in_turns(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Times of each in s, in turns, so that a busy moment of the machine falls on all alike; compiled before."""
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for turn in range(repeats + 1):
+        for name, function in functions.items():
+            began = time.perf_counter()
+            function()
+            if turn:
+                times[name].append(time.perf_counter() - began)
+    return times
+
+
+def side_by_side(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Shortest time of each in s."""
+    return {name: min(taken) for name, taken in in_turns(functions, repeats).items()}
+
+
+def shortest(function: Callable[[], object], repeats: int = 3) -> float:
+    """Shortest of some runs; compiled before."""
+    return min(in_turns({"": function}, repeats)[""])
