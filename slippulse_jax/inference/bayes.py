@@ -1,39 +1,63 @@
 """The posterior by the No-U-Turn sampler: the extra ``bayes`` (numpyro).
 
-The likelihood and the Gaussian priors are those of the fit; a parameter without a prior is flat over the range searched, a
-positive one in its logarithm. `log_density` is the objective of the fit once more, as a function that JAX can trace: a
-sampler inside a compiled loop cannot call the batches that the fit works with.
+The density is that of the fit (`slippulse_jax.inference.likelihood.log_density`); a parameter without a prior is flat over the
+range searched, a positive one in its logarithm.
 """
 
 import dataclasses
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import log_ndtr
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from slippulse_jax.inference.forward import displacement_at, force_at
-from slippulse_jax.inference.likelihood import SHARPEST, STUDENT_DOF
-from slippulse_jax.inference.objective import Problem
-from slippulse_jax.inference.parameters import WIDTH
-from slippulse_jax.inference.result import FitResult
-from slippulse_jax.inference.samples import Samples
-from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.exact import exact_length
-from slippulse_jax.lattice.readings import Readings, readings
-from slippulse_jax.slider import Slider
+from slippulse_jax.inference.likelihood import log_density
+from slippulse_jax.inference.verdict import LEVELS
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 GOOD_RHAT = 1.01
 GOOD_ESS = 400.0
 
 
+class Samples:
+    """Base of samples of the parameters, whether refits or draws from a posterior."""
+
+    names: tuple[str, ...]
+    values: np.ndarray  # (…, parameters), in the units of the parameters
+
+    def of(self, name: str) -> np.ndarray:
+        """All samples of one parameter, shape (count,)."""
+        return self.values[..., self.names.index(name)].ravel()
+
+    def stderr(self, name: str) -> float:
+        """Standard deviation of a parameter."""
+        return float(self.of(name).std(ddof=1))
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Central interval of a parameter, by its percentiles."""
+        low, high = np.quantile(self.of(name), [(1 - level) / 2, (1 + level) / 2])
+        return float(low), float(high)
+
+    def summary(self) -> dict[str, Any]:
+        """Standard deviations and intervals of all parameters as plain Python values."""
+        return {
+            "stderr": {name: self.stderr(name) for name in self.names},
+            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+        }
+
+    def line(self, name: str) -> str:
+        """Summarise one parameter in a line."""
+        low, high = self.interval(name)
+        mean, sd = self.of(name).mean(), self.stderr(name)
+        return f"  {name}: mean {mean:.5g}, standard deviation {sd:.3g}, 95% {low:.5g} to {high:.5g}"
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Posterior(Samples):
-    """Samples of the posterior and what tells whether to believe them."""
+    """Samples of the posterior, with the diagnostics of their convergence."""
 
     names: tuple[str, ...]
     theta: np.ndarray  # (chains, samples, p)
@@ -75,17 +99,17 @@ class Posterior(Samples):
         return "\n".join(rows)
 
 
-def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> Posterior:
+def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> Posterior:
     """Sample the posterior of a fit.
 
     Parameters
     ----------
     result : FitResult
-        Of a fit with the normal or the Student loss and believed σ.
+        Result of a fit with the normal or the Student loss and absolute σ.
     samples, warmup : int
-        Kept and discarded, a chain.
+        Samples kept and discarded, per chain.
     chains : int
-        They start at the minima that are not excluded, in turns: a second root that they do not mix with shows in R-hat.
+        They start at the roots in turn: a second root that they do not mix with shows in R-hat.
     seed : int
 
     Raises
@@ -95,7 +119,7 @@ def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chai
     ValueError
         If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ; or the break rule is a smooth one.
     """
-    if result.parameters.base.shape[1] > WIDTH:
+    if result.parameters.smooth:
         raise ValueError("a posterior takes the hard break rule: hold no width, or use bootstrap")
     if result.problem.loss.name == "huber" or result.scaled:
         raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
@@ -105,15 +129,19 @@ def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chai
     except ModuleNotFoundError:
         raise ModuleNotFoundError("the posterior needs numpyro: pip install 'slippulse_jax[bayes]'") from None
     low, high = result.parameters.low, result.parameters.high
-    starts = np.array([one.theta for one in result.found] or [result.theta])
+    starts = np.array([one.theta for one in result.roots] or [result.theta])
     share = np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)
     unbounded = np.resize(np.log(share / (1 - share)), (chains, len(low)))
     unbounded = unbounded + 1e-3 * np.random.default_rng(seed).standard_normal(unbounded.shape)
+
+    def potential(z: Array) -> Array:
+        """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
+        theta = low + (high - low) * jax.nn.sigmoid(z)
+        return -log_density(theta, result.problem) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
+
     with jax.enable_x64(True):
         # a few parameters: forward mode is less to compile
-        kernel = NUTS(
-            potential_fn=_potential(result), dense_mass=True, target_accept_prob=0.9, forward_mode_differentiation=True
-        )
+        kernel = NUTS(potential_fn=potential, dense_mass=True, target_accept_prob=0.9, forward_mode_differentiation=True)
         run = MCMC(
             kernel, num_warmup=warmup, num_samples=samples, num_chains=chains, chain_method="vectorized", progress_bar=False
         )
@@ -133,96 +161,3 @@ def posterior(result: FitResult, *, samples: int = 1000, warmup: int = 500, chai
         divergences=diverging,
         seed=seed,
     )
-
-
-def _potential(result: FitResult) -> Callable[[Array], Array]:
-    """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
-    low, high = result.parameters.low, result.parameters.high
-    density = log_density(result.problem)
-
-    def potential(z: Array) -> Array:
-        inside = jax.nn.sigmoid(z)
-        return -density(jnp.asarray(low + (high - low) * inside)) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
-
-    return potential
-
-
-def log_density(problem: Problem) -> Callable[[Float[Array, " p"]], Float[Array, ""]]:
-    """ln(likelihood × prior) of one θ as a JAX function, the objective's numbers; forward mode only where gauges were read."""
-    blocks = [_log_likelihood(problem, block) for block in problem.blocks]
-
-    def density(theta: Array) -> Array:
-        off = theta - jnp.asarray(problem.prior_mean[0])
-        return sum((block(theta) for block in blocks), -(problem.prior_weight * off**2).sum() / 2)
-
-    return density
-
-
-def _log_likelihood(problem: Problem, block: Any) -> Callable[[Array], Array]:
-    data, d = block.data, problem.parameters.discrepancy
-    value = data.value[0]
-    n, w, b = (np.nonzero(data.kind == kind)[0] for kind in ("length", "whole", "at_least"))
-    plain = not block.base[:, 3:5].any() and not block.slope[:, 3:5].any()
-    of_length = partial(_length, plain)
-    sites = _sites(problem, block) if block.base.shape[1] > 5 else 0
-    model = {
-        "length": of_length,
-        "displacement": displacement_at,
-        "force": force_at,
-        "slip": lambda y: _reading(of_length, sites, y).slip,
-        "stress": lambda y: _reading(of_length, sites, y).stress,
-    }[block.observable]
-
-    def likelihood(theta: Array) -> Array:
-        y = block.base + block.slope @ theta
-        predicted = jax.vmap(model)(y)[block.rows]
-        mu = predicted * jnp.exp(block.scale_base + block.scale_slope @ theta) + block.offset @ theta
-        sigma = jnp.asarray(data.sigma)
-        if d is not None:
-            sigma = jnp.sqrt(sigma**2 + jnp.where(data.has_discrepancy, jnp.exp(theta[d]) * value, 0) ** 2)
-        parts = [_of_length(mu[n], value[n], sigma[n], data.sigma[n], problem.loss.name)]
-        if len(w):
-            soft = jnp.maximum(sigma[w], SHARPEST)
-            parts.append(_log_between((value[w] - 1 - mu[w]) / soft, (value[w] - mu[w]) / soft))
-        if len(b):
-            parts.append(log_ndtr((mu[b] - value[b]) / jnp.maximum(sigma[b], SHARPEST)))
-        return jnp.concatenate(parts).sum()
-
-    return likelihood
-
-
-def _of_length(mu: Array, value: np.ndarray, sigma: Array, stated: np.ndarray, loss: str) -> Array:
-    r = (mu - value) / sigma
-    cost = r**2 / 2 if loss == "normal" else (STUDENT_DOF + 1) / 2 * jnp.log1p(r**2 / STUDENT_DOF)
-    return -cost - jnp.log(sigma / stated)
-
-
-def _log_between(a: Array, b: Array) -> Array:
-    """ln[Φ(b) − Φ(a)], by the tail that loses no digits."""
-    flip = a > 0
-    a, b = jnp.where(flip, -b, a), jnp.where(flip, -a, b)
-    top = log_ndtr(b)
-    return top + jnp.log1p(-jnp.exp(jnp.minimum(log_ndtr(a) - top, -1e-300)))
-
-
-def _length(plain: bool, y: Array) -> Array:
-    slider = Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2])
-    return exact_length(slider) if plain else exact_length(slider, Interface(y[3], y[4]))
-
-
-def _sites(problem: Problem, block: Any) -> int:
-    """Contacts that fields are looked at: eight times what the gauges and counts reach in the middle of the range searched."""
-    middle = (problem.parameters.low + problem.parameters.high) / 2
-    y = block.base + block.slope @ middle
-    return 64 + 8 * int(max(np.exp(y[:, 5]).max(), y[:, 7].max()))
-
-
-def _reading(of_length: Callable[[Array], Array], count: int, y: Array) -> Readings:
-    """At one gauge, by a straight line between the contacts on both sides."""
-    # contact 0 has broken even where no domino starts
-    stopped = jnp.where(y[7] > 0, y[7], jnp.maximum(of_length(y[:5]) + y[6], 1))
-    place = jnp.exp(y[5])
-    left = jnp.floor(place).astype(jnp.int32)
-    found = readings(Slider(jnp.exp(y[0]), jnp.exp(y[1]), y[2]), y[3], stopped, count)
-    known = (stopped < count) & (place + 1 < count)
-    return Readings(*(jnp.where(known, x[left] + (place - left) * (x[left + 1] - x[left]), jnp.inf) for x in found))

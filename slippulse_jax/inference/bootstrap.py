@@ -1,15 +1,16 @@
-"""What a fit would have given on other days: refits of simulated or resampled measurements, all at once."""
+"""Bootstrap: refits of simulated or resampled measurements, all at once."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.likelihood import STUDENT_DOF
-from slippulse_jax.inference.objective import Problem
-from slippulse_jax.inference.optimise import Outcome, minimise
-from slippulse_jax.inference.result import FitResult
-from slippulse_jax.inference.samples import Samples
+from slippulse_jax.inference.bayes import Samples
+from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
+from slippulse_jax.inference.optimise import Convergence, minimise
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 KINDS = ("parametric", "case")
 MOST_STARTS = 4
@@ -17,7 +18,7 @@ MOST_STARTS = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bootstrap(Samples):
-    """Refits of `kind`; one row a replicate that converged."""
+    """Refits of one kind, one row per replicate that converged."""
 
     kind: str
     seed: int
@@ -45,8 +46,8 @@ class Bootstrap(Samples):
         return "\n".join(rows)
 
 
-def bootstrap(result: FitResult, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
-    """Refit `count` times.
+def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
+    """Refit simulated or resampled measurements `count` times.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def bootstrap(result: FitResult, count: int = 1000, *, kind: str = "parametric",
     count : int
     kind : {"parametric", "case"}
         New measurements drawn from the fitted model with the stated errors (and new values of the inputs from their priors);
-        or the measurements themselves, drawn with replacement, which believes neither the model nor σ.
+        or the measurements themselves, drawn with replacement, which relies on neither the model nor σ.
     seed : int
 
     Returns
@@ -79,11 +80,11 @@ def bootstrap(result: FitResult, count: int = 1000, *, kind: str = "parametric",
         raise ValueError("one measurement cannot be resampled: use kind = 'parametric'")
     rng = np.random.default_rng(seed)
     problem = _simulated(result, count, rng) if kind == "parametric" else _resampled(result, count, rng)
-    starts = np.array([one.theta for one in result.found[:MOST_STARTS]] or [result.theta])
+    starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
     ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)
-    value = np.where(ends.outcome == Outcome.NOT_CONVERGED, np.inf, ends.value).reshape(count, many)
+    value = np.where(ends.convergence == Convergence.NOT_CONVERGED, np.inf, ends.value).reshape(count, many)
     chosen = value.argmin(axis=1)
     theta = ends.theta.reshape(count, many, -1)[np.arange(count), chosen]
     good = np.isfinite(value.min(axis=1))
@@ -103,7 +104,7 @@ def bootstrap(result: FitResult, count: int = 1000, *, kind: str = "parametric",
     )
 
 
-def _simulated(result: FitResult, count: int, rng: np.random.Generator) -> Problem:
+def _simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for block in problem.blocks:
@@ -126,7 +127,7 @@ def _simulated(result: FitResult, count: int, rng: np.random.Generator) -> Probl
     return problem.with_replicates(values, weights, means)
 
 
-def _resampled(result: FitResult, count: int, rng: np.random.Generator) -> Problem:
+def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
     values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}

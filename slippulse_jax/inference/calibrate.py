@@ -1,4 +1,4 @@
-"""Intervals whose coverage does not rest on χ²: the rise allowed at every value is found by simulating measurements there.
+"""Calibrated intervals: the rise of the deviance allowed at every value is found by simulating measurements there.
 
 Near the longest attainable length the deviance is no parabola, at the peak not even to lowest order, and its rise at the true
 value is not distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: for
@@ -7,7 +7,7 @@ each stiffness, measurements are drawn, each is fitted, and the quantile of the 
 
 import numpy as np
 
-from slippulse_jax.inference.objective import Problem, predictions
+from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.profile import Interval
 
 SIMULATIONS = 2000
@@ -18,7 +18,7 @@ HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calib
 
 def can_be_calibrated(problem: Problem) -> bool:
     """Whether this is a fit of one parameter to lengths with Gaussian errors."""
-    plain = all((block.data.kind == "length").all() for block in problem.blocks) and problem.loss.name == "normal"
+    plain = problem.exact_values and problem.loss.name == "normal"
     return problem.p == 1 and plain and problem.parameters.discrepancy is None
 
 
@@ -31,7 +31,7 @@ def calibrated(problem: Problem, levels: tuple[float, ...], *, seed: int = 0) ->
         Of one parameter and lengths with Gaussian errors.
     levels : tuple of float
     seed : int
-        Of the simulations, `SIMULATIONS` for each value looked at.
+        Of the simulations, `SIMULATIONS` per value looked at.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def _length(mean: np.ndarray) -> float:
 
 
 def _scaled(problem: Problem, node: np.ndarray) -> np.ndarray:
-    columns = [predictions(block, node[:, None], 0).value / block.data.sigma for block in problem.blocks]
+    columns = [problem.predict(node[:, None], block.observable) / block.data.sigma for block in problem.blocks]
     return np.concatenate(columns, axis=1)
 
 

@@ -1,23 +1,23 @@
-"""The fit: every root, what the data allow of each parameter, and what they cannot say."""
+"""The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.attainable import attainable
 from slippulse_jax.inference.calibrate import calibrated
-from slippulse_jax.inference.likelihood import Loss
+from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.objective import Problem, make_problem
-from slippulse_jax.inference.optimise import METHODS, Outcome
-from slippulse_jax.inference.parameters import Parameter
+from slippulse_jax.inference.model import attainable
+from slippulse_jax.inference.optimise import METHODS, Convergence, Minimum, same, search
+from slippulse_jax.inference.parameters import Parameter, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
-from slippulse_jax.inference.resolve import resolve
-from slippulse_jax.inference.result import FitResult
-from slippulse_jax.inference.search import Found, same, search
+from slippulse_jax.inference.result import FitResult, common_ratio, root_of
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
+
+Intervals = dict[float, list[Interval]]
+"""Pieces by confidence level."""
 
 SIGMAS = ("absolute", "relative")
 INTERVALS = ("profile", "calibrated")
@@ -41,46 +41,46 @@ def fit(
     """Fit the interface to measured first precursors.
 
     The model is the exact length ℓ* of the first precursor on a semi-infinite slider. The deviance −2 ln(likelihood × prior),
-    which is χ² for plain lengths, is minimised from many starts at once; the intervals are the sets of values that it
-    allows when the other parameters are fitted anew at each, in as many pieces as there are.
+    which is χ² for plain lengths, is minimised from many starts at once. The intervals are profile-likelihood intervals, in as
+    many disjoint pieces as there are.
 
     Parameters
     ----------
     measurements : Measurements
         From `read_measurements`, or built from arrays.
     free : sequence of str or Parameter
-        What is fitted; names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths are in λc,
-        the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, a value for each specimen. Inputs
-        that come with an error of their own are fitted beside them, with that error as prior.
+        Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
+        are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
+        Inputs that come with an error of their own are fitted beside them, with that error as prior.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
     fixed : dict, optional
         Values of parameters that are neither fitted nor stated with the measurements, as {"prestress": 0.1}.
     loss : {"normal", "huber", "student"}
-        What a residual costs; the last two bear outliers.
+        Loss function of the residuals; the last two are robust against outliers.
     sigma : {"absolute", "relative"}
-        The stated σ are standard errors; or only their ratios are believed, and their size taken from the scatter. Measurements
+        The stated σ are standard errors; or only their ratios are used, and their size is taken from the scatter. Measurements
         without σ are fitted as if "relative" with equal errors, and the report says so.
     method : {"lm", "lbfgs", "adam"}
         Levenberg and Marquardt's; or optax's L-BFGS or Adam.
     max_steps : int
-        Steps allowed each start.
+        Steps allowed per start.
     seed : int
-        Of the starts where several parameters are fitted, and of simulations.
+        Seed of the starts where several parameters are fitted, and of simulations.
     intervals : {"profile", "calibrated"}
-        Rises of the deviance from χ²; or from measurements simulated at every value, which cover as they say near the longest
-        attainable length too (`slippulse_jax.inference.calibrate`; one parameter, plain lengths).
+        Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
+        longest attainable length too (`slippulse_jax.inference.calibrate`; one parameter, plain lengths).
 
     Returns
     -------
     FitResult
-        Look at `identifiability` first: where the data cannot give a number, the result says why instead.
+        Look at `identifiability` first: where the data do not determine a number, the result says why.
 
     Raises
     ------
     ValueError
-        If something is asked for that has no meaning for these measurements; the message names it.
+        If an argument has no meaning for these measurements; the message names it.
     """
     wanted = _wanted(free, bounds, fixed)
     settings = (("method", method, METHODS), ("sigma", sigma, SIGMAS), ("intervals", intervals, INTERVALS))
@@ -89,7 +89,7 @@ def fit(
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
-    parameters = resolve(measurements, wanted)
+    parameters = parameter_set(measurements, wanted)
     scaled = sigma == "relative" or measurements.length_sigma is None
     errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
@@ -103,14 +103,16 @@ def fit(
         "seed": seed,
         "intervals": intervals,
     }
-    roots, curves, best, deviance, unconverged = _explore(problem, method, max_steps, seed)
+    minima, curves, best, deviance, unconverged = _explore(problem, method, max_steps, seed)
     rise = _rise(problem, deviance, scaled)
-    near = [root for root in roots if root.deviance <= deviance + rise(LEVELS[-1])]
+    variance = deviance / (problem.count - problem.p) if scaled else 1.0
+    near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
     limits = {level: deviance + rise(level) for level in LEVELS}
     pieces = {j: allowed(problem, j, curves[j], limits) for j in asked}
     dof = _testable(problem, scaled)
-    evidence = Evidence(problem, near, best, deviance, dof, rise)
+    longest, longest_at = attainable(parameters, best)
+    evidence = Evidence(problem, near, best, deviance, dof, rise, longest)
     lost = [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
     verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
     if intervals == "calibrated":
@@ -118,7 +120,6 @@ def fit(
             raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
         pieces = {0: calibrated(problem, LEVELS, seed=seed)}
     pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
-    longest, at = attainable(parameters, best)
     names = parameters.names
     return FitResult(
         measurements=measurements,
@@ -126,16 +127,32 @@ def fit(
         request=request,
         theta=best,
         deviance=deviance,
-        found=near,
+        roots=[root_of(problem, one, variance) for one in near],
         curves={names[j]: curves[j] for j in asked},
-        theta_intervals={names[j]: pieces[j] for j in asked},
+        intervals=_in_units(problem, best, {names[j]: pieces[j] for j in asked}),
         verdicts={names[j]: verdicts[j] for j in asked},
         rise=rise,
         testable_dof=dof,
-        outcomes=lost,
+        unconverged=lost,
         attainable=longest,
-        attainable_at=at,
+        attainable_at=longest_at,
     )
+
+
+def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:
+    """Intervals in the units of the parameters, and of k/K where it is one number proportional to one of them."""
+    q = problem.parameters
+
+    def converted(found: Intervals, unit: Callable[[float], float]) -> Intervals:
+        return {level: [p._replace(low=unit(p.low), high=unit(p.high)) for p in every] for level, every in found.items()}
+
+    result = {name: converted(found, q.free[q.index(name)].value) for name, found in pieces.items()}
+    first, slope, ratio = next(iter(pieces)), q.inputs.log_stiffness.slope[0], common_ratio(q, best)
+    moves = q.index(first)
+    if ratio is not None and "stiffness" not in result and np.count_nonzero(slope) == 1 and slope[moves]:
+        factor = ratio / float(q.free[moves].value(best[moves]))
+        result["stiffness"] = converted(result[first], lambda x: x * factor)
+    return result
 
 
 def _wanted(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
@@ -145,7 +162,7 @@ def _wanted(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, f
     wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
     if bounds is not None:
         if not any("stiffness" in one.name for one in wanted):
-            raise ValueError(f"bounds = {bounds}: they are of the stiffness, which is not fitted")
+            raise ValueError(f"bounds = {bounds}: these are bounds of the stiffness, which is not fitted")
         wanted = [
             Parameter(one.name, bounds, one.prior, one.each, one.value) if "stiffness" in one.name else one for one in wanted
         ]
@@ -163,7 +180,7 @@ def _check_scaled(problem: Problem, scaled: bool) -> None:
         raise ValueError(
             "parameter discrepancy: it and a scale of all errors say the same; give σ, and leave sigma = 'absolute'"
         )
-    if any((block.data.kind != "length").any() for block in problem.blocks):
+    if not problem.exact_values:
         raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
 
 
@@ -179,15 +196,14 @@ def _rise(problem: Problem, deviance: float, scaled: bool) -> Rise:
 def _testable(problem: Problem, scaled: bool) -> int | None:
     """Degrees of freedom where χ² can be judged by its distribution."""
     dof = problem.count - problem.p
-    plain = all((block.data.kind == "length").all() for block in problem.blocks)
     given = not scaled and problem.parameters.discrepancy is None and problem.loss.name == "normal"
-    return dof if dof > 0 and plain and given else None
+    return dof if dof > 0 and problem.exact_values and given else None
 
 
 def _explore(
     problem: Problem, method: str, max_steps: int, seed: int
-) -> tuple[list[Found], dict[int, Curve], np.ndarray, float, list[tuple[float, str]]]:
-    """Roots, profiles of what was asked for, the point of least deviance, and the starts that came to nothing."""
+) -> tuple[list[Minimum], dict[int, Curve], np.ndarray, float, list[tuple[float, str]]]:
+    """Minima, profiles, the point of least deviance, and the starts that did not converge."""
     roots, ends = search(problem, method=method, max_steps=max_steps, seed=seed)
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     finite = np.isfinite(ends.value)
@@ -217,16 +233,16 @@ def _explore(
         if len(roots) == before:
             break
     named = [
-        (2 * float(v), Outcome(int(o)).message)
-        for v, o in zip(ends.value, ends.outcome, strict=True)
-        if o == Outcome.NOT_CONVERGED
+        (2 * float(v), Convergence(int(o)).message)
+        for v, o in zip(ends.value, ends.convergence, strict=True)
+        if o == Convergence.NOT_CONVERGED
     ]
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in named if not known or value < min(known) - 1e-6]
     return roots, curves, best, deviance, lost
 
 
-def _ordered(roots: list[Found]) -> list[Found]:
+def _ordered(roots: list[Minimum]) -> list[Minimum]:
     """Best first; of those equally good to rounding the softest, lest chance put each specimen on a side of its own."""
     least = min((root.deviance for root in roots), default=0.0)
     return sorted(roots, key=lambda root: (max(root.deviance - least - 1e-6 * max(1.0, abs(least)), 0.0), root.theta.sum()))
@@ -238,14 +254,14 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
     return 1 + np.nonzero(inner)[0]
 
 
-def _near(curve: Curve, i: int, root: Found) -> bool:
+def _near(curve: Curve, i: int, root: Minimum) -> bool:
     """Whether a root lies within the two cells around node i."""
     j = int(np.argmin(np.abs(curve.theta[i] - curve.node[i])))
     return bool(curve.node[i - 1] <= root.theta[j] <= curve.node[i + 1])
 
 
-def _lowest(roots: list[Found], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
-    """A root where one is lowest to rounding; a place on a profile, as the end of the range, otherwise."""
+def _lowest(roots: list[Minimum], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
+    """The best root where it is lowest to rounding; otherwise a point of a profile, such as the end of the range."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
         if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):
@@ -255,7 +271,7 @@ def _lowest(roots: list[Found], curves: dict[int, Curve], best: np.ndarray, devi
     return best, deviance
 
 
-def _merged(problem: Problem, roots: list[Found], more: list[Found]) -> list[Found]:
+def _merged(problem: Problem, roots: list[Minimum], more: list[Minimum]) -> list[Minimum]:
     kept = list(roots)
     for one in more:
         if not any(same(one.theta, one.deviance, other, problem) for other in kept):
@@ -272,7 +288,7 @@ def _verdict(j: int, evidence: Evidence, intervals: dict[float, list[Interval]],
 def _trusted(
     verdict: Verdict, intervals: dict[float, list[Interval]], deviance: float, dof: int | None
 ) -> dict[float, list[Interval]]:
-    """The intervals, but for those that would measure a misfit and not the parameter."""
+    """Drop the intervals that would measure a misfit, not the parameter."""
     if verdict.identifiability is Identifiability.POOR_FIT:
         return dict.fromkeys(intervals, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:

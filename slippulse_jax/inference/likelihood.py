@@ -1,51 +1,48 @@
-"""How improbable a measurement is, given what the model predicts: −ln p of each datum with its slope and curvature.
+"""Log density of the measurements and priors over the fitted θ: the one function that every inference is made of.
+
+`log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
+`at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
+predictions and their derivatives come from the bulk functions of `slippulse_jax.inference.model`, value and derivatives of the
+same cost functions from `jax.grad`, and the chain rule, θ being linear in the inputs, joins the two.
 
 Constants are left out such that a datum the model meets exactly costs nothing: twice the sum is χ² for plain lengths.
 """
 
 import dataclasses
+from functools import cache, partial
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from jax.scipy.special import log_ndtr
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+from scipy.special import ndtr
+
+from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
+from slippulse_jax.inference.model import PREDICTED, Prediction, traced
+from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at
 
 LOSSES = ("normal", "huber", "student")
 HUBER_AT = 1.345
 STUDENT_DOF = 4.0
-SHARPEST = 1e-3  # λc: what stands for σ = 0 at the ends of an interval, so that the likelihood has a slope there
+SHARPEST = 1e-3
+"""Blur, in λc, that stands for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
+CHUNKS = (256, 8192)
+"""Data of a call of the compiled cost functions: few, or many."""
 
-class Data(NamedTuple):
-    """What was measured, n data of R replicates each; R = 1 for the measurements themselves."""
-
-    kind: np.ndarray  # (n,) of "length", "whole", "at_least"
-    value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
-    sigma: np.ndarray  # (n,)
-    weight: np.ndarray  # (R, n), how often a datum counts
-    has_discrepancy: np.ndarray  # (n,), whether the model's own error, relative to the value, adds to σ
-
-    def take(self, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and weights of the replicate of each lane, (B, n)."""
-        return self.value[lane], self.weight[lane]
-
-
-class Terms(NamedTuple):
-    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ and in ln of the discrepancy."""
-
-    value: np.ndarray
-    slope: np.ndarray  # ∂/∂μ
-    curvature: np.ndarray  # ∂²/∂μ², or the positive stand-in for it that robust losses use
-    information: np.ndarray  # its expectation under the model
-    log_discrepancy_slope: np.ndarray | None
-    log_discrepancy_information: np.ndarray | None
+ELEMENTS = 2_000_000
+"""Elements of the largest array held at once; more points than that are taken in turns."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Loss:
-    """What a residual of r standard errors costs.
+    """Loss function of a residual of r standard errors.
 
-    "normal" is r²/2; "huber" is linear beyond 1.345 σ, "student" the t distribution with 4 degrees of freedom. Intervals keep
-    their own likelihood under every loss.
+    "normal" is r²/2; "huber" is linear beyond 1.345 σ; "student" is the t distribution with 4 degrees of freedom. Intervals
+    (counts, fronts without arrest) keep their own likelihood under every loss.
     """
 
     name: str = "normal"
@@ -54,22 +51,20 @@ class Loss:
         if self.name not in LOSSES:
             raise ValueError(f"loss = {self.name!r}: one of {', '.join(LOSSES)}")
 
-    def __call__(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """ρ(r), ψ = ρ' and ψ/r, the weight of a residual."""
+    def __call__(self, half_square: ArrayLike) -> Array:
+        """Loss as a function of r²/2; its derivative is the weight of a residual."""
+        u = jnp.asarray(half_square)
         if self.name == "huber":
-            near = np.abs(r) <= HUBER_AT
-            size = np.where(near, 1, np.abs(r))
-            rho = np.where(near, r**2 / 2, HUBER_AT * np.abs(r) - HUBER_AT**2 / 2)
-            weight = np.where(near, 1, HUBER_AT / size)
-            return rho, weight * r, weight
+            near = u <= HUBER_AT**2 / 2
+            far = HUBER_AT * jnp.sqrt(2 * jnp.where(near, 1, u)) - HUBER_AT**2 / 2
+            return jnp.where(near, u, far)
         if self.name == "student":
-            weight = (STUDENT_DOF + 1) / (STUDENT_DOF + r**2)
-            return (STUDENT_DOF + 1) / 2 * np.log1p(r**2 / STUDENT_DOF), weight * r, weight
-        return r**2 / 2, r, np.ones_like(r)
+            return (STUDENT_DOF + 1) / 2 * jnp.log1p(2 * u / STUDENT_DOF)
+        return u
 
     @property
     def information(self) -> float:
-        """Information of one datum with σ = 1: 1/variance of the estimate, its errors being as the loss supposes."""
+        """Information of one datum with σ = 1: 1/variance of the estimate where its errors are as the loss supposes."""
         if self.name == "huber":
             slope, variance = _huber_moments()
             return slope**2 / variance
@@ -92,8 +87,135 @@ def _huber_moments() -> tuple[float, float]:
     return inside, inside - 2 * c * density + 2 * c**2 * (1 - float(ndtr(c)))
 
 
+NORMAL = Loss()
+
+# −ln p of a datum given the prediction μ. `scatter` is the model's own error, δ times the value, added to σ in quadrature.
+
+
+def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0, loss: Loss = NORMAL) -> Array:
+    """−ln p of a measured value, less that of a perfect match at the stated σ; inf where the prediction is."""
+    total = jnp.sqrt(jnp.square(sigma) + jnp.square(scatter))
+    finite = jnp.isfinite(mu)
+    r = (jnp.where(finite, mu, value) - value) / total
+    # a variance that is itself fitted must carry its normalisation
+    return jnp.where(finite, loss(r**2 / 2) + jnp.log(total / sigma), jnp.inf)
+
+
+def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0) -> Array:
+    """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ."""
+    blur = _blur(sigma, scatter)
+    finite = jnp.isfinite(mu)
+    inside = jnp.where(finite, mu, value)
+    a, b = (value - 1 - inside) / blur, (value - inside) / blur
+    # in the upper tail subtract the two tails beyond, not two numbers near one
+    flip = a > 0
+    lower, upper = jnp.where(flip, -b, a), jnp.where(flip, -a, b)
+    top = log_ndtr(upper)
+    log_p = top + jnp.log1p(-jnp.exp(jnp.minimum(log_ndtr(lower) - top, -1e-300)))
+    return jnp.where(finite, -log_p, jnp.inf)
+
+
+def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0) -> Array:
+    """−ln Φ((μ − value)/σ): a front that ran past `value`; 0 for a prediction of inf."""
+    finite = jnp.isfinite(mu)
+    return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / _blur(sigma, scatter)), 0)
+
+
+def _blur(sigma: ArrayLike, scatter: ArrayLike) -> Array:
+    total = jnp.square(sigma) + jnp.square(scatter)
+    return jnp.sqrt(jnp.maximum(total, SHARPEST**2))
+
+
+COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
+"""By the kind of a measurement."""
+
+
+def _cost(kind: str, loss: Loss):
+    return partial(length_cost, loss=loss) if kind == "length" else COSTS[kind]
+
+
+def data_log_density(
+    mu: np.ndarray, value: np.ndarray, sigma: ArrayLike, kind: str = "length", loss: Loss = NORMAL
+) -> np.ndarray:
+    """Log density of data given their predictions, without the constants; arrays that broadcast, NumPy float64.
+
+    Parameters
+    ----------
+    mu : array_like
+        Predictions; inf where the front never stops.
+    value, sigma : array_like
+        What was measured, and its standard error.
+    kind : {"length", "whole", "at_least"}
+    loss : Loss
+    """
+    numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma, -np.inf)))
+    return -_derivatives(kind, loss, [x.ravel() for x in numbers])[0].reshape(numbers[0].shape)
+
+
+@cache
+def _compiled(kind: str, loss: Loss):
+    """Cost of data, and its derivatives in μ (first and second) and in ln of the scatter."""
+    cost = _cost(kind, loss)
+
+    def one(mu: Array, value: Array, sigma: Array, log_scatter: Array) -> tuple[Array, ...]:
+        def at(mu: Array, log_scatter: Array) -> Array:
+            return cost(mu, value, sigma, jnp.exp(log_scatter))
+
+        def first(mu: Array) -> tuple[Array, tuple[Array, Array]]:
+            return jax.value_and_grad(at, (0, 1))(mu, log_scatter)
+
+        (found, (slope, by_scatter)), (_, (bend, _)) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
+        if kind == "length":
+            # Gauss and Newton's part: convex losses of r²/2 bend by the weight of the residual
+            total = jnp.square(sigma) + jnp.exp(2 * log_scatter)
+            r2 = jnp.where(jnp.isfinite(mu), jnp.square(mu - value) / total, 0)
+            bend = jnp.where(jnp.isfinite(mu), jax.grad(loss)(r2 / 2) / total, 0)
+        else:
+            # log-concave: between nothing and that of a single edge
+            bend = jnp.clip(bend, 0, 1 / jnp.square(_blur(sigma, jnp.exp(log_scatter))))
+        return found, slope, bend, by_scatter
+
+    return jax.jit(jax.vmap(one))
+
+
+def _derivatives(kind: str, loss: Loss, columns: list[np.ndarray]) -> list[np.ndarray]:
+    """`_compiled` for data given as columns, in chunks of few shapes."""
+    count = len(columns[0])
+    chunk = CHUNKS[count > CHUNKS[0]]
+    found = [np.empty(count) for _ in range(4)]
+    with jax.enable_x64(True):
+        for start in range(0, count, chunk):
+            part = slice(start, min(start + chunk, count))
+            size = part.stop - start
+            padded = [x[part] if size == chunk else np.resize(x[part], chunk) for x in columns]
+            for column, numbers in zip(found, _compiled(kind, loss)(*padded), strict=True):
+                column[part] = np.asarray(numbers)[:size]
+    return found
+
+
+class Data(NamedTuple):
+    """What was measured, n data of R replicates each; R = 1 for the measurements themselves."""
+
+    kind: np.ndarray  # (n,) of "length", "whole", "at_least"
+    value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
+    sigma: np.ndarray  # (n,)
+    weight: np.ndarray  # (R, n), how often a datum counts
+    has_discrepancy: np.ndarray  # (n,), whether the model's own error, relative to the value, adds to σ
+
+
+class Terms(NamedTuple):
+    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ and in ln of the discrepancy."""
+
+    value: np.ndarray
+    slope: np.ndarray  # ∂/∂μ
+    curvature: np.ndarray  # ∂²/∂μ², or the positive Gauss–Newton part of it
+    information: np.ndarray  # its expectation under the model
+    log_discrepancy_slope: np.ndarray
+    log_discrepancy_information: np.ndarray
+
+
 def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepancy: np.ndarray | None) -> Terms:
-    """−ln p of every datum.
+    """−ln p of every datum, with derivatives.
 
     Parameters
     ----------
@@ -104,63 +226,295 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
         Which replicate each lane belongs to.
     loss : Loss
     log_discrepancy : array, shape (B,), optional
-        ln δ: the model is off by δ times the length, at random, beside σ.
+        ln δ: the model is off by δ times the value, at random, beside σ.
     """
-    value, weight = data.take(lane)
-    variance = np.broadcast_to(data.sigma**2, mu.shape)
-    extra = np.zeros(mu.shape)
+    value, weight = data.value[lane], data.weight[lane]
+    log_scatter = np.full(mu.shape, -np.inf)
     if log_discrepancy is not None:
-        extra = np.where(data.has_discrepancy, (np.exp(log_discrepancy)[:, None] * value) ** 2, 0)
-    sigma = np.sqrt(variance + extra)
-    plain = data.kind == "length"
-    columns = [np.zeros(mu.shape) for _ in range(5)]
-    if plain.any():
-        for column, found in zip(columns, _plain(mu[:, plain], value[:, plain], sigma[:, plain], loss), strict=True):
-            column[:, plain] = found
-        # the normalisation that a variance which is itself fitted must carry
-        columns[0][:, plain] += np.log(sigma[:, plain] / data.sigma[plain])
-    if not plain.all():
-        counted = ~plain
-        low = np.where(data.kind == "whole", value - 1, value)[:, counted]
-        high = np.where(data.kind == "whole", value, np.inf)[:, counted]
-        soft = np.maximum(sigma[:, counted], SHARPEST)
-        for column, found in zip(columns, _interval(mu[:, counted], low, high, soft), strict=True):
-            column[:, counted] = found
-    cost, slope, curvature, information, by_sigma = (weight * column for column in columns)
-    if log_discrepancy is None:
-        return Terms(cost, slope, curvature, information, None, None)
-    share = extra / sigma**2  # d ln σ / d ln δ
-    return Terms(cost, slope, curvature, information, by_sigma * share, weight * 2 * share**2)
+        with np.errstate(divide="ignore"):
+            own = log_discrepancy[:, None] + np.log(np.abs(value))
+        log_scatter = np.where(data.has_discrepancy, own, log_scatter)
+    sigma = np.broadcast_to(data.sigma, mu.shape)
+    columns = np.empty((4, *mu.shape))
+    for kind in COSTS:
+        there = data.kind == kind
+        if there.any():
+            given = [x[:, there] for x in (mu, value, sigma, log_scatter)]
+            found = _derivatives(kind, loss, [x.ravel() for x in given])
+            columns[:, :, there] = np.reshape(found, (4, *given[0].shape))
+    variance = sigma**2 + np.exp(2 * log_scatter)
+    plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
+    information = np.where(data.kind == "length", plain, columns[2])
+    share = np.exp(2 * log_scatter) / np.where(variance > 0, variance, 1)  # d ln σ / d ln δ
+    return Terms(
+        *(weight * x for x in (*columns[:3], information)),
+        log_discrepancy_slope=weight * columns[3],
+        log_discrepancy_information=weight * 2 * share**2,
+    )
 
 
-def _plain(mu: np.ndarray, value: np.ndarray, sigma: np.ndarray, loss: Loss) -> tuple[np.ndarray, ...]:
-    with np.errstate(invalid="ignore", over="ignore"):
-        r = (mu - value) / sigma
-        rho, psi, weight = loss(r)
-    lost = ~np.isfinite(r)
-    rho = np.where(lost, np.inf, rho)
-    psi, weight, r = (np.where(lost, 0, x) for x in (psi, weight, r))
-    return rho, psi / sigma, weight / sigma**2, np.where(lost, 0, loss.information) / sigma**2, 1 - psi * r
+class Evaluation(NamedTuple):
+    """At B points; the derivatives are None where they were not asked for."""
+
+    value: Float[np.ndarray, " B"]  # −ln(likelihood × prior); inf where the model has no finite length
+    gradient: Float[np.ndarray, "B p"] | None = None
+    metric: Float[np.ndarray, "B p p"] | None = None  # Gauss and Newton's part of the second derivative
+    curvature: Float[np.ndarray, "B p p"] | None = None  # the whole of it
 
 
-def _interval(mu: np.ndarray, low: np.ndarray, high: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, ...]:
-    """−ln[Φ((high − μ)/σ) − Φ((low − μ)/σ)]: a length known to lie between `low` and `high`, with a blur σ."""
-    endless = np.isinf(mu)
-    at = np.where(endless, low + 40 * sigma, mu)
-    a, b = (low - at) / sigma, (high - at) / sigma
-    # in the upper tail the two tails beyond are subtracted, not two numbers near one
-    flip = a > 0
-    lower, upper = np.where(flip, -b, a), np.where(flip, -a, b)
-    log_upper = log_ndtr(upper)
-    log_p = log_upper + np.log1p(-np.exp(np.minimum(log_ndtr(lower) - log_upper, -1e-300)))
-    log_density = [-(x**2) / 2 - np.log(2 * np.pi) / 2 - log_p for x in (a, b)]
-    at_low, at_high = (np.exp(np.minimum(x, 700)) for x in log_density)
-    slope = (at_high - at_low) / sigma
-    b_finite = np.where(np.isinf(b), 0, b)
-    bend = (b_finite * at_high - a * at_low) / sigma**2 + slope**2
-    bend = np.clip(bend, 0, 1 / sigma**2)  # log-concave: between nothing and that of a single edge
-    by_sigma = b_finite * at_high - a * at_low
-    impossible = endless & np.isfinite(high)
-    cost = np.where(impossible, np.inf, np.where(endless, 0, -log_p))
-    slope, bend, by_sigma = (np.where(endless, 0, x) for x in (slope, bend, by_sigma))
-    return cost, slope, bend, bend, by_sigma
+class Block(NamedTuple):
+    """The data of one observable."""
+
+    observable: str
+    measurement: np.ndarray  # (n,), which measurement each datum belongs to
+    inputs: Inputs  # a `Linear` of length m each: the distinct inputs of the model
+    rows: np.ndarray  # (n,), which of them each datum has
+    scale: Linear  # (n,), ln of the unit of the data in that of the model
+    offset: Linear  # (n,)
+    data: Data
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """Measurements and parameters: all that the log density depends on beside θ."""
+
+    parameters: ParameterSet
+    blocks: tuple[Block, ...]
+    loss: Loss
+    prior_mean: np.ndarray  # (R, p), one for each replicate
+    prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
+    held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
+
+    @property
+    def p(self) -> int:
+        """Number of fitted parameters."""
+        return len(self.prior_weight)
+
+    @property
+    def count(self) -> int:
+        """Number of data, priors of inputs with errors among them: they were measured too."""
+        return sum(block.data.value.shape[1] for block in self.blocks) + int((self.prior_weight > 0).sum())
+
+    @property
+    def exact_values(self) -> bool:
+        """Whether every datum is a value with an error, none a count or a front without arrest."""
+        return all((block.data.kind == "length").all() for block in self.blocks)
+
+    def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
+        """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
+
+        Derivatives come to `order`; the second ones are central differences of the gradient.
+        """
+        theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
+        lane = np.zeros(len(theta), dtype=int) if lane is None else lane
+        widest = max(len(block.rows) for block in self.blocks) * (self.p if order else 1)
+        at_once = max(1, ELEMENTS // widest)
+        parts = [
+            self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
+            for start in range(0, len(theta), at_once)
+        ]
+        joined = [None if column[0] is None else np.concatenate(column) for column in zip(*parts, strict=True)]
+        found = Evaluation(*joined)  # pyright: ignore[reportArgumentType] - the first is always there
+        return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
+
+    def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
+        """Second derivatives: differences of the gradient over 10⁻⁴ standard errors, all in one evaluation."""
+        assert at.metric is not None
+        b, p = theta.shape
+        diagonal = np.einsum("bpp->bp", at.metric)
+        reach = self.parameters.high - self.parameters.low
+        step = np.clip(1e-4 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1e-7 * reach, 1e-3 * reach)
+        free = np.arange(p) if self.held is None else np.nonzero(~self.held)[0]
+        shifts = step[:, None, :] * np.eye(p)[free]
+        around = np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1)
+        slope = self(around.reshape(-1, p), np.repeat(lane, around.shape[1]), 1).gradient
+        assert slope is not None
+        up, down = np.split(slope.reshape(around.shape), 2, axis=1)
+        second = np.zeros((b, p, p))
+        second[:, free] = (up - down) / (2 * step[:, free, None])
+        return (second + np.swapaxes(second, 1, 2)) / 2
+
+    def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
+        off = theta - self.prior_mean[lane]
+        value = (self.prior_weight * off**2).sum(axis=1) / 2
+        gradient = self.prior_weight * off
+        metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
+        d = self.parameters.discrepancy
+        for block in self.blocks:
+            mu, first = self._predictions(block, theta, order)
+            cost = terms(mu, block.data, lane, self.loss, None if d is None else theta[:, d])
+            value = value + cost.value.sum(axis=1)
+            if first is None:
+                continue
+            gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
+            metric = metric + np.matmul(np.swapaxes(first, 1, 2) * cost.curvature[:, None, :], first)
+            if d is not None:
+                gradient[:, d] += cost.log_discrepancy_slope.sum(axis=1)
+                metric[:, d, d] += cost.log_discrepancy_information.sum(axis=1)
+        return Evaluation(value, gradient, metric) if order else Evaluation(value)
+
+    def _predictions(self, block: Block, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
+        inputs = at(block.inputs, theta)
+        free = slice(None) if self.held is None else ~self.held
+        wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
+        lanes, distinct = inputs.poisson.shape
+        model: Prediction = PREDICTED[block.observable](Inputs(*(None if x is None else x.ravel() for x in inputs)), wanted)
+        scale = np.exp(block.scale(theta))
+        value = model.value.reshape(lanes, distinct)[:, block.rows] * scale
+        mu = value + block.offset(theta)
+        if not order:
+            return mu, None
+        # where no input moves, as under a held stiffness, scales, offset and discrepancy still do
+        size = np.where(np.isfinite(value), value, 0)[:, :, None]
+        first = size * block.scale.slope + block.offset.slope
+        if wanted:
+            by_input = np.stack([model.slopes[name].reshape(lanes, distinct) for name in wanted], axis=-1)
+            slope = np.stack([getattr(block.inputs, name).slope for name in wanted], axis=1)
+            by_theta = np.matmul(by_input[:, :, None, :], slope)[:, :, 0]
+            first = first + by_theta[:, block.rows] * scale[:, :, None]
+        return mu, first
+
+    def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
+        """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
+        (block,) = (block for block in self.blocks if block.observable == observable)
+        return self._predictions(block, np.atleast_2d(theta), 0)[0]
+
+    def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
+        theta = np.atleast_2d(theta)
+        d = self.parameters.discrepancy
+        rows = []
+        for block in self.blocks:
+            mu, first = self._predictions(block, theta, 1)
+            cost = terms(mu, block.data, np.zeros(1, int), self.loss, None if d is None else theta[:, d])
+            assert first is not None
+            rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
+            if d is not None:
+                own = np.zeros((mu.shape[1], self.p))
+                own[:, d] = np.sqrt(cost.log_discrepancy_information[0])
+                rows.append(own)
+        rows.append(np.diag(np.sqrt(self.prior_weight)))
+        jacobian = np.concatenate(rows)
+        return jacobian.T @ jacobian, jacobian
+
+    def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
+        """The same problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
+        blocks = tuple(
+            block._replace(data=block.data._replace(value=values[block.observable], weight=weights[block.observable]))
+            for block in self.blocks
+        )
+        return dataclasses.replace(self, blocks=blocks, prior_mean=means)
+
+
+def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
+    """ln(likelihood × prior) of one θ, traced: for `jax.jit`, `jax.vmap` and `jax.grad`.
+
+    The numbers of −`problem(theta)`, up to rounding. Forward mode only where gauges were read, and in double precision only
+    under ``jax.enable_x64``. θ is in the order of ``problem.parameters.names``; the bounds are not part of it.
+    """
+    off = theta - jnp.asarray(problem.prior_mean[0])
+    return sum((_log_likelihood(theta, problem, block) for block in problem.blocks), -(problem.prior_weight * off**2).sum() / 2)
+
+
+def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
+    data, d = block.data, problem.parameters.discrepancy
+    relaxed = not any(x.base.any() or x.slope.any() for x in (block.inputs.prestress, block.inputs.threshold_slope))
+    sites = _sites(problem, block) if block.inputs.log_position is not None else 0
+    predicted = jax.vmap(partial(traced, block.observable, relaxed=relaxed, sites=sites))(at(block.inputs, theta))
+    mu = predicted[block.rows] * jnp.exp(block.scale(theta)) + block.offset(theta)
+    scatter = jnp.zeros(len(data.sigma)) if d is None else jnp.where(data.has_discrepancy, jnp.exp(theta[d]) * data.value[0], 0)
+    total = jnp.zeros(())
+    for kind in COSTS:
+        there = np.nonzero(data.kind == kind)[0]
+        if len(there):
+            cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there], scatter[there])
+            total = total - (data.weight[0][there] * cost).sum()
+    return total
+
+
+def _sites(problem: Problem, block: Block) -> int:
+    """Contacts whose fields are traced: eight times what the gauges and counts reach in the middle of the range searched."""
+    middle = at(block.inputs, (problem.parameters.low + problem.parameters.high) / 2)
+    return 64 + 8 * int(max(np.exp(middle.log_position).max(), middle.counted.max()))
+
+
+def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
+    """Set up the log density of these measurements; `sigma` is the standard error of each length, in λc."""
+    every = np.arange(len(m))
+    blocks = [_block(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
+    hard = parameters.inputs._replace(log_width=None)
+    for observable in ("displacement", "force"):
+        values = getattr(m, observable)
+        if values is None or not np.isfinite(values).any():
+            continue
+        rows = np.nonzero(np.isfinite(values))[0]
+        errors = getattr(m, f"{observable}_sigma")[rows]
+        blocks.append(_block(parameters, observable, rows, values[rows], errors, _of_rows(hard, rows)))
+    if m.gauges is not None:
+        blocks += [_gauge_block(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
+    prior_sigma = np.array([one.prior_sigma for one in parameters.free])
+    return Problem(
+        parameters=parameters,
+        blocks=tuple(blocks),
+        loss=loss,
+        prior_mean=np.array([[one.prior_mean for one in parameters.free]]),
+        prior_weight=1 / prior_sigma**2,
+    )
+
+
+def _block(
+    q: ParameterSet,
+    observable: str,
+    rows: np.ndarray,
+    value: np.ndarray,
+    sigma: np.ndarray,
+    inputs: Inputs,
+    kind: np.ndarray | None = None,
+) -> Block:
+    """Data of one observable, each distinct input of the model once."""
+    n = len(rows)
+    given = [one for one in inputs if one is not None]
+    key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
+    _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    of_length = observable == "length"
+    data = Data(
+        kind=np.full(n, "length") if kind is None else kind,
+        value=value[None],
+        sigma=sigma,
+        weight=np.ones((1, n)),
+        has_discrepancy=np.full(n, of_length),
+    )
+    none = Linear(np.zeros(n), np.zeros((n, len(q.free))))
+    return Block(
+        observable=observable,
+        measurement=rows,
+        inputs=_of_rows(inputs, first),
+        rows=own.ravel(),
+        scale=q.scales[observable].take(rows),
+        offset=q.offset if of_length else none,
+        data=data,
+    )
+
+
+def _of_rows(inputs: Inputs, rows: np.ndarray) -> Inputs:
+    """The linear inputs of some measurements."""
+    return Inputs(*(None if one is None else one.take(rows) for one in inputs))
+
+
+def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Block:
+    """Readings of one kind."""
+    there = gauges.there(name)
+    rows = gauges.row[there]
+    assert m.correlation_length is not None
+    # a gauge at the very edge is one a billionth of λc from it
+    place = np.log(np.maximum(gauges.position[there] / m.correlation_length[rows], 1e-9))
+    counted = np.where(np.array(m.kind)[rows] == "whole", m.length[rows], 0.0)
+    unit = q.scales["position"].take(rows)
+    inputs = _of_rows(q.inputs, rows)._replace(
+        log_position=Linear(place - unit.base, -unit.slope),  # x/λc shrinks as λc grows
+        beyond=q.beyond.take(rows),
+        counted=Linear(counted, np.zeros_like(unit.slope)),
+    )
+    sigma = getattr(gauges, f"{name}_sigma")[there]
+    return _block(q, name, rows, getattr(gauges, name)[there], sigma, inputs)

@@ -1,4 +1,4 @@
-"""Measurements of first precursors: what one holds, and what is refused; `slippulse_jax.inference.table` reads a CSV."""
+"""Measurements of first precursors, and readings of gauges along the interface; `slippulse_jax.inference.tables` reads both."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -9,21 +9,104 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 
-if TYPE_CHECKING:
-    from slippulse_jax.inference.gauges import Gauges
-
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 KINDS = ("length", "whole", "at_least")
-"""What the number is: a length with a standard error; a count of whole contacts; a length the front ran past without arrest."""
+"""Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
 
 
 class MeasurementError(ValueError):
     """Measurements that cannot be used; the message says where and why."""
 
 
+READINGS = ("slip", "stress")
+"""Quantities that gauges read."""
+GAUGE_COLUMNS = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigma")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Gauges:
+    """Readings of gauges along the interface after measured precursors have stopped, one entry per reading.
+
+    Parameters
+    ----------
+    row : array_like of int, shape (r,)
+        Which measurement's precursor had just stopped.
+    position : array_like, shape (r,)
+        Distance from the pushed edge, in m.
+    slip, slip_sigma : array_like, shape (r,), optional
+        How far the slider's side of the interface moved while the front ran, in m; NaN where not measured.
+    stress, stress_sigma : array_like, shape (r,), optional
+        Shear stress on the contacts after arrest, prestress included, in Pa; NaN where not measured.
+    lines : sequence of int, optional
+        Line of each reading in the file it came from.
+    source : str
+        Name of that file.
+
+    Raises
+    ------
+    MeasurementError
+        If a value is not finite, a standard error is missing or not positive, or nothing was read.
+    """
+
+    row: np.ndarray
+    position: np.ndarray
+    slip: np.ndarray | None = None
+    slip_sigma: np.ndarray | None = None
+    stress: np.ndarray | None = None
+    stress_sigma: np.ndarray | None = None
+    lines: tuple[int, ...] = ()
+    source: str = "gauges"
+
+    if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
+
+        def __init__(
+            self,
+            row: ArrayLike,
+            position: ArrayLike,
+            slip: ArrayLike | None = None,
+            slip_sigma: ArrayLike | None = None,
+            stress: ArrayLike | None = None,
+            stress_sigma: ArrayLike | None = None,
+            lines: Sequence[int] = (),
+            source: str = "gauges",
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        set_columns(self, GAUGE_COLUMNS)
+        object.__setattr__(self, "row", self.row.astype(int))
+        for name in READINGS:
+            if getattr(self, name) is not None and getattr(self, f"{name}_sigma") is None:
+                raise MeasurementError(f"{self.source}: {name} is given without {name}_sigma")
+        for i in range(len(self)):
+            self._check(i)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def place(self, i: int) -> str:
+        """Where reading i came from, for messages."""
+        return f"{self.source}, line {self.lines[i]}" if self.lines else f"{self.source}, reading {i}"
+
+    def there(self, name: str) -> np.ndarray:
+        """Which readings have a value of `name`, bool, shape (r,)."""
+        values = getattr(self, name)
+        return np.zeros(len(self), bool) if values is None else np.isfinite(values)
+
+    def _check(self, i: int) -> None:
+        if not (np.isfinite(self.position[i]) and self.position[i] >= 0):
+            raise MeasurementError(f"{self.place(i)}: position = {self.position[i]:g} m: must be finite and not negative")
+        read = [name for name in READINGS if self.there(name)[i]]
+        if not read:
+            raise MeasurementError(f"{self.place(i)}: neither slip nor stress was read")
+        for name in read:
+            sigma = getattr(self, f"{name}_sigma")[i]
+            if not (np.isfinite(sigma) and sigma > 0):
+                raise MeasurementError(f"{self.place(i)}: {name}_sigma = {sigma:g}: the standard error must be positive")
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Measurements:
-    """Measured first precursors, one entry a measurement.
+    """Measured first precursors, one entry per measurement.
 
     Parameters
     ----------
@@ -38,7 +121,7 @@ class Measurements:
     young : array_like, shape (n,), optional
         E in Pa; with `correlation_length` it turns k/K into an areal stiffness k/λc² in Pa/m.
     kind : sequence of str, optional
-        One of `KINDS` a measurement; "length" by default.
+        One of `KINDS` per measurement; "length" by default.
     prestress, threshold_slope : array_like, shape (n,), optional
         Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
@@ -57,7 +140,7 @@ class Measurements:
     source : str
         Name of that file, for messages and reports.
     other : dict of str to list of str
-        Columns that were kept and not understood.
+        Columns that were kept but not used.
 
     Raises
     ------
@@ -85,7 +168,7 @@ class Measurements:
     specimen: tuple[str, ...] = ()
     provenance: tuple[str, ...] = ()
     label: tuple[str, ...] = ()
-    gauges: "Gauges | None" = None
+    gauges: Gauges | None = None
     lines: tuple[int, ...] = ()
     source: str = "measurements"
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)

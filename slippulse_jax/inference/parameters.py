@@ -1,23 +1,72 @@
-"""What is fitted, what is held, and how both become the inputs of the model for every measurement.
+"""Parameters of a fit, and the linear map from the fitted numbers θ to the named inputs of the model.
 
-The model has five inputs a measurement, y = (ln H/λc, ln k/K, ν, φ, ε). Positive parameters are fitted as their logarithm
-θ = ln(value), the others as they are. Every parameter then enters y, and the logarithms of the scales that turn model
-units into measured ones, **linearly**: y = base + slope·θ. Heights, moduli and correlation lengths with errors of their own
-are parameters with a prior, like any other.
+Positive parameters are fitted as θ = ln(value), the others as they are. Every input of the model (`Inputs`), and the logarithm
+of every scale that turns model units into measured ones, is then **linear** in θ. Heights, moduli and correlation lengths with
+errors of their own are parameters with a prior, like any other.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.inference.measurements import MeasurementError, Measurements
+
 STIFFEST = 1.0
-"""Largest k/K looked at: a contact stiffer than the block of bulk it is attached to is outside the model."""
-INPUTS = ("log_height", "log_stiffness", "poisson", "prestress", "threshold_slope")
-WIDTH = len(INPUTS)
-"""Which input the width of a smooth break rule is, where there is one."""
+"""Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
-PRIOR_REACH = 6.0  # standard deviations of a prior that are searched where no bounds are given
+PRIOR_REACH = 6.0
+"""Standard deviations of a prior that are searched where no bounds are given."""
+
+
+class Inputs(NamedTuple):
+    """Inputs of the model by name, all of one shape; None where a prediction does not depend on one."""
+
+    log_height: Any  # ln H/λc
+    log_stiffness: Any  # ln k/K
+    poisson: Any
+    prestress: Any  # φ, in σ_s
+    threshold_slope: Any  # ε, per contact
+    log_width: Any = None  # ln of the width of the smooth break rule, in σ_s
+    log_position: Any = None  # ln of a gauge's distance from the pushed edge, in λc
+    beyond: Any = None  # contacts broken beyond ℓ*, 0 to 1, when gauges were read
+    counted: Any = None  # contacts counted as broken when gauges were read; 0 where they were not
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs that are there."""
+        return tuple(name for name, value in self._asdict().items() if value is not None)
+
+    def table(self) -> np.ndarray:
+        """The inputs that are there as columns, shape (…, len(names))."""
+        return np.stack([value for value in self if value is not None], axis=-1)
+
+    @classmethod
+    def from_table(cls, names: Sequence[str], table: np.ndarray) -> "Inputs":
+        """Inverse of `table`."""
+        return cls(**dict(zip(names, np.moveaxis(table, -1, 0), strict=True)))
+
+    def take(self, rows: Any) -> "Inputs":
+        """Select some rows of every input."""
+        return Inputs(*(None if value is None else value[rows] for value in self))
+
+
+class Linear(NamedTuple):
+    """One number per measurement, linear in θ."""
+
+    base: np.ndarray  # (n,)
+    slope: np.ndarray  # (n, p)
+
+    def __call__(self, theta: Any) -> Any:
+        """Values at θ of shape (…, p); shape (…, n)."""
+        return self.base + theta @ self.slope.T
+
+    def take(self, rows: Any) -> "Linear":
+        """Select some measurements."""
+        return Linear(self.base[rows], self.slope[rows])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,10 +80,10 @@ class Parameter:
     bounds : (float, float), optional
         Range searched, in the unit of the parameter.
     prior : (float, float), optional
-        Mean and standard deviation of an independent, Gaussian knowledge of it; of its logarithm, with the relative
-        deviation, where the parameter is positive.
+        Mean and standard deviation of an independent Gaussian prior; for a positive parameter, of its logarithm, with the
+        relative deviation.
     each : {"specimen"}, optional
-        A value of its own for every specimen, instead of one that all share.
+        One value per specimen instead of one that all share.
     value : float, optional
         Held at this value, not fitted.
     """
@@ -65,9 +114,9 @@ class Parameter:
 
 
 class Free(NamedTuple):
-    """One number that is fitted, θ; limits and prior in θ."""
+    """One fitted number θ; limits and prior in θ."""
 
-    label: str  # its name, with the specimen where it has one each
+    label: str  # its name, followed by the specimen where there is one value per specimen
     name: str
     symbol: str
     unit: str
@@ -76,14 +125,15 @@ class Free(NamedTuple):
     high: float
     prior_mean: float
     prior_sigma: float  # inf without a prior
-    nuisance: bool  # an input with an error of its own, not asked for
+    nuisance: bool  # an input fitted only because it has an error of its own
 
-    def value(self, theta: np.ndarray | float) -> np.ndarray | float:
-        """The parameter in its unit."""
-        return np.exp(theta) if self.log else theta
+    def value(self, theta: Any) -> Any:
+        """Convert θ, a number or an array, to the parameter in its unit."""
+        value = np.exp(theta) if self.log else theta
+        return value if np.ndim(theta) else float(value)
 
     def theta(self, value: float) -> float:
-        """θ of a value."""
+        """Convert a value to θ."""
         return float(np.log(value)) if self.log else float(value)
 
 
@@ -93,12 +143,10 @@ class ParameterSet:
 
     free: tuple[Free, ...]
     held: dict[str, float]  # by name, in their units
-    base: np.ndarray  # (n, 5); with the width of a smooth rule (n, 6), y going on with its logarithm
-    slope: np.ndarray  # (n, 5 or 6, p)
-    scale_base: dict[str, np.ndarray]  # ln(unit of measurement per unit of the model), (n,) for each of SCALES
-    scale_slope: dict[str, np.ndarray]  # (n, p)
-    offset: np.ndarray  # (n, p), added to a length in λc
-    arrest: np.ndarray  # (n, p), added to ℓ* for the contacts broken when gauges were read
+    inputs: Inputs  # a `Linear` each
+    scales: dict[str, Linear]  # ln(unit of measurement per unit of the model), for each of SCALES
+    offset: Linear  # added to a length, in λc
+    beyond: Linear  # contacts broken beyond ℓ* when gauges were read
     discrepancy: int | None  # which θ is the logarithm of the model's own relative error
 
     @property
@@ -106,13 +154,18 @@ class ParameterSet:
         """Label of every θ."""
         return [one.label for one in self.free]
 
+    @property
+    def smooth(self) -> bool:
+        """Whether the lengths are those under a smooth break rule."""
+        return self.inputs.log_width is not None
+
     def index(self, name: str) -> int:
-        """Which θ is called `name`.
+        """Index of the θ called `name`.
 
         Raises
         ------
         ValueError
-            If none is, naming those there are.
+            If there is none, naming those there are.
         """
         if name not in self.names:
             raise ValueError(f"{name!r} is not fitted here: one of {', '.join(self.names)}")
@@ -128,44 +181,371 @@ class ParameterSet:
         """Upper limits of θ."""
         return np.array([one.high for one in self.free])
 
+    def inputs_at(self, theta: np.ndarray) -> Inputs:
+        """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
+        return at(self.inputs, theta)
+
     def ratio(self, theta: np.ndarray) -> np.ndarray:
         """k/K of each measurement, shape (n,)."""
-        return np.exp(self.base[:, 1] + self.slope[:, 1] @ theta)
+        return np.exp(self.inputs.log_stiffness(theta))
 
-    def inputs(self, theta: np.ndarray) -> np.ndarray:
-        """Y of each measurement, shape (n, 5 or 6)."""
-        return self.base + self.slope @ theta
+
+def at(inputs: Inputs, theta: Any) -> Inputs:
+    """Values of linear inputs at θ."""
+    return Inputs(*(None if one is None else one(theta) for one in inputs))
 
 
 class _Kind(NamedTuple):
     symbol: str
     unit: tuple[str, str]  # for lengths in λc, and in SI
     log: bool
-    input: int | None  # which of INPUTS it adds to
-    sign: float
-    scales: dict[str, float]  # which SCALES its logarithm adds to
-    stated: str | None  # column of Measurements that gives its value where it is not fitted
+    acts: dict[str, float]  # what a unit of θ adds to each of Inputs, SCALES and "offset"
+    stated: str | None = None  # column of Measurements that gives its value where it is not fitted
 
 
 PARAMETERS: dict[str, _Kind] = {
-    "stiffness": _Kind("k/K", ("", ""), True, 1, 1, {}, None),
-    "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, 1, 1, {"displacement": -1, "slip": -1}, None),
-    "areal_stiffness_over_young": _Kind("(k/λc²)/E", ("1/m", "1/m"), True, 1, 1, {}, None),
-    "height": _Kind("H", ("λc", "m"), True, 0, 1, {}, "height"),
-    "correlation_length": _Kind("λc", ("", "m"), True, None, 1, {"length": 1, "force": 1, "position": 1}, "correlation_length"),
-    "young": _Kind("E", ("", "Pa"), True, 1, -1, {}, "young"),
-    "poisson": _Kind("ν", ("", ""), False, 2, 1, {}, "poisson"),
-    "prestress": _Kind("φ", ("σ_s", "σ_s"), False, 3, 1, {}, "prestress"),
-    "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, 4, 1, {}, "threshold_slope"),
-    "strength": _Kind("σ_s", ("", "Pa"), True, None, 1, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, None),
-    "offset": _Kind("offset", ("λc", "m"), False, None, 1, {}, None),
-    "model_factor": _Kind("model factor", ("", ""), True, None, 1, {"length": 1}, None),
-    "width": _Kind("w", ("σ_s", "σ_s"), True, WIDTH, 1, {}, None),
-    "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, None, 1, {}, None),
-    "discrepancy": _Kind("discrepancy", ("", ""), True, None, 1, {}, None),
-}
+    "stiffness": _Kind("k/K", ("", ""), True, {"log_stiffness": 1}),
+    "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
+    "areal_stiffness_over_young": _Kind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
+    "height": _Kind("H", ("λc", "m"), True, {"log_height": 1}, "height"),
+    "correlation_length": _Kind(
+        "λc", ("", "m"), True,
+        # H/λc falls; k/K = (k/λc²) λc/E rises
+        {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1},
+        "correlation_length",
+    ),
+    "young": _Kind("E", ("", "Pa"), True, {"log_stiffness": -1}, "young"),
+    "poisson": _Kind("ν", ("", ""), False, {"poisson": 1}, "poisson"),
+    "prestress": _Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, "prestress"),
+    "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, "threshold_slope"),
+    "strength": _Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}),
+    "offset": _Kind("offset", ("λc", "m"), False, {"offset": 1}),
+    "model_factor": _Kind("model factor", ("", ""), True, {"length": 1}),
+    "width": _Kind("w", ("σ_s", "σ_s"), True, {"log_width": 1}),
+    "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
+    "discrepancy": _Kind("discrepancy", ("", ""), True, {}),
+}  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data allow."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
 ARREST = (0.5, 12**-0.5)
-"""Mean and deviation of what lies between ℓ* and the whole number of contacts that break, ceil(ℓ*): anything from 0 to 1."""
+"""Mean and deviation of the difference between ℓ* and the number of contacts that break, ceil(ℓ*): uniform from 0 to 1."""
 NEEDS_SI = ("correlation_length", "young", "strength")
+
+
+def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
+    """Map the parameters of a fit to the inputs of the model for these measurements.
+
+    Parameters
+    ----------
+    m : Measurements
+    wanted : sequence of str or Parameter
+        Parameters fitted or held; everything else is as stated with the measurements. "stiffness" stands for whichever
+        stiffness the measurements determine.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
+        domain of the model.
+    """
+    chosen = _validated(m, wanted)
+    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen))
+    for parameter in chosen:
+        if parameter.value is not None:
+            builder.hold(parameter)
+        else:
+            for label, rows in _groups(m, parameter):
+                builder.add(parameter, label, rows)
+    fitted = {parameter.name for parameter in chosen}
+    for name in ("height", "poisson", "correlation_length", "young"):
+        sigma = getattr(m, f"{name}_sigma")
+        if sigma is None or not sigma.any():
+            continue
+        if name in fitted:
+            raise ValueError(
+                f"{name} is to be fitted, and the measurements state its error: give it a prior there, or leave it out here"
+            )
+        builder.add_uncertain(name, sigma)
+    builder.add_arrests()
+    return builder.build()
+
+
+def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:
+    """Label and rows of each value that the parameter takes."""
+    name = parameter.name
+    specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
+    groups = [(f"{name}[{one}]", np.array([s == one for s in m.specimen])) for one in specimens]
+    groups = groups or [(name, np.ones(len(m), dtype=bool))]
+    stated = PARAMETERS[name].stated
+    if stated and name != "height" and getattr(m, stated) is not None:
+        for label, rows in groups:
+            if np.ptp(getattr(m, stated)[rows]) > 0:
+                raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
+    return groups
+
+
+class _Builder:
+    """Collects base and slope of every linear map."""
+
+    def __init__(self, m: Measurements, smooth: bool) -> None:
+        self.m, self.smooth = m, smooth
+        n = len(m)
+        self.stated = {
+            "height": m.height,
+            "correlation_length": m.correlation_length,
+            "young": m.young,
+            "poisson": m.poisson,
+            "prestress": m.or_zero("prestress"),
+            "threshold_slope": m.or_zero("threshold_slope"),
+        }
+        log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
+        log_young = np.zeros(n) if m.young is None else np.log(m.young)
+        names = (*Inputs._fields[: 5 + smooth], *SCALES, "offset", "beyond")
+        self.base = {name: np.zeros(n) for name in names} | {
+            "log_height": np.log(m.height),
+            "log_stiffness": log_lc - log_young,
+            **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
+            "force": log_lc.copy(),
+        }
+        self.free: list[Free] = []
+        self.slopes: list[dict[str, np.ndarray]] = []
+        self.held: dict[str, float] = {}
+
+    def _acts(self, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """What a unit of θ adds to each map, for every measurement."""
+        acts = {target: size * rows for target, size in PARAMETERS[name].acts.items()}
+        if name == "offset" and self.m.correlation_length is not None:
+            acts["offset"] = rows / self.m.correlation_length
+        return acts
+
+    def _reference(self, name: str) -> np.ndarray:
+        """θ at which the parameter adds nothing to any row: the value stated with the measurements."""
+        column = self.stated.get(PARAMETERS[name].stated or "")
+        if column is None:
+            return np.zeros(len(self.m))
+        if name == "height" and self.m.correlation_length is not None:
+            column = column * self.m.correlation_length
+        return np.log(column) if PARAMETERS[name].log else column
+
+    def _shift(self, name: str, rows: np.ndarray, theta: float | np.ndarray) -> None:
+        for target, size in self._acts(name, rows).items():
+            self.base[target] = self.base[target] + size * theta
+
+    def hold(self, parameter: Parameter) -> None:
+        """Hold a parameter at its value."""
+        name = parameter.name
+        if name in ("offset", "discrepancy"):
+            raise ValueError(f"parameter {name}: it is fitted or absent, not held; add it to the stated errors instead")
+        assert parameter.value is not None
+        theta = np.log(parameter.value) if PARAMETERS[name].log else parameter.value
+        rows = np.ones(len(self.m), dtype=bool)
+        self._shift(name, rows, theta - self._reference(name))
+        self.held[name] = parameter.value
+
+    def add(self, parameter: Parameter, label: str, rows: np.ndarray, nuisance: bool = False) -> None:
+        """Add a parameter to θ."""
+        name = parameter.name
+        kind = PARAMETERS[name]
+        reference = self._reference(name)[rows]
+        # a height is fitted as one factor on all of its rows, shown as the height of the first
+        self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name == "height" else -self._reference(name))
+        low, high = parameter.bounds or _default_bounds(self.m, parameter, rows, float(reference[0]), self.smooth)
+        prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
+        if kind.log:
+            low, high = np.log(low), np.log(high)
+            prior_mean, prior_sigma = np.log(prior_mean), prior_sigma / prior_mean
+        unit = kind.unit[self.m.correlation_length is not None]
+        one = Free(label, name, kind.symbol, unit, kind.log, float(low), float(high), prior_mean, prior_sigma, nuisance)
+        self.free.append(one)
+        self.slopes.append(self._acts(name, rows))
+
+    def add_uncertain(self, name: str, sigma: np.ndarray) -> None:
+        """Add a θ with a prior per true value that rows share: same specimen, same stated value and error."""
+        stated = self.stated[name]
+        if stated is None:
+            raise MeasurementError(f"{self.m.source}: {name}_sigma is given without {name}")
+        specimen = self.m.specimen or ("",) * len(self.m)
+        in_m = self.m.correlation_length if name == "height" and self.m.correlation_length is not None else 1.0
+        keys = list(zip(specimen, stated * in_m, sigma * in_m, strict=True))
+        for key in dict.fromkeys(keys):
+            _, value, error = key
+            if error > 0:
+                rows = np.array([one == key for one in keys])
+                self.add(Parameter(name, prior=(float(value), float(error))), _input_label(name, key), rows, nuisance=True)
+
+    def add_arrests(self) -> None:
+        """Add a θ per precursor whose gauges were read and whose contacts were not counted."""
+        if self.m.gauges is None:
+            return
+        for i in dict.fromkeys(self.m.gauges.row):
+            if self.m.kind[i] != "whole":
+                rows = np.arange(len(self.m)) == i
+                self.add(
+                    Parameter("arrest", prior=ARREST), f"arrest[{self.m.label[i] if self.m.label else i}]", rows, nuisance=True
+                )
+
+    def build(self) -> ParameterSet:
+        """Finish the map; check its limits against the domain of the model."""
+        n, names = len(self.m), [one.name for one in self.free]
+
+        def linear(target: str) -> Linear:
+            slopes = [slope.get(target, np.zeros(n)) for slope in self.slopes]
+            return Linear(self.base[target], np.stack(slopes, axis=-1).astype(float))
+
+        result = ParameterSet(
+            free=tuple(self.free),
+            held=self.held,
+            inputs=Inputs(**{name: linear(name) for name in Inputs._fields[: 5 + self.smooth]}),
+            scales={scale: linear(scale) for scale in SCALES},
+            offset=linear("offset"),
+            beyond=linear("beyond"),
+            discrepancy=names.index("discrepancy") if "discrepancy" in names else None,
+        )
+        _check_domain(result)
+        return result
+
+
+def _input_label(name: str, key: tuple[str, float, float]) -> str:
+    specimen, value, _ = key
+    return f"{name}[{specimen + ', ' if specimen else ''}{value:.6g}]"
+
+
+def _default_bounds(
+    m: Measurements, parameter: Parameter, rows: np.ndarray, reference: float, smooth: bool
+) -> tuple[float, float]:
+    """Default range of the search, in the unit of the parameter."""
+    name, longest = parameter.name, float(m.length[rows].max())
+    if parameter.prior is not None:
+        mean, sigma = parameter.prior
+        if PARAMETERS[name].log:
+            reach = PRIOR_REACH * sigma / mean
+            return mean * np.exp(-reach), mean * np.exp(reach)
+        low, high = _LIMITS.get(name, (-np.inf, np.inf))
+        return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
+    if name in STIFFNESSES:
+        per_unit = ratio_per_unit(m)[rows]
+        # a smooth front on contacts softer than those at which a domino starts does not fade for long
+        lowest = softest(m)[rows] * (100 if smooth else 1)
+        return float((lowest / per_unit).min()), float((STIFFEST / per_unit).max())
+    size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
+    by_name = {
+        "offset": (-longest * size, longest * size),
+        "threshold_slope": (-0.5 / longest, 2 / longest),
+        "discrepancy": (1e-4, 1.0),
+        "strength": (1.0, 1e12),
+        "width": (1e-4, 0.02),
+        "poisson": (0.0, 0.5),
+        "prestress": (0.0, 0.95),
+    }
+    if name in by_name:
+        return by_name[name]
+    factor = {"height": 2.0}.get(name, 10.0)
+    lowest = 1.01 / m.height[rows].min()
+    low = max(1 / factor, lowest) if name == "height" else 1 / factor
+    high = min(factor, 1 / lowest) if name == "correlation_length" else factor
+    return float(np.exp(reference)) * low, float(np.exp(reference)) * high
+
+
+_LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99)}
+
+
+def softest(m: Measurements) -> np.ndarray:
+    """k/K of each measurement below which certainly no domino starts (b far below (λc/H)²), so that the length is zero."""
+    return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
+
+
+def ratio_per_unit(m: Measurements) -> np.ndarray:
+    """k/K of each measurement per unit of its stiffness; with E = 1 where the table has none."""
+    if m.correlation_length is None:
+        return np.ones(len(m))
+    return m.correlation_length if m.young is None else m.correlation_length / m.young
+
+
+def _check_domain(parameters: ParameterSet) -> None:
+    """Check that no limit leads outside the domain of the model."""
+    limits = {
+        "log_height": (0.0, np.inf, "H/λc", "must exceed 1"),
+        "log_stiffness": (np.log(1e-30), np.log(1e3), "k/K", "must lie in 1e-30 to 1e3"),
+        "poisson": (POISSON.low, POISSON.high, "ν", POISSON.requirement),
+        "prestress": (PRESTRESS.low, PRESTRESS.high, "φ", PRESTRESS.requirement),
+        "threshold_slope": (THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, "ε", THRESHOLD_SLOPE.requirement),
+        "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
+    }
+    for name in parameters.inputs.names:
+        base, slope = getattr(parameters.inputs, name)
+        down, up = np.minimum(slope, 0), np.maximum(slope, 0)
+        reach = [
+            float((base + up @ parameters.low + down @ parameters.high).min()),
+            float((base + up @ parameters.high + down @ parameters.low).max()),
+        ]
+        low, high, symbol, requirement = limits[name]
+        if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
+            shown = [np.exp(x) if name.startswith("log") else x for x in reach]
+            raise ValueError(f"bounds mean {symbol} from {shown[0]:g} to {shown[1]:g} for some measurement: {requirement}")
+
+
+def stiffness_name(m: Measurements) -> str:
+    """Name of the stiffness that these measurements determine."""
+    if m.correlation_length is None:
+        return "stiffness"
+    return "areal_stiffness_over_young" if m.young is None else "areal_stiffness"
+
+
+def _validated(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Parameter]:
+    """Validate the requested parameters against the measurements; the stiffness takes the name it has for them."""
+    stiffness = stiffness_name(m)
+    chosen = [Parameter(one) if isinstance(one, str) else one for one in wanted]
+    chosen = [
+        replace(one, name=stiffness) if one.name == "stiffness" else one for one in chosen
+    ]  # k/K in SI is the areal stiffness for a fixed λc/E
+    names = [one.name for one in chosen]
+    for one in chosen:
+        if names.count(one.name) > 1:
+            raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
+        _check_meaning(m, one, stiffness)
+    if stiffness not in names:
+        raise ValueError(f"{stiffness} is neither fitted nor held: name it, or give Parameter({stiffness!r}, value=…)")
+    if "strength" not in names and (carrier := _carries_strength(m)):
+        raise ValueError(
+            f"the measurements state a {carrier}, which scales with σ_s: fit strength too, or hold it at its value in Pa"
+        )
+    if "width" in names:
+        _check_smooth(m, names)
+    if not any(one.value is None for one in chosen):
+        raise ValueError("nothing is fitted: every parameter is held")
+    return chosen
+
+
+def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
+    """Check that a parameter has a meaning for these measurements."""
+    if one.name == "arrest":
+        raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
+    if one.name in STIFFNESSES and one.name != stiffness:
+        raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
+    if one.name in NEEDS_SI and m.correlation_length is None:
+        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
+    if one.name == "young" and m.young is None:
+        raise ValueError("parameter young: the measurements state no young_GPa to start from")
+    if one.each == "specimen" and not m.specimen:
+        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
+    if one.name == "model_factor" and one.prior is None and one.value is None:
+        raise ValueError(
+            "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
+        )
+
+
+def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
+    """Check that the interface is relaxed and uniform, as the smooth rule of the fast recursion needs."""
+    for name in ("prestress", "threshold_slope"):
+        if name in names or m.or_zero(name).any():
+            raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")
+    if m.gauges is not None:
+        raise ValueError("parameter width: readings of gauges are those of the hard rule; leave one of them out")
+
+
+def _carries_strength(m: Measurements) -> str:
+    """Name a measured quantity that scales with σ_s; empty if there is none."""
+    for name in ("displacement", "force"):
+        if np.isfinite(m.or_zero(name)).any() and getattr(m, name) is not None:
+            return name
+    return "reading of a gauge" if m.gauges is not None else ""

@@ -1,8 +1,8 @@
-"""Which values the data allow: the likelihood along one or two parameters, the best being made of the others at every point.
+"""Profile likelihood: the deviance along one or two parameters, minimised over the others at every point.
 
 The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
-side. A curvature at the best point knows nothing of that; the set of values whose deviance D = −2 ln(likelihood × prior) lies
-no more than a rise above its minimum does.
+side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose deviance
+D = −2 ln(likelihood × prior) lies no more than a `Rise` above its minimum, in as many disjoint pieces as there are.
 """
 
 import dataclasses
@@ -11,17 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fdtri, ndtri
 
-from slippulse_jax.inference.objective import Problem
-from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.optimise import DENSE_NODES, DENSE_SPACING, minimise
 
 NODES = 61  # of a profile over its whole range, where other parameters must be fitted at each
-DENSE_SPACING, DENSE_NODES = 0.1, 200  # where none must: one parameter in its logarithm
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 CROSSING_ROUNDS = 14
 
 
 class Interval(NamedTuple):
-    """One piece of the set of allowed values; an open side means the search range ended before the data did."""
+    """One piece of a profile-likelihood interval; on an open side it reaches the end of the range searched."""
 
     low: float
     high: float
@@ -31,7 +30,7 @@ class Interval(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Rise:
-    """By how much the deviance may rise, at a confidence level.
+    """Rise of the deviance at the ends of an interval, by confidence level.
 
     With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the errors
     is itself estimated from n data and p parameters it is larger, by the F distribution: exactly so for a straight-line model.
@@ -119,7 +118,7 @@ def _predicted(
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
-    """Each node tried again from what its neighbours found, until that gains no more."""
+    """Minimise again at each node from the points its neighbours found, until that gains no more."""
     for _ in range(3):
         before, after = np.roll(curve.theta, 1, axis=0), np.roll(curve.theta, -1, axis=0)
         again = constrained(problem, held, curve.theta[:, held], np.stack([before, after], axis=1))
@@ -132,7 +131,7 @@ def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
 
 
 def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> dict[float, list[Interval]]:
-    """All θ_j with a deviance below each limit, as intervals in increasing order.
+    """Intervals of θ_j with a deviance below each limit, in increasing order.
 
     Parameters
     ----------

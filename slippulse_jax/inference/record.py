@@ -1,4 +1,4 @@
-"""A fit as plain Python values: for JSON, for the next program, and to run it again."""
+"""Records of a fit: the result as plain Python values for JSON, and the request that repeats it."""
 
 import dataclasses
 import hashlib
@@ -9,22 +9,22 @@ import platform
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference import gauges
-from slippulse_jax.inference.fitted import Root
-from slippulse_jax.inference.measurements import NUMERIC, Measurements
+from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.result import FitResult
 from slippulse_jax.plain import plain
 from slippulse_jax.status import Outcome
 
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult, Root
 
-def to_dict(result: FitResult) -> dict[str, Any]:
-    """Everything of the result; open ends and missing numbers are None."""
+
+def to_dict(result: "FitResult") -> dict[str, Any]:
+    """Return the whole result as plain Python values; open ends and missing numbers are None."""
     q = result.parameters
     units = {one.label: one.unit for one in q.free}
     content = {
@@ -37,7 +37,7 @@ def to_dict(result: FitResult) -> dict[str, Any]:
         },
         "converged": result.converged,
         "values": result.values,
-        "stderr": result.stderr,
+        "stderr": result.stderrs,
         "units": {name: units.get(name, "") for name in result.values},
         "intervals": {
             name: {f"{level:g}": [_ends(piece) for piece in pieces] for level, pieces in by_level.items()}
@@ -50,7 +50,7 @@ def to_dict(result: FitResult) -> dict[str, Any]:
         ],
         "roots": [_root(root, result) for root in result.roots],
         "searched": {one.label: [float(one.value(one.low)), float(one.value(one.high))] for one in q.free},
-        "chi2": result.chi2,
+        "chi2": result.deviance,
         "dof": result.dof,
         "p_value": result.p_value,
         "sigma_scaled_by": math.sqrt(result.variance_factor) if result.scaled else None,
@@ -71,17 +71,17 @@ def to_dict(result: FitResult) -> dict[str, Any]:
     return plain(content)
 
 
-def _root(root: Root, result: FitResult) -> dict[str, Any]:
+def _root(root: "Root", result: "FitResult") -> dict[str, Any]:
     return {
         "values": root.values,
         "stderr": root.stderrs,
         "stiffness": float(root.ratio[0]) if np.ptp(root.ratio) <= 1e-12 * root.ratio[0] else None,
-        "delta_chi2": root.chi2 - result.chi2,
-        "rebreaks": bool(root.rebreaks.any()),
+        "delta_chi2": root.deviance - result.deviance,
+        "rebreaks": root.rebreaks,
     }
 
 
-def _measurement(result: FitResult, i: int) -> dict[str, Any]:
+def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
     m = result.measurements
     return {
         "line": m.lines[i] if m.lines else None,
@@ -99,7 +99,7 @@ def _measurement(result: FitResult, i: int) -> dict[str, Any]:
 
 
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
-    """The arguments of a fit, in the form that a request file has."""
+    """Convert the arguments of a fit to the form of a request file."""
     free = {
         one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value is not None}
         for one in request["free"]
@@ -108,7 +108,7 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of `fit` from a request: a table of parameters, and the rest by their names.
+    """Convert a request to the arguments of `fit`.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """A request from a TOML file, or from the JSON that an earlier fit printed.
+    """Read a request from a TOML file, or from the JSON that an earlier fit printed.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def data_hash(measurements: Measurements) -> str:
-    """SHA-256 of the numbers that entered the fit, so that a result can be matched to its data."""
+    """Hash (SHA-256) the numbers that entered the fit, to match a result to its data."""
     digest = hashlib.sha256()
     for name in NUMERIC:
         column = getattr(measurements, name)
@@ -171,14 +171,14 @@ def data_hash(measurements: Measurements) -> str:
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
     digest.update(",".join(measurements.kind).encode())
     if measurements.gauges is not None:
-        for name in gauges.NUMERIC:
+        for name in GAUGE_COLUMNS:
             column = getattr(measurements.gauges, name)
             digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
     return digest.hexdigest()
 
 
 def versions() -> dict[str, str]:
-    """What computed the result."""
+    """Versions of the packages that computed the result."""
     packages = ("slippulse_jax", "jax", "numpy", "scipy", "optax")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 

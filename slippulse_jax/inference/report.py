@@ -1,17 +1,29 @@
-"""The text of a fit result."""
+"""Report of a fit as text, with its notes."""
 
 import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.parameters import WIDTH
+from slippulse_jax.inference.calibrate import can_be_calibrated
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model import longest_length
+from slippulse_jax.inference.parameters import STIFFEST, Inputs, softest
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.result import FitResult
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
+
+SCATTERED = 0.05
+"""Probability of χ² below which the scatter is remarked on."""
+
+TWO_SIDES = (Identifiability.SEVERAL_ROOTS, Identifiability.SKEWED, Identifiability.AT_MAXIMUM, Identifiability.ONE_SIDED)
 
 
-def report(result: FitResult) -> str:
-    """Report of a fit: result, intervals, quality, the measurements one by one, notes."""
+def report(result: "FitResult") -> str:
+    """Format a fit: result, intervals, quality, the measurements one by one, notes."""
     m = result.measurements
     specimens = len(set(m.specimen))
     counts = _plural(len(m), "measurement") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
@@ -38,27 +50,27 @@ def report(result: FitResult) -> str:
     return "\n".join(lines)
 
 
-def _length(result: FitResult) -> str:
-    return "length under the smooth break rule" if result.parameters.base.shape[1] > WIDTH else "exact length"
+def _length(result: "FitResult") -> str:
+    return "length under the smooth break rule" if result.parameters.smooth else "exact length"
 
 
-def _headline(result: FitResult) -> str:
+def _headline(result: "FitResult") -> str:
     text = result.identifiability.value
     return f"Result: {text}" + (f"\n  {result.reason}" if result.reason else "")
 
 
-def _values(result: FitResult) -> list[str]:
+def _values(result: "FitResult") -> list[str]:
     rows = []
     shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
     intervals = result.intervals
     width = max(10, *(len(shown.get(name, ("k/K", ""))[0]) for name in result.values))
     for name, value in result.values.items():
         symbol, unit = shown.get(name, ("k/K", ""))
-        rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderr[name])} {unit}".rstrip())
+        rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
         narrow = _narrowest(intervals.get(name, {}))
         for level, pieces in intervals.get(name, {}).items():
             text = (
-                " or ".join(interval(piece, value, narrow) for piece in pieces) or "none: nothing gives these lengths within σ"
+                " or ".join(interval(piece, value, narrow) for piece in pieces) or "none: no value gives these lengths within σ"
             )
             how = " (calibrated)" if result.request["intervals"] == "calibrated" else ""
             rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text}")
@@ -71,13 +83,13 @@ def _values(result: FitResult) -> list[str]:
         each = any("stiffness[" in name for name in result.names)
         why = "one for each specimen" if each else "as λc and E differ between measurements"
         rows.append(f"  {'k/K':{width}s} {ratio.min():.4g} to {ratio.max():.4g}, {why}")
-    if any(result.stderr[name] is None for name in result.names):
+    if any(result.stderrs[name] is None for name in result.names):
         rows.append("  standard error unavailable, for the reason above; the value is the one of highest likelihood")
     return rows
 
 
 def _narrowest(by_level: dict[float, list[Interval]]) -> float:
-    """Width of the narrowest closed piece: all ends are then written to the same place."""
+    """Width of the narrowest closed piece, which sets the digits of all ends."""
     closed = [p.high - p.low for pieces in by_level.values() for p in pieces if not (p.open_low or p.open_high)]
     return min(closed, default=0.0)
 
@@ -86,8 +98,8 @@ def _symbol(label: str, symbol: str) -> str:
     return symbol + label[label.index("[") :] if "[" in label else symbol
 
 
-def _inputs(result: FitResult) -> list[str]:
-    """Inputs with an error of their own: where the fit put them, in their standard errors."""
+def _inputs(result: "FitResult") -> list[str]:
+    """Fitted values of inputs with an error of their own, and their pulls."""
     pulls = [
         (one, float(t), (float(t) - one.prior_mean) / one.prior_sigma)
         for one, t in zip(result.parameters.free, result.theta, strict=True)
@@ -105,7 +117,7 @@ def _inputs(result: FitResult) -> list[str]:
     return rows
 
 
-def _correlations(result: FitResult) -> list[str]:
+def _correlations(result: "FitResult") -> list[str]:
     strong = sorted(result.correlations.items(), key=lambda item: -abs(item[1]))
     rows = [f"    C({a}, {b}) = {value:+.3f}" for (a, b), value in strong if abs(value) >= 0.1]
     if rows:
@@ -118,24 +130,24 @@ def _correlations(result: FitResult) -> list[str]:
     return rows
 
 
-def _roots(result: FitResult) -> list[str]:
+def _roots(result: "FitResult") -> list[str]:
     if len(result.roots) < 2:
         return []
     several = len(result.names) > 1
     rows = [f"  {'points' if several else 'values'} that fit (not excluded at 95 %):"]
     units = {one.label: one.unit for one in result.parameters.free}
     for root in result.roots:
-        again = "; edge contact breaks again before the arrest" if root.rebreaks.any() else ""
+        again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
         named = ", ".join(
             (f"{name} = " if several else "") + f"{value_with_error(value, root.stderrs[name])} {units[name]}".rstrip()
             for name, value in root.values.items()
         )
-        rise = max(0.0, root.chi2 - result.chi2) / result.variance_factor
+        rise = max(0.0, root.deviance - result.deviance) / result.variance_factor
         rows.append(f"    {named}  (chi-squared + {rise:.2f}{again})")
     return rows
 
 
-def _quality(result: FitResult) -> str:
+def _quality(result: "FitResult") -> str:
     plain = set(result.measurements.kind) == {"length"} and result.problem.loss.name == "normal"
     name = "chi-squared" if plain and result.parameters.discrepancy is None else "deviance"
     if result.scaled:
@@ -144,13 +156,13 @@ def _quality(result: FitResult) -> str:
     if result.p_value is None:
         why = "one length cannot test the model" if len(result.measurements) == 1 else "it cannot be tested"
         if result.dof <= 0:
-            return f"Fit: {name} {result.chi2:.3g} with no degree of freedom: {why}"
-        return f"Fit: {name} {result.chi2:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
+            return f"Fit: {name} {result.deviance:.3g} with no degree of freedom: {why}"
+        return f"Fit: {name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
     degrees = _plural(result.dof, "degree") + " of freedom"
-    return f"Fit: {name} {result.chi2:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
+    return f"Fit: {name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
 
 
-def _scatter(result: FitResult) -> str:
+def _scatter(result: "FitResult") -> str:
     """The standard error of a length that the scatter gives; fitted as equal in λc."""
     m, size = result.measurements, float(np.sqrt(result.variance_factor))
     if m.correlation_length is None or np.ptp(m.correlation_length) > 0:
@@ -158,7 +170,7 @@ def _scatter(result: FitResult) -> str:
     return f"σ = {size * float(m.correlation_length[0]) * 1e3:.3g} mm"
 
 
-def _table(result: FitResult) -> list[str]:
+def _table(result: "FitResult") -> list[str]:
     m, fitted = result.measurements, result.fitted
     if m.correlation_length is not None:
         scale, unit, height_unit = m.correlation_length * 1e3, "mm", "mm"
@@ -193,7 +205,7 @@ def _table(result: FitResult) -> list[str]:
     return ["  " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
 
 
-def _further(result: FitResult) -> list[str]:
+def _further(result: "FitResult") -> list[str]:
     """What was measured beside the lengths: how many, how well they are met, and the worst."""
     if not result.further:
         return []
@@ -266,7 +278,7 @@ def _probability(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
-def _searched(result: FitResult) -> list[str]:
+def _searched(result: "FitResult") -> list[str]:
     rows = []
     for one in result.parameters.free:
         if one.nuisance:
@@ -281,9 +293,92 @@ def _searched(result: FitResult) -> list[str]:
     return rows
 
 
-def _held(result: FitResult) -> list[str]:
+def _held(result: "FitResult") -> list[str]:
     return [f"  held    {name} = {format_number(value)}" for name, value in result.parameters.held.items()]
 
 
 def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
+
+
+def before_fit(m: Measurements) -> Iterator[str]:
+    """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated."""
+    inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    longest, _ = longest_length(inputs, np.log(softest(m)), np.full(len(m), np.log(STIFFEST)))
+    yield from _of_attainable(m, longest)
+
+
+def notes(result: "FitResult") -> Iterator[str]:
+    """Remarks to read before using the numbers, most of them about the data."""
+    yield from _of_data(result)
+    yield from _of_sigma(result)
+    yield from _of_attainable(result.measurements, result.attainable)
+    yield from _of_intervals(result)
+    if any(root.rebreaks for root in result.roots[:1]):
+        yield (
+            "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
+            "is that of the first front alone"
+        )
+    for message in result.unconverged:
+        yield f"a start {message}"
+
+
+def _of_data(result: "FitResult") -> Iterator[str]:
+    m = result.measurements
+    if m.other:
+        yield f"columns kept but not used: {', '.join(m.other)}"
+    kinds = sorted({text for text in m.provenance if text})
+    if kinds and kinds != ["measured"]:
+        yield f"provenance: {', '.join(kinds)}"
+    rows = set(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.sigma, m.kind, strict=True))
+    if len(rows) < len(m) and m.length_sigma is not None:
+        yield f"{len(m) - len(rows)} measurement(s) repeat another one exactly: each counts as a measurement of its own"
+    if m.in_si and m.young is None:
+        yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
+
+
+def _of_sigma(result: "FitResult") -> Iterator[str]:
+    if result.measurements.length_sigma is None:
+        yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
+    elif result.scaled:
+        factor = np.sqrt(result.variance_factor)
+        yield f"the stated σ are taken as relative, and scaled by {factor:.3g} to the scatter about the fit"
+    if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
+        factor = np.sqrt(result.deviance / result.dof)
+        yield (
+            f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
+            "sigma = 'relative' takes its size from the scatter"
+        )
+    if result.problem.loss.name != "normal":
+        yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
+
+
+def _of_intervals(result: "FitResult") -> Iterator[str]:
+    m = result.measurements
+    close = (m.length > PLATEAU * result.attainable).any() and result.identifiability in TWO_SIDES
+    plain = result.request["intervals"] == "profile" and can_be_calibrated(result.problem) and not result.scaled
+    if close and plain and len(set(m.height)) > 1:
+        yield (
+            "with the two sides of the peak so close a profile's 68% interval holds the truth in some 60% of studies "
+            "(simulated, of three blocks); intervals = 'calibrated' keep their coverage"
+        )
+
+
+def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
+    sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
+    lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
+    above = lowest > attainable
+    if above.any():
+        i = int(np.argmax(m.length / attainable))
+        where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
+        yield (
+            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
+            f"worst at {where}: {m.length[i]:.6g} λc, attainable {attainable[i]:.6g} λc"
+        )
+    plateau = ~above & (m.length > PLATEAU * attainable)
+    if plateau.any():
+        ceiling = np.sqrt(2 * (1 + m.poisson[plateau][0])) * np.log(2)
+        yield (
+            f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
+            f"constrain stiffness little (for a tall slider no length exceeds {ceiling:.3f} H at ν = {m.poisson[plateau][0]:g})"
+        )

@@ -1,43 +1,91 @@
-"""What a fit found: values, errors, intervals, roots, and whether the data can tell at all."""
+"""Results of a fit: values, errors, intervals, roots, and whether the data determine them at all."""
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.fitted import Fitted, Further, Root, recursion_status
-from slippulse_jax.inference.gauges import READINGS
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.objective import Problem
-from slippulse_jax.inference.parameters import ParameterSet
+from slippulse_jax.inference.bayes import Posterior, posterior
+from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.measurements import READINGS, Measurements
+from slippulse_jax.inference.optimise import Minimum, describe
+from slippulse_jax.inference.parameters import Inputs, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
-from slippulse_jax.inference.search import Found, describe
-from slippulse_jax.inference.verdict import Identifiability, Verdict, directions, gravest
+from slippulse_jax.inference.record import to_dict
+from slippulse_jax.inference.report import notes, report
+from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.lengths import precursor_arrests
+from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
-if TYPE_CHECKING:
-    from slippulse_jax.inference.bayes import Posterior
-    from slippulse_jax.inference.bootstrap import Bootstrap
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Root:
+    """One minimum of the deviance."""
+
+    values: dict[str, float]  # by parameter
+    stderrs: dict[str, float | None]  # from the information at this minimum
+    theta: np.ndarray  # (p,)
+    deviance: float
+    covariance: np.ndarray  # of θ, (p, p)
+    inputs: Inputs  # of the model for each measurement, (n,)
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """k/K of each measurement, shape (n,)."""
+        return np.exp(self.inputs.log_stiffness)
+
+    @functools.cached_property
+    def rebreaks(self) -> bool:
+        """Whether, for some measurement, the edge contact would break again before the front stops."""
+        return bool((recursion_status(self.inputs) == Outcome.REBREAK).any())
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fitted:
+    """The model at the best fit, one entry per measurement."""
+
+    length: np.ndarray  # in λc
+    contacts_broken: np.ndarray
+    status: np.ndarray  # `Outcome`
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Further:
+    """One further observable at the best fit, one entry per datum; in SI."""
+
+    observable: str
+    value: np.ndarray
+    sigma: np.ndarray
+    fitted: np.ndarray
+    places: list[str]  # where each was measured, for messages
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(fitted − measured)/σ."""
+        return (self.fitted - self.value) / self.sigma
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitResult:
-    """Outcome of `fit`. Start with `report()`, `identifiability` and `intervals`."""
+    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`."""
 
     measurements: Measurements
     problem: Problem
     request: dict[str, Any]  # the arguments of `fit`
     theta: np.ndarray  # of least deviance, (p,)
-    deviance: float
-    found: list[Found]  # roots not excluded at 95 %, best first
-    curves: dict[str, Curve]  # profile of each parameter asked for
-    theta_intervals: dict[str, dict[float, list[Interval]]]
-    verdicts: dict[str, Verdict]
+    deviance: float  # its least value; χ² (with that of the priors) for plain lengths
+    roots: list[Root]  # minima not excluded at 95 %, best first
+    curves: dict[str, Curve]  # profile of each parameter, over its θ
+    intervals: dict[str, dict[float, list[Interval]]]  # by parameter and confidence level, in units
+    verdicts: dict[str, Verdict]  # by parameter
     rise: Rise
-    testable_dof: int | None
-    outcomes: list[str]  # of the starts that did not converge
+    testable_dof: int | None  # degrees of freedom where χ² tests the model
+    unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
 
@@ -48,12 +96,12 @@ class FitResult:
 
     @property
     def names(self) -> list[str]:
-        """Parameters asked for, by label; inputs fitted beside them because of their errors are in `inputs`."""
+        """Requested parameters, by label; inputs fitted only because of their errors are in `inputs`."""
         return list(self.verdicts)
 
     @property
     def identifiability(self) -> Identifiability:
-        """The gravest verdict on any parameter asked for."""
+        """The gravest verdict on any requested parameter."""
         return self.verdicts[gravest(self.verdicts)].identifiability
 
     @property
@@ -66,22 +114,12 @@ class FitResult:
     @property
     def converged(self) -> bool:
         """Whether every start that mattered ended at a minimum."""
-        return not self.outcomes
-
-    @property
-    def value(self) -> float:
-        """Of the first parameter, in its unit."""
-        return self.values[self.names[0]]
-
-    @property
-    def log_stderr(self) -> float | None:
-        """Standard error of the first θ, which for a positive parameter is its logarithm; None where `reason` says why."""
-        return self._theta_stderr(self.names[0])
+        return not self.unconverged
 
     @property
     def values(self) -> dict[str, float]:
         """Values of highest likelihood; k/K too where it is one number for all measurements."""
-        return self._named(self.theta)
+        return named_values(self.parameters, self.theta)
 
     @property
     def inputs(self) -> dict[str, float]:
@@ -90,13 +128,13 @@ class FitResult:
 
     @functools.cached_property
     def covariance(self) -> np.ndarray | None:
-        """Of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
+        """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
         one = describe(self.problem, self.theta, self.deviance)
         return None if one.singular.any() else one.covariance * self.variance_factor
 
     @property
     def variance_factor(self) -> float:
-        """What σ² is multiplied by: one, but where the size of the errors was taken from the scatter."""
+        """Factor on σ²: one, or taken from the scatter where only the ratios of the errors are used."""
         return self.deviance / self.dof if self.scaled else 1.0
 
     @property
@@ -104,66 +142,24 @@ class FitResult:
         """Whether the size of the errors was taken from the scatter."""
         return self.rise.dof is not None and self.rise.fitted_variance is None
 
-    def _theta_stderr(self, name: str) -> float | None:
-        if self.verdicts[name].identifiability is not Identifiability.IDENTIFIED or self.covariance is None:
-            return None
-        j = self.parameters.index(name)
-        return float(np.sqrt(self.covariance[j, j]))
-
     @property
-    def stderr(self) -> dict[str, float | None]:
+    def stderrs(self) -> dict[str, float | None]:
         """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
-        found: dict[str, float | None] = {}
-        for name in self.names:
-            error = self._theta_stderr(name)
-            one = self.parameters.free[self.parameters.index(name)]
-            found[name] = None if error is None else error * (self.values[name] if one.log else 1.0)
-        if "stiffness" in self.values and "stiffness" not in found:
-            found["stiffness"] = self._ratio_stderr()
+        q, sound, values = self.parameters, Identifiability.IDENTIFIED, self.values
+        found: dict[str, float | None] = dict.fromkeys(values)
+        if self.covariance is None:
+            return found
+        for name, verdict in self.verdicts.items():
+            if verdict.identifiability is sound:
+                j = q.index(name)
+                found[name] = float(np.sqrt(self.covariance[j, j])) * (values[name] if q.free[j].log else 1.0)
+        slope = q.inputs.log_stiffness.slope[0]
+        if "stiffness" in values and "stiffness" not in self.verdicts:
+            # of k/K, where λc and E may have errors too
+            moving = [v.identifiability for name, v in self.verdicts.items() if slope[q.index(name)]]
+            if all(one is sound for one in moving):
+                found["stiffness"] = values["stiffness"] * float(np.sqrt(slope @ self.covariance @ slope))
         return found
-
-    def _ratio_stderr(self) -> float | None:
-        """Of k/K, where λc and E may have errors too."""
-        slope = self.parameters.slope[0, 1]
-        bad = any(
-            v.identifiability is not Identifiability.IDENTIFIED for n, v in self.verdicts.items() if slope[self._index(n)]
-        )
-        if bad or self.covariance is None:
-            return None
-        return self.values["stiffness"] * float(np.sqrt(slope @ self.covariance @ slope))
-
-    def _index(self, name: str) -> int:
-        return self.parameters.index(name)
-
-    @property
-    def intervals(self) -> dict[str, dict[float, list[Interval]]]:
-        """Allowed values at each confidence level, in as many pieces as there are."""
-        found = {}
-        for name, by_level in self.theta_intervals.items():
-            one = self.parameters.free[self._index(name)]
-            found[name] = {
-                level: [p._replace(low=float(one.value(p.low)), high=float(one.value(p.high))) for p in pieces]
-                for level, pieces in by_level.items()
-            }
-        first = self.names[0]
-        slope = self.parameters.slope[0, 1]
-        if (
-            "stiffness" in self.values
-            and "stiffness" not in found
-            and np.count_nonzero(slope) == 1
-            and slope[self._index(first)]
-        ):
-            scale = self.values["stiffness"] / self.values[first]
-            found["stiffness"] = {
-                level: [p._replace(low=p.low * scale, high=p.high * scale) for p in pieces]
-                for level, pieces in found[first].items()
-            }
-        return found
-
-    @property
-    def level_intervals(self) -> dict[float, list[Interval]]:
-        """Of the first parameter."""
-        return self.intervals[self.names[0]]
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
@@ -179,37 +175,20 @@ class FitResult:
         }
 
     @functools.cached_property
-    def directions(self) -> list:
+    def directions(self) -> list[Direction]:
         """Combinations of the parameters by how well they are determined."""
         return directions(self.problem, self.theta)
-
-    @functools.cached_property
-    def roots(self) -> list[Root]:
-        """Minima not excluded at 95 %, best first."""
-        return [self._root(one) for one in self.found]
-
-    def _root(self, one: Found) -> Root:
-        free = [p for p in self.parameters.free if not p.nuisance]
-        values = {p.label: float(p.value(t)) for p, t in zip(self.parameters.free, one.theta, strict=True) if not p.nuisance}
-        errors: dict[str, float | None] = dict.fromkeys(values)
-        spread = np.where(one.singular, np.nan, np.sqrt(np.diag(one.covariance) * self.variance_factor))
-        told = {p.label: float(spread[self._index(p.label)]) for p in free if not one.singular[self._index(p.label)]}
-        errors = errors | {p.label: told[p.label] * (values[p.label] if p.log else 1.0) for p in free if p.label in told}
-        log_stderr = told.get(free[0].label)
-        y = self.parameters.inputs(one.theta)
-        rebreaks = recursion_status(y) == Outcome.REBREAK
-        return Root(values[free[0].label], values, one.deviance, log_stderr, errors, np.exp(y[:, 1]), rebreaks)
 
     @functools.cached_property
     def fitted(self) -> Fitted:
         """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
         length = self.problem.predict(self.theta)[0]
         counted = np.where(np.isfinite(length), np.maximum(np.ceil(np.where(np.isfinite(length), length, 0)), 1), -1)
-        return Fitted(length, counted.astype(int), recursion_status(self.parameters.inputs(self.theta)))
+        return Fitted(length, counted.astype(int), recursion_status(self.parameters.inputs_at(self.theta)))
 
     @functools.cached_property
     def further(self) -> list[Further]:
-        """What was measured beside the lengths, and the model there."""
+        """Data beside the lengths, and the model there."""
         m, found = self.measurements, []
         for block in self.problem.blocks[1:]:
             places = [m.place(i) for i in block.measurement.tolist()]
@@ -220,18 +199,13 @@ class FitResult:
         return found
 
     @property
-    def chi2(self) -> float:
-        """Least deviance; χ² (with that of the priors) for plain lengths."""
-        return self.deviance
-
-    @property
     def dof(self) -> int:
         """Degrees of freedom: data, with the priors among them, less fitted parameters."""
         return self.problem.count - self.problem.p
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a χ² at least this large if model and σ are right; None where it cannot be had."""
+        """Probability of a χ² at least this large if model and σ are right; None where χ² tests nothing."""
         return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.deviance))
 
     @property
@@ -247,23 +221,11 @@ class FitResult:
 
     @property
     def notes(self) -> list[str]:
-        """What a careful reader should know before using the numbers."""
-        from slippulse_jax.inference.notes import notes
-
+        """Remarks to read before using the numbers."""
         return list(notes(self))
 
-    def _named(self, theta: np.ndarray) -> dict[str, float]:
-        named = {one.label: float(one.value(t)) for one, t in zip(self.parameters.free, theta, strict=True) if not one.nuisance}
-        ratio = self.parameters.ratio(theta)
-        # k/K is shown where a stiffness is fitted, and one number
-        if np.ptp(ratio) <= 1e-12 * ratio[0] and any("stiffness" in name for name in named):
-            named.setdefault("stiffness", float(ratio[0]))
-        return named
-
     def report(self) -> str:
-        """Text to read, and to paste into a paper's supplement."""
-        from slippulse_jax.inference.report import report
-
+        """Format the result as text: see `slippulse_jax.inference.report`."""
         return report(self)
 
     def __repr__(self) -> str:
@@ -274,19 +236,49 @@ class FitResult:
         return self.report()
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything of the result as plain Python values, ready for JSON; open ends and missing numbers are None."""
-        from slippulse_jax.inference.record import to_dict
-
+        """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
         return to_dict(self)
 
-    def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> "Bootstrap":
-        """Refits of simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
-        from slippulse_jax.inference.bootstrap import bootstrap
-
+    def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
+        """Refit simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
         return bootstrap(self, count, kind=kind, seed=seed)
 
-    def posterior(self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> "Posterior":
-        """Posterior by NUTS: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
-        from slippulse_jax.inference.bayes import posterior
-
+    def posterior(self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> Posterior:
+        """Sample the posterior by NUTS: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
         return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed)
+
+
+def root_of(problem: Problem, one: Minimum, variance_factor: float) -> Root:
+    """Convert a minimum over θ to the units of the parameters."""
+    q = problem.parameters
+    values = {p.label: float(p.value(t)) for p, t in zip(q.free, one.theta, strict=True) if not p.nuisance}
+    errors: dict[str, float | None] = dict.fromkeys(values)
+    for j, p in enumerate(q.free):
+        if not (p.nuisance or one.singular[j]):
+            spread = float(np.sqrt(one.covariance[j, j] * variance_factor))
+            errors[p.label] = spread * (values[p.label] if p.log else 1.0)
+    return Root(values, errors, one.theta, one.deviance, one.covariance, q.inputs_at(one.theta))
+
+
+def named_values(q: ParameterSet, theta: np.ndarray) -> dict[str, float]:
+    """Requested parameters at θ by label, in units; k/K too where a stiffness is fitted and k/K is one number."""
+    values = {one.label: float(one.value(t)) for one, t in zip(q.free, theta, strict=True) if not one.nuisance}
+    ratio = common_ratio(q, theta)
+    if ratio is not None:
+        values.setdefault("stiffness", ratio)
+    return values
+
+
+def common_ratio(q: ParameterSet, theta: np.ndarray) -> float | None:
+    """k/K where a stiffness is fitted and k/K is the same for all measurements."""
+    ratio = q.ratio(theta)
+    fitted = any("stiffness" in one.label for one in q.free if not one.nuisance)
+    return float(ratio[0]) if fitted and np.ptp(ratio) <= 1e-12 * ratio[0] else None
+
+
+def recursion_status(inputs: Inputs) -> np.ndarray:
+    """Outcome of each front by the recursion, which breaks its contacts one by one; shape (n,)."""
+    distinct, own = np.unique(Inputs(*inputs[:5]).table(), axis=0, return_inverse=True)
+    slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
+    interface = None if not distinct[:, 3:].any() else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
+    return np.asarray(precursor_arrests(slider, interface=interface).status)[own.ravel()]

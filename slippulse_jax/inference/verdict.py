@@ -1,4 +1,4 @@
-"""Whether the data determine each parameter, and if not, why not and what they do determine."""
+"""Verdicts: whether the data determine each parameter, and if not, why not and what they do determine."""
 
 import dataclasses
 import enum
@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.attainable import attainable
-from slippulse_jax.inference.gauges import READINGS
-from slippulse_jax.inference.objective import Problem
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.measurements import READINGS
+from slippulse_jax.inference.optimise import Minimum
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.profile import Interval, Rise
-from slippulse_jax.inference.search import Found
 
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
@@ -44,7 +43,7 @@ GRAVITY = (
 
 
 class Verdict(NamedTuple):
-    """On one parameter."""
+    """Verdict on one parameter, with its reason."""
 
     identifiability: Identifiability
     reason: str = ""
@@ -52,14 +51,15 @@ class Verdict(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a verdict rests on."""
+    """Evidence for a verdict."""
 
     problem: Problem
-    roots: list[Found]  # not excluded at 95 %, best first
+    roots: list[Minimum]  # not excluded at 95 %, best first
     best: np.ndarray  # θ of least deviance, a root or not
     deviance: float
     dof: int | None  # where χ² can be judged
     rise: Rise
+    attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
 
 
 def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) -> Verdict:
@@ -111,7 +111,7 @@ def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
         return Verdict(
             Identifiability.POOR_FIT,
             f"chi-squared is {e.deviance:.3g} for {e.dof} degree{'s' * (e.dof > 1)} of freedom: with the stated σ nothing in "
-            "the range searched gives these lengths, and errors that rest on σ would mean nothing",
+            "the range searched gives these lengths, so no uncertainty is given",
         )
     return None
 
@@ -123,7 +123,7 @@ def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
 
 
 def _above_maximum(e: Evidence) -> bool:
-    # gauges tell stiffness where the length does not; and what bends there is the step from contact to contact
+    # gauges determine stiffness where the length does not; and what bends there is the step from contact to contact
     return bool(e.roots) and e.roots[0].share < 0.5 and not _has_gauges(e)
 
 
@@ -131,7 +131,7 @@ def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
     if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
         return None
     block = e.problem.blocks[0]
-    longest = float(np.max(block.data.value[0] / attainable(e.problem.parameters, e.best)[0]))
+    longest = float(np.max(block.data.value[0] / e.attainable))
     return Verdict(
         Identifiability.AT_MAXIMUM,
         f"the measured length is {longest:.3g} times the longest that a stiffness in the range searched gives; {UNCHANGED}",
@@ -174,8 +174,8 @@ def _has_gauges(e: Evidence) -> bool:
 
 
 def _wrinkle(j: int, e: Evidence) -> float:
-    """How far apart two minima of one valley may lie: one standard error where gauges were read, whose fields go from contact
-    to contact by steps; nothing where all is smooth.
+    """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields go from
+    contact to contact by steps; zero where all is smooth.
     """
     if not _has_gauges(e) or not e.roots or e.roots[0].singular[j]:
         return 0.0
@@ -204,7 +204,7 @@ def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:
 
 
 def gravest(verdicts: dict[str, Verdict]) -> str:
-    """Name of the parameter whose verdict a reader must hear first."""
+    """Name of the parameter with the gravest verdict."""
     return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
 
 
@@ -244,7 +244,7 @@ def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
 
 
 def undetermined(problem: Problem, theta: np.ndarray) -> str:
-    """What several parameters together leave open, in words; empty where nothing."""
+    """Combinations of parameters that the data leave open, in words; empty where there is none."""
     if problem.p == 1:
         return ""
     found = directions(problem, theta)
@@ -254,4 +254,4 @@ def undetermined(problem: Problem, theta: np.ndarray) -> str:
         return ""
     known = [one.text for one in found if one.stderr <= reach / 4]
     told = f"only {', '.join(known)} is determined" if known else "no combination is determined"
-    return f"{told}; the data do not tell {', '.join(one.text for one in open_ones)}"
+    return f"{told}; the data do not determine {', '.join(one.text for one in open_ones)}"

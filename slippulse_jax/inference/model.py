@@ -1,0 +1,332 @@
+"""Predictions of the model from its named inputs: for many lanes at once with derivatives, and traced by JAX for one.
+
+The length is ℓ*, the exact solution's crossing (`slippulse_jax.exact_length`): it has no kinks, starts continuously where the
+domino starts, and costs microseconds per lane. Force and displacement at nucleation are closed forms in the two lattice modes.
+Gauges read slip and stress along the interface when the front has stopped, which go over smoothly from one whole count of
+contacts to the next.
+"""
+
+from collections.abc import Callable, Collection
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet
+from slippulse_jax.interface import Interface
+from slippulse_jax.lattice import lengths as bulk
+from slippulse_jax.lattice.exact import exact_length
+from slippulse_jax.lattice.exact_lanes import exact_fronts
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.readings import Readings, readings
+from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.slider import Slider
+from slippulse_jax.status import NotConverged, Outcome
+
+LANES = 256
+"""Lanes of a chunk."""
+
+STEPS = {
+    "log_height": 1e-4,
+    "log_stiffness": 1e-4,
+    "poisson": 1e-5,
+    "prestress": 1e-5,
+    "threshold_slope": 5e-6,  # over H/λc: it acts multiplied by ℓ*
+    "log_width": 1e-4,
+    "log_position": 1e-4,
+    "beyond": 1e-4,
+}
+"""Half-widths of central differences."""
+
+FIELD_STEP = 0.1
+"""Factor on `STEPS` for fields, which bend from contact to contact more than a length does."""
+
+FEW_SITES, MOST_SITES = 64, 2**20
+"""Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
+
+
+class Prediction(NamedTuple):
+    """Values for L lanes, and derivatives by the name of the input; 0 where there is no finite value."""
+
+    value: Float[np.ndarray, " L"]
+    slopes: dict[str, Float[np.ndarray, " L"]]
+
+
+def lengths(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+    """ℓ*, in λc, or ℓ_w of the smooth rule where `log_width` is given; 0 where no domino starts, inf where nothing stops.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Arrays of shape (L,).
+    wanted : collection of str
+        Inputs for which derivatives are wanted: central differences, good to 1e-8 of the larger of derivative and length
+        except next to run-away and where the domino just starts.
+
+    Raises
+    ------
+    NotConverged
+        If the exact solution did not converge somewhere, or a front did not fade; never seen.
+    """
+    return by_differences(_lengths, inputs, wanted)
+
+
+def _lengths(inputs: Inputs) -> np.ndarray:
+    slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
+    if inputs.log_width is not None:
+        found = bulk.lengths(slider, rule=SmoothBreak(np.exp(inputs.log_width)))
+        if np.isnan(found).any():
+            where = ", ".join(f"{x:.9g}" for x in inputs.table()[np.argmax(np.isnan(found))])
+            raise NotConverged(f"no length under the smooth rule at {inputs.names} = ({where})")
+        return found
+    lanes = np.stack([slider.height, slider.stiffness, slider.poisson, inputs.prestress, inputs.threshold_slope])
+    found, status = exact_fronts(lanes)
+    lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
+    if lost.any():
+        where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(lost)])
+        why = Outcome(int(status[lost][0])).message
+        raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
+    return found
+
+
+def by_differences(
+    values: Callable[[Inputs], np.ndarray], inputs: Inputs, wanted: Collection[str], size: float = 1.0
+) -> Prediction:
+    """Values of a model and their derivatives in the `wanted` inputs by central differences, all in one call.
+
+    The steps are `STEPS` times `size`. Two lengths more per derivative cost less than an exact one: 25 against 1100 µs per
+    lane when last measured.
+    """
+    wanted = [name for name in STEPS if name in wanted]
+    if not wanted:
+        return Prediction(values(inputs), {})
+    # nodes of a profile are reached from several starts: each distinct row once
+    names = inputs.names
+    rows, own = distinct_rows(inputs.table())
+    shifted = [rows]
+    for name in wanted:
+        column = names.index(name)
+        step = size * STEPS[name] * (np.exp(-rows[:, 0]) if name == "threshold_slope" else 1.0)
+        for sign in (1, -1):
+            moved = rows.copy()
+            moved[:, column] += sign * step
+            # ν = 1/2 is the end of the domain
+            moved[:, 2] = np.minimum(moved[:, 2], 0.5)
+            shifted.append(moved)
+    value, *around = values(Inputs.from_table(names, np.concatenate(shifted))).reshape(len(shifted), -1)
+    slopes = {}
+    for i, name in enumerate(wanted):
+        column = names.index(name)
+        ends, at = around[2 * i : 2 * i + 2], [x[:, column] for x in shifted[2 * i + 1 : 2 * i + 3]]
+        # beside run-away one side has no value
+        up, down = (np.where(np.isfinite(end), end, value) for end in ends)
+        right, left = (np.where(np.isfinite(end), x, rows[:, column]) for end, x in zip(ends, at, strict=True))
+        apart = right - left
+        with np.errstate(invalid="ignore"):
+            slope = (up - down) / np.where(apart > 0, apart, 1)
+        slopes[name] = np.where(np.isfinite(value), slope, 0)[own]
+    return Prediction(value[own], slopes)
+
+
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows, and which of them each row is: by a hash of the bits of a row, ten times as fast as sorting rows."""
+    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
+        different, own = np.unique(rows, axis=0, return_inverse=True)
+        return different, own.ravel()
+    return rows[first], own
+
+
+def displacements(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+    """Displacement of the pushed edge at nucleation, in u_s = f_s/k; exact derivatives."""
+    return _at_nucleation(0, inputs, wanted)
+
+
+def forces(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+    """Driving force at nucleation over f_s, that on one contact at its threshold: all that the contacts carry."""
+    return _at_nucleation(1, inputs, wanted)
+
+
+def _nucleation(inputs: Inputs) -> Float[Array, " 2"]:
+    """Displacement and force at nucleation; the force is Σ_i Σ_m C_m r_m^i, a geometric series in each mode."""
+    modes = lattice_modes(Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson))
+    return (1 - inputs.prestress) * jnp.stack([modes.load, (modes.drive / modes.gap).sum()])
+
+
+@jax.jit
+def _nucleation_with_slopes(inputs: Inputs) -> tuple[Array, Inputs]:
+    """One program for both: whoever measures one of them usually measures the other."""
+    return jax.vmap(_nucleation)(inputs), jax.vmap(jax.jacfwd(_nucleation))(inputs)
+
+
+def _at_nucleation(which: int, inputs: Inputs, wanted: Collection[str]) -> Prediction:
+    five = Inputs(*inputs[:5])
+    count = len(five.log_height)
+    value, slopes = np.empty(count), {name: np.empty(count) for name in five.names}
+    with jax.enable_x64(True):
+        for start in range(0, count, LANES):
+            part = np.arange(start, min(start + LANES, count))
+            found, by_input = _nucleation_with_slopes(five.take(np.resize(part, LANES)))
+            value[part] = np.asarray(found)[: len(part), which]
+            for name, column in slopes.items():
+                column[part] = np.asarray(getattr(by_input, name))[: len(part), which]
+    return Prediction(value, {name: slopes[name] for name in slopes if name in wanted})
+
+
+def slips(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+    """Slip of the interface at each gauge when the front has stopped, in u_s; inf where it never stops."""
+    return by_differences(lambda at: _readings(at)[0], inputs, wanted, FIELD_STEP)
+
+
+def stresses(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+    """Stress on the contacts at each gauge when the front has stopped, in σ_s; inf where it never stops."""
+    return by_differences(lambda at: _readings(at)[1], inputs, wanted, FIELD_STEP)
+
+
+def _readings(inputs: Inputs) -> np.ndarray:
+    """Slip and stress at every lane's position, (2, L); each front runs once for all its gauges."""
+    table = inputs.table()
+    return _readings_of(inputs.names, table.tobytes(), table.shape)
+
+
+@lru_cache(maxsize=2)  # slip and stress are mostly read at the same places
+def _readings_of(names: tuple[str, ...], numbers: bytes, shape: tuple[int, ...]) -> np.ndarray:
+    inputs = Inputs.from_table(names, np.frombuffer(numbers).reshape(shape))
+    place = np.exp(inputs.log_position)
+    fronts, own = distinct_rows(inputs._replace(log_position=None).table())
+    front = Inputs.from_table([name for name in names if name != "log_position"], fronts)
+    stopped = np.array(front.counted)
+    free = stopped == 0
+    lone = front._replace(beyond=None, counted=None).take(free)
+    # contact 0 has broken even where no domino starts
+    stopped[free] = np.maximum(_lengths(lone) + front.beyond[free], 1)
+    reach = np.maximum(stopped, 0)
+    np.maximum.at(reach, own, place)
+    found = np.full((2, shape[0]), np.inf)
+    known = np.isfinite(reach) & (reach < MOST_SITES)
+    # as many contacts as the longest of its company needs, in few shapes to compile
+    size = FEW_SITES * 4 ** np.ceil(np.log(np.maximum(np.where(known, reach, 0) + 2, FEW_SITES) / FEW_SITES) / np.log(4) - 1e-9)
+    for count in np.unique(size[known]).astype(int):
+        chosen = np.nonzero(known & (size == count))[0]
+        at_once = min(LANES, max(1, LANES * 1024 // count))
+        for start in range(0, len(chosen), at_once):
+            part = chosen[start : start + at_once]
+            padded = np.resize(part, at_once)
+            fields = _after(front.take(padded), stopped[padded], count)
+            lanes = np.nonzero(np.isin(own, part))[0]
+            found[:, lanes] = _between(fields[:, np.searchsorted(part, own[lanes])], place[lanes])
+    found.setflags(write=False)  # the next caller gets the same array
+    return found
+
+
+def _after(front: Inputs, stopped: np.ndarray, count: int) -> np.ndarray:
+    """Slip and stress of the first `count` contacts, shape (2, fronts, count)."""
+    with jax.enable_x64(True):
+        slider = Slider(np.exp(front.log_height), np.exp(front.log_stiffness), front.poisson)
+        return np.stack(_fields_after(slider, front.prestress, stopped, count))
+
+
+@partial(jax.jit, static_argnums=3)
+def _fields_after(slider: Slider, prestress: Array, stopped: Array, count: int) -> Readings:
+    return jax.vmap(partial(readings, count=count))(slider, prestress, stopped)
+
+
+def _between(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Fields, (2, lanes, sites), at a place in each lane."""
+    low = np.floor(place).astype(int)
+    lanes = np.arange(len(place))
+    left, right = fields[:, lanes, low], fields[:, lanes, low + 1]
+    return left + (place - low) * (right - left)
+
+
+PREDICTED: dict[str, Callable[..., Prediction]] = {
+    "length": lengths,
+    "displacement": displacements,
+    "force": forces,
+    "slip": slips,
+    "stress": stresses,
+}
+"""Model of every observable, for many lanes at once."""
+
+
+def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) -> Array:
+    """Prediction for one lane as a JAX function; forward mode only for gauges.
+
+    Parameters
+    ----------
+    observable : str
+        One of `PREDICTED`.
+    inputs : Inputs
+        Scalars.
+    relaxed : bool
+        Whether prestress and threshold slope are zero for certain, which halves the program.
+    sites : int
+        Contacts whose fields are computed, for gauges; inf where the front runs farther.
+    """
+    if observable == "length":
+        return traced_length(inputs, relaxed)
+    if observable in ("displacement", "force"):
+        return _nucleation(inputs)[("displacement", "force").index(observable)]
+    # contact 0 has broken even where no domino starts
+    free = jnp.maximum(traced_length(inputs, relaxed) + inputs.beyond, 1)
+    stopped = jnp.where(inputs.counted > 0, inputs.counted, free)
+    place = jnp.exp(inputs.log_position)
+    left = jnp.floor(place).astype(jnp.int32)
+    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    field = getattr(readings(slider, inputs.prestress, stopped, sites), observable)
+    known = (stopped < sites) & (place + 1 < sites)
+    return jnp.where(known, field[left] + (place - left) * (field[left + 1] - field[left]), jnp.inf)
+
+
+def traced_length(inputs: Inputs, relaxed: bool) -> Array:
+    """ℓ* of one lane as a JAX function."""
+    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    if relaxed:
+        return exact_length(slider)
+    return exact_length(slider, Interface(inputs.prestress, inputs.threshold_slope))
+
+
+def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longest length of each measurement at any stiffness searched, in λc, and the k/K where; shapes (n,).
+
+    The other parameters stay as in `theta`.
+    """
+    inputs = parameters.inputs_at(theta)
+    longest, where = attainable_of(parameters, theta, np.arange(len(inputs.poisson)), inputs)
+    return longest * np.exp(parameters.scales["length"](theta)) + parameters.offset(theta), where
+
+
+def attainable_of(
+    parameters: ParameterSet, theta: np.ndarray, rows: np.ndarray, inputs: Inputs
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same for other `inputs`, whose stiffness is that of the measurements `rows`; in true λc, without offset."""
+    low, high = np.array(inputs.log_stiffness), np.array(inputs.log_stiffness)
+    for i, one in enumerate(parameters.free):
+        if one.name in STIFFNESSES:
+            on = parameters.inputs.log_stiffness.slope[rows, i] != 0
+            low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
+    # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
+    names = Inputs._fields[:5]
+    table = Inputs(*inputs[:5]).table()
+    distinct, own = np.unique(np.column_stack([table, low, high]), axis=0, return_inverse=True)
+    longest, where = longest_length(Inputs.from_table(names, distinct[:, :5]), distinct[:, 5], distinct[:, 6])
+    return longest[own.ravel()], np.exp(where[own.ravel()])
+
+
+def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Maximum of ℓ* over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top."""
+    best, where = np.empty(len(low)), np.empty(len(low))
+    for count in (129, 17, 17, 17, 17):
+        grid = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, count)
+        lanes = inputs.take(np.repeat(np.arange(len(low)), count))._replace(log_stiffness=grid.ravel())
+        length = lengths(lanes).value.reshape(grid.shape)
+        top = length.argmax(axis=1)
+        rows = np.arange(len(low))
+        best, where = length[rows, top], grid[rows, top]
+        step = (high - low) / (count - 1)
+        low, high = np.maximum(where - step, low), np.minimum(where + step, high)
+    return best, where
