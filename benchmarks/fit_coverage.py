@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.attainable import longest_over
 from slippulse_jax.inference.calibrate import calibrated
-from slippulse_jax.inference.forward import lengths
+from slippulse_jax.inference.model import lengths, longest_length
+from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
@@ -47,17 +47,15 @@ class Share(NamedTuple):
 
 def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
     """ℓ* in λc."""
-    ones = np.ones(len(height))
-    return lengths(np.stack([np.log(height), np.log(stiffness) * ones, poisson * ones, 0 * ones, 0 * ones], axis=1), 0).value
+    return lengths(Inputs.of(height, stiffness, poisson)).value
 
 
 def stiffness_at(height: float, share: float) -> float:
     """k/K below the peak at which the length is this share of the longest."""
-    y = np.array([[np.log(height), 0, 0.3, 0, 0]])
-    longest, top = longest_over(y, np.array([np.log(1e-4)]), np.array([0.0]))
-    lanes = np.repeat(y, 401, axis=0)
-    lanes[:, 1] = np.linspace(np.log(1e-4), top[0], 401)
-    return float(np.exp(np.interp(share * longest[0], lengths(lanes, 0).value, lanes[:, 1])))
+    longest, top = longest_length(Inputs.of([height], 1.0, 0.3), np.array([np.log(1e-4)]), np.array([0.0]))
+    log_stiffness = np.linspace(np.log(1e-4), top[0], 401)
+    length = lengths(Inputs.of(height, np.exp(log_stiffness), 0.3)).value
+    return float(np.exp(np.interp(share * longest[0], length, log_stiffness)))
 
 
 def study(rng: np.random.Generator, specimens: int, regime: str) -> tuple[Measurements, float]:
@@ -85,7 +83,8 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
         if careful:
             found = calibrated(plain.problem, LEVELS, seed=number)
             intervals["calibrated"] = {level: _values(pieces) for level, pieces in found.items()}
-        error = plain.roots[0].log_stderr if plain.roots else None
+        best = plain.roots[0] if plain.roots else None
+        error = best and best.stderrs["stiffness"]
         told = plain.identifiability is Identifiability.IDENTIFIED
         given += told
         for i, (level, reach) in enumerate(zip(LEVELS, (1.0, 1.96), strict=True)):
@@ -93,7 +92,9 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
                 hits[name][i] += any(p.low <= truth <= p.high for p in pieces[level])
             if specimens == 1:
                 hits["errors within"][i] += bool(abs(m.length[0] - model(m.height, truth)[0]) <= reach * m.sigma[0])
-            inside = error is not None and abs(np.log(plain.value / truth)) <= reach * error
+            inside = (
+                error is not None and abs(np.log(best.values["stiffness"] / truth)) <= reach * error / best.values["stiffness"]
+            )
             hits["covariance"][i] += inside
             hits["covariance, where a standard error is given"][i] += inside and told
     shares = {name: [Share(hit, given if "given" in name else studies) for hit in pair] for name, pair in hits.items()}
@@ -121,7 +122,7 @@ def degenerate(rng: np.random.Generator, kind: str) -> bool:
         length = model(height[:1], stiffness_at(float(height[0]), rng.uniform(0.7, 0.97)))
         m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
     elif kind == "length above the ceiling":
-        longest = longest_over(np.array([[np.log(height[0]), 0, 0.3, 0, 0]]), np.array([np.log(1e-6)]), np.array([0.0]))[0]
+        longest = longest_length(Inputs.of(height[:1], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
         length = longest * rng.uniform(1.02, 1.5)
         m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
     else:
@@ -130,7 +131,7 @@ def degenerate(rng: np.random.Generator, kind: str) -> bool:
         free = ["stiffness"]
     result = fit(m, free)
     return result.identifiability is not Identifiability.IDENTIFIED and all(
-        result.stderr[name] is None for name in result.names
+        result.stderrs[name] is None for name in result.names
     )
 
 

@@ -23,11 +23,10 @@ from scipy.optimize import curve_fit
 
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
-from slippulse_jax.inference.attainable import longest_over
-from slippulse_jax.inference.likelihood import Loss
-from slippulse_jax.inference.objective import make_problem
+from slippulse_jax.inference.likelihood import Loss, make_problem
+from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.resolve import resolve
+from slippulse_jax.inference.parameters import Inputs, parameter_set
 from slippulse_jax.inference.verdict import LEVELS
 
 STARTS = np.log([1e-5, 1.0])
@@ -68,7 +67,7 @@ def draw(rng: np.random.Generator, regime: str) -> Study:
     height = rng.uniform(15, 60, many)
     middle = float(np.median(height))
     if regime == "one, above the ceiling":
-        longest = longest_over(np.array([[np.log(middle), 0, 0.3, 0, 0]]), np.array([np.log(1e-6)]), np.array([0.0]))[0]
+        longest = longest_length(Inputs.of([middle], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
         length, truth = longest * rng.uniform(1.1, 1.5), np.nan
     else:
         share = rng.uniform(*{REGIMES[0]: (0.4, 0.8), REGIMES[1]: (0.9, 0.995), REGIMES[2]: (0.7, 0.97)}[regime])
@@ -122,20 +121,21 @@ def measurements(study: Study) -> Measurements:
 def by_fit(study: Study) -> Answer:
     """Of this package, with the standard error that it reports or refuses."""
     result = fit(measurements(study))
-    return bar(float(np.log(result.value)), None if result.stderr["stiffness"] is None else result.log_stderr)
+    value, error = result.values["stiffness"], result.stderrs["stiffness"]
+    return bar(float(np.log(value)), None if error is None else error / value)
 
 
 def by_intervals(study: Study) -> Answer:
     """Of this package, with its 68 % interval."""
     result = fit(measurements(study))
-    pieces = result.theta_intervals["stiffness"][LEVELS[0]]
-    return float(np.log(result.value)), [(piece.low, piece.high) for piece in pieces]
+    pieces = result.intervals["stiffness"][LEVELS[0]]
+    return float(np.log(result.values["stiffness"])), [(np.log(piece.low), np.log(piece.high)) for piece in pieces]
 
 
 def by_search(study: Study) -> Answer:
     """Of this package, Levenberg and Marquardt's search from the one start; no error bar."""
     m = measurements(study)
-    q = resolve(m, ["stiffness"])
+    q = parameter_set(m, ["stiffness"])
     end = minimise(make_problem(m, q, Loss("normal"), m.sigma), study.starts[:1, None], q.low, q.high)
     return float(end.theta[0, 0]), []
 

@@ -63,7 +63,7 @@ def coverage(lengths: np.ndarray, extra: list, studies: int, seed: int) -> str:
             sigma = np.sqrt((SIGMA * length) ** 2 + 1 / 12)
             m = sp.Measurements(height=HEIGHTS, poisson=0.3, length=noisy, length_sigma=sigma)
             result = sp.fit(m, ["stiffness", *extra])
-            bias.append(np.log(result.value / truth))
+            bias.append(np.log(result.values["stiffness"] / truth))
             hits += [any(p.low <= truth <= p.high for p in pieces) for pieces in result.intervals["stiffness"].values()]
     beyond = int(np.sum(np.array(bias) > np.log(5)))
     shares = [str(Share(int(hit), len(bias))) for hit in (beyond, *hits)]

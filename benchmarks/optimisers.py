@@ -22,12 +22,10 @@ import numpy as np
 
 from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference import forward
-from slippulse_jax.inference.likelihood import Loss
-from slippulse_jax.inference.objective import make_problem
-from slippulse_jax.inference.optimise import METHODS, Minimum, Outcome, Starts, descend, minimise
-from slippulse_jax.inference.resolve import resolve
-from slippulse_jax.inference.search import search
+from slippulse_jax.inference import model
+from slippulse_jax.inference.likelihood import Loss, make_problem
+from slippulse_jax.inference.optimise import METHODS, Convergence, Ends, Starts, descend, minimise, search
+from slippulse_jax.inference.parameters import Inputs, parameter_set
 
 STARTS, STEPS, CLOSE = 32, 60, 1e-3
 EVERY = {"adam": 4}  # which studies it is given
@@ -35,7 +33,7 @@ EVERY = {"adam": 4}  # which studies it is given
 Free = list[str | Parameter]
 
 
-def natural(given: Starts, max_steps: int) -> Minimum:
+def natural(given: Starts, max_steps: int) -> Ends:
     """optax.sgd on the natural gradient, M⁻¹g with the metric M of Gauss and Newton: rate 1, halved until it gains."""
     import optax
 
@@ -50,7 +48,7 @@ def natural(given: Starts, max_steps: int) -> Minimum:
     return descend(given, max_steps, optimiser.init, propose, careful=True)
 
 
-OPTIMISERS: dict[str, Callable[[Starts, int], Minimum]] = {**METHODS, "natural": natural}
+OPTIMISERS: dict[str, Callable[[Starts, int], Ends]] = {**METHODS, "natural": natural}
 
 
 class Kind(NamedTuple):
@@ -79,10 +77,7 @@ def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
     """Heights of 15–60 λc, at a stiffness where the longest of them is this share of its longest."""
     height = np.sort(rng.uniform(15, 60, kind.heights))
     truth = stiffness_at(float(np.median(height)), rng.uniform(*kind.share))
-    y = np.column_stack(
-        [np.log(height), np.full(len(height), np.log(truth)), 0.3 + 0 * height, kind.prestress + 0 * height, 0 * height]
-    )
-    length = forward.lengths(y, 0).value
+    length = model.lengths(Inputs.of(height, truth, 0.3, kind.prestress)).value
     sigma = SIGMA * length
     measured = length + sigma * rng.standard_normal(len(height))
     if kind.whole:
@@ -101,13 +96,13 @@ class Tally:
 
     def __init__(self) -> None:
         self.count = 0
-        original = forward.exact_fronts
+        original = model.exact_fronts
 
         def counted(lanes: np.ndarray, *more: Any) -> Any:
             self.count += lanes.shape[1]
             return original(lanes, *more)
 
-        forward.exact_fronts = counted
+        model.exact_fronts = counted
 
     def take(self) -> int:
         count, self.count = self.count, 0
@@ -125,13 +120,13 @@ class Run(NamedTuple):
 
 def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> list[Run]:
     """By starts, by search, by fit."""
-    parameters = resolve(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
+    parameters = parameter_set(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
     problem = make_problem(m, parameters, Loss("normal"), m.sigma)
     points = np.random.default_rng(seed).uniform(parameters.low, parameters.high, (STARTS, problem.p))
 
     def by_starts() -> tuple[np.ndarray, np.ndarray]:
         end = minimise(problem, points, parameters.low, parameters.high, method=method, max_steps=STEPS)
-        return 2 * end.value, end.outcome == Outcome.CONVERGED
+        return 2 * end.value, end.convergence == Convergence.CONVERGED
 
     def by_search() -> tuple[np.ndarray, np.ndarray]:
         found, _ = search(problem, method=method, max_steps=STEPS, seed=0)

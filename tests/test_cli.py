@@ -121,7 +121,7 @@ def test_numbers_that_are_not_finite_are_null():
 @pytest.mark.parametrize(
     ("arguments", "place"),
     [
-        (["fit", PMMA], "slippulse_jax.inference.forward.exact_fronts"),
+        (["fit", PMMA], "slippulse_jax.inference.model.exact_fronts"),
         (["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"], "slippulse_jax.inference.design.design.exact_lengths"),
     ],
 )

@@ -74,7 +74,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     """As beyond run-away, where no stiffness stops the front."""
 
     def endless(q, theta):
-        return (np.full(len(q.base), np.inf),) * 2
+        return (np.full(len(q.ratio(theta)), np.inf),) * 2
 
     monkeypatch.setattr("slippulse_jax.inference.fit.attainable", endless)
     done = run("--json")
@@ -85,7 +85,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
 def test_calibrated_intervals_are_advised_where_profiles_cover_too_seldom(tmp_path):
     path = tmp_path / "peak.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.4\n40,0.3,41.6,0.6\n")
-    advice = "intervals = 'calibrated' covers as it says"
+    advice = "intervals = 'calibrated' keep their coverage"
     found = CliRunner().invoke(command, [str(path)]).stdout
     assert advice in found
     assert advice not in CliRunner().invoke(command, [str(path), "--intervals", "calibrated"]).stdout

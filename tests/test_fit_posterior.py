@@ -6,7 +6,7 @@ the lengths that a fit works with stand in for it.
 
 import json
 import sys
-from functools import partialmethod
+from functools import partial, partialmethod
 from pathlib import Path
 
 import jax
@@ -17,35 +17,35 @@ from click.testing import CliRunner
 
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference import bayes
-from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.likelihood import Loss
-from slippulse_jax.inference.objective import make_problem
-from slippulse_jax.inference.parameters import STIFFEST
-from slippulse_jax.inference.resolve import resolve, softest
+from slippulse_jax.inference import model
+from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
+from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.parameters import STIFFEST, Inputs, parameter_set, softest
 from slippulse_jax.inference.result import FitResult
 
 DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
 
 
-def outside(plain, y):
+def outside(inputs, relaxed):
     """The length from the batches that a fit works with, called from within a compiled function."""
-    del plain
-    shape = jax.ShapeDtypeStruct((), y.dtype)
-    return jax.pure_callback(lambda y: lengths(np.atleast_2d(y), 0).value[0], shape, y, vmap_method="sequential")
+    del relaxed
+
+    def length(inputs):
+        return lengths(Inputs(*(None if x is None else np.atleast_1d(x) for x in inputs))).value[0]
+
+    return jax.pure_callback(length, jax.ShapeDtypeStruct((), inputs.poisson.dtype), inputs, vmap_method="sequential")
 
 
 def tabulated(m):
     """The length of measurements of which the stiffness alone is fitted, from a table of it."""
     log_height, first = np.unique(np.log(m.height), return_index=True)
     log_stiffness = np.linspace(np.log(softest(m).min()), np.log(STIFFEST), 6001)
-    y = np.zeros((len(first), len(log_stiffness), 5))
-    y[:, :, 0], y[:, :, 1], y[:, :, 2] = log_height[:, None], log_stiffness, m.poisson[first][:, None]
-    table = lengths(y.reshape(-1, 5), 0).value.reshape(y.shape[:2])
+    every = Inputs.of(m.height[first][:, None], np.exp(log_stiffness), m.poisson[first][:, None])
+    table = lengths(every.ravel()).value.reshape(every.poisson.shape)
 
-    def length(plain, y):
-        row = jnp.argmin(jnp.abs(log_height - y[0]))
-        return jnp.interp(y[1], log_stiffness, jnp.asarray(table)[row])
+    def length(inputs, relaxed):
+        row = jnp.argmin(jnp.abs(log_height - inputs.log_height))
+        return jnp.interp(inputs.log_stiffness, log_stiffness, jnp.asarray(table)[row])
 
     return length
 
@@ -53,26 +53,26 @@ def tabulated(m):
 @pytest.mark.parametrize("loss", ["normal", "student"])
 def test_density_is_the_objective(loss, monkeypatch):
     """At random points, with counts, censoring, discrepancy and a prior."""
-    monkeypatch.setattr(bayes, "_length", outside)
+    monkeypatch.setattr(model, "traced_length", outside)
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
-    q = resolve(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02)), "discrepancy"])
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02)), "discrepancy"])
     problem = make_problem(m, q, Loss(loss), m.sigma)
     theta = np.random.default_rng(0).uniform([-7, 0.2, -5], [-4, 0.4, -2], (4, 3))
-    density = jax.jit(jax.vmap(bayes.log_density(problem)))(theta)
+    density = jax.jit(jax.vmap(partial(log_density, problem=problem)))(theta)
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
 
 
-@pytest.mark.parametrize("plain", [True, False])
-def test_traced_length_is_that_of_the_fit(plain):
-    y = np.array([3.2, -4.5, 0.3, 0.0 if plain else 0.1, 0.0])
-    assert float(bayes._length(plain, y)) == pytest.approx(lengths(y[None], 0).value[0], rel=1e-11)
+@pytest.mark.parametrize("relaxed", [True, False])
+def test_traced_length_is_that_of_the_fit(relaxed):
+    inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)
+    assert float(model.traced_length(inputs, relaxed)) == pytest.approx(lengths(inputs.ravel()).value[0], rel=1e-11)
 
 
 def test_command_line(monkeypatch):
     """`slippulse fit --posterior`: four chains whose interval is that of the profile, in the report and as JSON."""
-    monkeypatch.setattr(bayes, "_length", tabulated(read_measurements(DATA)))
+    monkeypatch.setattr(model, "traced_length", tabulated(read_measurements(DATA)))
     monkeypatch.setattr(FitResult, "posterior", partialmethod(FitResult.posterior, warmup=100))
     done = CliRunner().invoke(command, [DATA, "--posterior", "150", "--seed", "3", "--json"])
     assert done.exit_code == 0, done.output
@@ -97,8 +97,7 @@ def test_missing_sampler_is_named(monkeypatch):
 @pytest.mark.slow  # the sampler takes minutes to compile
 def test_posterior_profile_and_bootstrap_agree():
     height = np.array([15.0, 20, 25, 30, 40, 50])
-    y = np.column_stack([np.log(height), np.full(6, np.log(0.004)), np.full(6, 0.3), np.zeros((6, 2))])
-    length = lengths(y, 0).value
+    length = lengths(Inputs.of(height, 0.004, 0.3)).value
     rng = np.random.default_rng(1)
     m = Measurements(
         height=height, poisson=0.3, length=length * (1 + 0.01 * rng.standard_normal(6)), length_sigma=0.01 * length
@@ -113,4 +112,4 @@ def test_posterior_profile_and_bootstrap_agree():
         # ends of a 95 % interval from 1000 independent samples: 0.09 standard errors, a quarter of a tenth of its width
         assert abs(low - profile.low) < 0.08 * width
         assert abs(high - profile.high) < 0.08 * width
-        assert found.stderr("stiffness") == pytest.approx(result.stderr["stiffness"], rel=0.1)
+        assert found.stderr("stiffness") == pytest.approx(result.stderrs["stiffness"], rel=0.1)

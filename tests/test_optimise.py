@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slippulse_jax.inference.objective import Evaluation
-from slippulse_jax.inference.optimise import METHODS, Outcome, minimise
+from slippulse_jax.inference.likelihood import Evaluation
+from slippulse_jax.inference.optimise import METHODS, Convergence, minimise
 
 
 class LeastSquares:
@@ -54,15 +54,15 @@ def test_bent_valley(method):
     found = minimise(valley(), STARTS, LOW, HIGH, method=method)
     reached = np.abs(found.theta - 1).max(axis=1) < CLOSE[method]
     assert reached.all() or method == "adam"  # which creeps along its floor
-    assert (found.outcome[np.abs(found.theta - 1).max(axis=1) < 1e-3] == Outcome.CONVERGED).all()
+    assert (found.convergence[np.abs(found.theta - 1).max(axis=1) < 1e-3] == Convergence.CONVERGED).all()
     far = np.abs(found.theta - 1).max(axis=1) > 0.1
-    assert (found.outcome[far] == Outcome.NOT_CONVERGED).all(), "where it is not, that is said"
+    assert (found.convergence[far] == Convergence.NOT_CONVERGED).all(), "where it is not, that is said"
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_both_wells_are_found(method):
     found = minimise(two_wells(), STARTS, LOW, HIGH, method=method)
-    assert (found.outcome == Outcome.CONVERGED).all()
+    assert (found.convergence == Convergence.CONVERGED).all()
     side = np.sign(found.theta[:, :1])
     np.testing.assert_allclose(found.theta, side * [1, 0.5], atol=CLOSE[method])
     assert set(side.ravel()) == {-1, 1}
@@ -75,7 +75,7 @@ def test_minimum_on_a_side_of_the_box(method):
     reached = np.abs(found.theta - [0.5, 0.25]).max(axis=1) < CLOSE[method]
     assert reached.mean() >= {"lm": 1, "lbfgs": 1, "adam": 0.8}[method]
     assert (found.theta[reached, 0] == 0.5).all()
-    assert (found.outcome[reached] == Outcome.CONVERGED).all()
+    assert (found.convergence[reached] == Convergence.CONVERGED).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -99,7 +99,7 @@ def test_flat_and_endless_starts_are_named(method):
         return Evaluation(value, at.gradient * flat[:, None], *(m * flat[:, None, None] for m in at[2:]))
 
     found = minimise(objective, np.array([[-1.0, 0.0], [1.8, 0.0], [0.9, 0.9]]), LOW, HIGH, method=method)
-    assert list(found.outcome) == [Outcome.FLAT, Outcome.NO_LENGTH, Outcome.CONVERGED]
+    assert list(found.convergence) == [Convergence.FLAT, Convergence.NO_LENGTH, Convergence.CONVERGED]
     np.testing.assert_array_equal(found.theta[:2], [[-1.0, 0.0], [1.8, 0.0]])
 
 

@@ -107,7 +107,7 @@ def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measur
     import numpy as np
 
     from slippulse_jax.inference.design.knowledge import Knowledge
-    from slippulse_jax.inference.table import read_measurements
+    from slippulse_jax.inference.tables import read_measurements
 
     prior = None
     if stiffness is not None and log_sd is not None:

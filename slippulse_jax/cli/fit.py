@@ -79,9 +79,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
-    from slippulse_jax.inference.notes import before_fit
     from slippulse_jax.inference.record import from_request, read_request
-    from slippulse_jax.inference.table import read_measurements
+    from slippulse_jax.inference.report import before_fit
+    from slippulse_jax.inference.tables import read_measurements
 
     _check(options)
     try:

@@ -136,7 +136,7 @@ def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, ch
 
     def potential(z: Array) -> Array:
         """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
-        theta = low + (high - low) * jax.nn.sigmoid(z)
+        theta = jnp.asarray(low + (high - low) * jax.nn.sigmoid(z))
         return -log_density(theta, result.problem) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
 
     with jax.enable_x64(True):

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import log_ndtr
+from jax.scipy import special
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtr
 
+from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
 from slippulse_jax.inference.model import PREDICTED, Prediction, traced
 from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at
@@ -30,8 +31,8 @@ STUDENT_DOF = 4.0
 SHARPEST = 1e-3
 """Blur, in λc, that stands for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
-CHUNKS = (256, 8192)
-"""Data of a call of the compiled cost functions: few, or many."""
+FEW_OR_MANY = Layout(few=256)
+"""Layout of data for the compiled cost functions."""
 
 ELEMENTS = 2_000_000
 """Elements of the largest array held at once; more points than that are taken in turns."""
@@ -126,6 +127,11 @@ def _blur(sigma: ArrayLike, scatter: ArrayLike) -> Array:
     return jnp.sqrt(jnp.maximum(total, SHARPEST**2))
 
 
+def log_ndtr(x: Array) -> Array:
+    """Logarithm of the normal distribution function; its tail, from x = −20 on, to rounding instead of 4e-9."""
+    return special.log_ndtr(x, series_order=10)
+
+
 COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
 """By the kind of a measurement."""
 
@@ -149,12 +155,12 @@ def data_log_density(
     loss : Loss
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma, -np.inf)))
-    return -_derivatives(kind, loss, [x.ravel() for x in numbers])[0].reshape(numbers[0].shape)
+    return -over_lanes(_derivatives(kind, loss), [x.ravel() for x in numbers], FEW_OR_MANY)[0].reshape(numbers[0].shape)
 
 
 @cache
-def _compiled(kind: str, loss: Loss):
-    """Cost of data, and its derivatives in μ (first and second) and in ln of the scatter."""
+def _derivatives(kind: str, loss: Loss) -> Kernel:
+    """Cost of data (μ, value, σ, ln scatter), and its derivatives in μ (first and second) and in ln scatter."""
     cost = _cost(kind, loss)
 
     def one(mu: Array, value: Array, sigma: Array, log_scatter: Array) -> tuple[Array, ...]:
@@ -175,22 +181,7 @@ def _compiled(kind: str, loss: Loss):
             bend = jnp.clip(bend, 0, 1 / jnp.square(_blur(sigma, jnp.exp(log_scatter))))
         return found, slope, bend, by_scatter
 
-    return jax.jit(jax.vmap(one))
-
-
-def _derivatives(kind: str, loss: Loss, columns: list[np.ndarray]) -> list[np.ndarray]:
-    """`_compiled` for data given as columns, in chunks of few shapes."""
-    count = len(columns[0])
-    chunk = CHUNKS[count > CHUNKS[0]]
-    found = [np.empty(count) for _ in range(4)]
-    with jax.enable_x64(True):
-        for start in range(0, count, chunk):
-            part = slice(start, min(start + chunk, count))
-            size = part.stop - start
-            padded = [x[part] if size == chunk else np.resize(x[part], chunk) for x in columns]
-            for column, numbers in zip(found, _compiled(kind, loss)(*padded), strict=True):
-                column[part] = np.asarray(numbers)[:size]
-    return found
+    return lambda columns: jax.vmap(one)(*columns)
 
 
 class Data(NamedTuple):
@@ -240,7 +231,7 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
         there = data.kind == kind
         if there.any():
             given = [x[:, there] for x in (mu, value, sigma, log_scatter)]
-            found = _derivatives(kind, loss, [x.ravel() for x in given])
+            found = over_lanes(_derivatives(kind, loss), [x.ravel() for x in given], FEW_OR_MANY)
             columns[:, :, there] = np.reshape(found, (4, *given[0].shape))
     variance = sigma**2 + np.exp(2 * log_scatter)
     plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
@@ -359,7 +350,7 @@ class Problem:
         free = slice(None) if self.held is None else ~self.held
         wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
-        model: Prediction = PREDICTED[block.observable](Inputs(*(None if x is None else x.ravel() for x in inputs)), wanted)
+        model: Prediction = PREDICTED[block.observable](inputs.ravel(), wanted)
         scale = np.exp(block.scale(theta))
         value = model.value.reshape(lanes, distinct)[:, block.rows] * scale
         mu = value + block.offset(theta)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
@@ -157,24 +158,18 @@ def _nucleation(inputs: Inputs) -> Float[Array, " 2"]:
     return (1 - inputs.prestress) * jnp.stack([modes.load, (modes.drive / modes.gap).sum()])
 
 
-@jax.jit
-def _nucleation_with_slopes(inputs: Inputs) -> tuple[Array, Inputs]:
-    """One program for both: whoever measures one of them usually measures the other."""
-    return jax.vmap(_nucleation)(inputs), jax.vmap(jax.jacfwd(_nucleation))(inputs)
+def _nucleation_with_slopes(lanes: Float[Array, "5 L"]) -> tuple[Array, Array]:
+    """Both of many lanes, and their derivatives, (2, 5, L): whoever measures one of them usually measures the other."""
+
+    def one(lane: Array) -> Array:
+        return _nucleation(Inputs(*lane))
+
+    return jax.vmap(one, 1, -1)(lanes), jax.vmap(jax.jacfwd(one), 1, -1)(lanes)
 
 
 def _at_nucleation(which: int, inputs: Inputs, wanted: Collection[str]) -> Prediction:
-    five = Inputs(*inputs[:5])
-    count = len(five.log_height)
-    value, slopes = np.empty(count), {name: np.empty(count) for name in five.names}
-    with jax.enable_x64(True):
-        for start in range(0, count, LANES):
-            part = np.arange(start, min(start + LANES, count))
-            found, by_input = _nucleation_with_slopes(five.take(np.resize(part, LANES)))
-            value[part] = np.asarray(found)[: len(part), which]
-            for name, column in slopes.items():
-                column[part] = np.asarray(getattr(by_input, name))[: len(part), which]
-    return Prediction(value, {name: slopes[name] for name in slopes if name in wanted})
+    value, slopes = over_lanes(_nucleation_with_slopes, inputs[:5], Layout(chunk=LANES))
+    return Prediction(value[which], {name: slopes[which, i] for i, name in enumerate(Inputs._fields[:5]) if name in wanted})
 
 
 def slips(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:

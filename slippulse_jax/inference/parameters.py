@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
@@ -35,6 +36,19 @@ class Inputs(NamedTuple):
     beyond: Any = None  # contacts broken beyond ℓ*, 0 to 1, when gauges were read
     counted: Any = None  # contacts counted as broken when gauges were read; 0 where they were not
 
+    @classmethod
+    def of(
+        cls,
+        height: ArrayLike,
+        stiffness: ArrayLike,
+        poisson: ArrayLike,
+        prestress: ArrayLike = 0,
+        threshold_slope: ArrayLike = 0,
+    ) -> "Inputs":
+        """Inputs from H/λc, k/K, ν, φ and ε, which broadcast."""
+        numbers = np.log(height), np.log(stiffness), poisson, prestress, threshold_slope
+        return cls(*np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers)))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the inputs that are there."""
@@ -52,6 +66,10 @@ class Inputs(NamedTuple):
     def take(self, rows: Any) -> "Inputs":
         """Select some rows of every input."""
         return Inputs(*(None if value is None else value[rows] for value in self))
+
+    def ravel(self) -> "Inputs":
+        """Flatten every input."""
+        return Inputs(*(None if value is None else np.ravel(value) for value in self))
 
 
 class Linear(NamedTuple):

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtri
 
-from slippulse_jax.inference.attainable import attainable_of
-from slippulse_jax.inference.forward import lengths
-from slippulse_jax.inference.gauges import READINGS
-from slippulse_jax.inference.objective import PREDICTED
+from slippulse_jax.inference.measurements import READINGS
+from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
+from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
 
@@ -173,8 +172,10 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
 def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the band of fitted lengths: over the intervals of one parameter, by error propagation for several."""
     if result.problem.p == 1:
-        for piece in result.theta_intervals[result.names[0]][BAND_LEVEL]:
-            family = _lengths_over(result, np.linspace(piece.low, piece.high, 25)[:, None], one, height)
+        free = result.parameters.free[0]
+        for piece in result.intervals[result.names[0]][BAND_LEVEL]:
+            theta = np.linspace(free.theta(piece.low), free.theta(piece.high), 25)
+            family = _lengths_over(result, theta[:, None], one, height)
             yield family.min(axis=0), family.max(axis=0)
         return
     if result.covariance is None:
@@ -212,10 +213,10 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
         ax.axhspan(*_measured_share(result, together), color=color, alpha=0.2, lw=0)
         largest = max(largest, float(share.max()))
         visible.append(share)
-    for n, piece in enumerate(result.level_intervals[BAND_LEVEL]):
+    for n, piece in enumerate(result.intervals[result.names[0]][BAND_LEVEL]):
         label = f"{BAND_LEVEL:.0%} interval" if n == 0 else None
         ax.axvspan(piece.low, piece.high, facecolor=c.grey, edgecolor=c.ink, alpha=0.35, lw=0.8, label=label)
-    ax.axvline(result.value, color=c.ink, lw=1, ls=":", label="best fit")
+    ax.axvline(result.values[result.names[0]], color=c.ink, lw=1, ls=":", label="best fit")
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
     if largest > 0:
@@ -319,7 +320,7 @@ def confidence_region(
     q = result.parameters
     i, j = q.index(horizontal), q.index(vertical)
     grids = [_window(result, k, nodes) for k in (i, j)]
-    starts = np.array([root.theta for root in result.found] or [result.theta])[:4]
+    starts = np.array([root.theta for root in result.roots] or [result.theta])[:4]
     surface = profile_2d(result.problem, i, j, grids[0], grids[1], starts)
     rise = surface.deviance - result.deviance
     first, second = q.free[i].value(grids[0]), q.free[j].value(grids[1])
@@ -337,8 +338,8 @@ def confidence_region(
 def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
     """Values of θ_k around its 95 % interval."""
     one = result.parameters.free[k]
-    pieces = result.theta_intervals[one.label][BAND_LEVEL]
-    low, high = (pieces[0].low, pieces[-1].high) if pieces else (one.low, one.high)
+    pieces = result.intervals[one.label][BAND_LEVEL]
+    low, high = (one.theta(pieces[0].low), one.theta(pieces[-1].high)) if pieces else (one.low, one.high)
     pad = 0.35 * (high - low)
     return np.linspace(max(one.low, low - pad), min(one.high, high + pad), nodes)
 
@@ -361,11 +362,11 @@ def _display_unit(result: "FitResult") -> tuple[np.ndarray, str]:
     return m.correlation_length * 1e3, "mm"
 
 
-def _inputs_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
-    """Inputs of the model for a measurement like that of `row`, at other heights."""
-    y = np.repeat(result.parameters.inputs(theta)[row][None], len(height), axis=0)
-    y[:, 0] += np.log(height / result.measurements.height[row])
-    return y
+def _inputs_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> Inputs:
+    """Inputs of the model for a measurement like that of `row`, at other heights; shape (…, heights) for θ of (…, p)."""
+    at_row = result.parameters.inputs_at(theta).take((..., row, None))
+    one = at_row._replace(log_height=at_row.log_height + np.log(height / result.measurements.height[row]))
+    return Inputs(*(None if x is None else np.broadcast_to(x, one.log_height.shape) for x in one))
 
 
 def _lengths_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
@@ -376,15 +377,15 @@ def _lengths_at(result: "FitResult", theta: np.ndarray, row: int, height: np.nda
 def _lengths_over(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
     """Predicted lengths at many θ, (t, p), in one batch; shape (t, heights)."""
     q = result.parameters
-    y = np.concatenate([_inputs_at(result, one, row, height) for one in theta])
-    scale = np.exp(q.scale_base["length"][row] + theta @ q.scale_slope["length"][row])
-    return lengths(y, 0).value.reshape(len(theta), -1) * scale[:, None] + (theta @ q.offset[row])[:, None]
+    inputs = _inputs_at(result, theta, row, height)
+    length = lengths(inputs.ravel()).value.reshape(len(theta), -1)
+    return length * np.exp(q.scales["length"](theta)[:, row, None]) + q.offset(theta)[:, row, None]
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
     """Group the measurements that lie on one curve of length against height: all but the height the same."""
     m, q = result.measurements, result.parameters
-    y = q.inputs(result.theta)
+    y = q.inputs_at(result.theta).table()
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([np.round(y[:, 1:], 9), correlation_length])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -392,17 +393,17 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
 
 
 def _group_name(result: "FitResult", row: int) -> str:
-    y = result.parameters.inputs(result.theta)[row]
-    condition = rf", $\varphi$ = {y[3]:.3g}" if y[3] else ""
-    return f"best fit, $k/K$ = {np.exp(y[1]):.3g}, ν = {y[2]:.3g}{condition}"
+    one = result.parameters.inputs_at(result.theta).take(row)
+    condition = rf", $\varphi$ = {one.prestress:.3g}" if one.prestress else ""
+    return f"best fit, $k/K$ = {np.exp(one.log_stiffness):.3g}, ν = {one.poisson:.3g}{condition}"
 
 
 def _longest(result: "FitResult", height: np.ndarray, row: int) -> np.ndarray:
     """Longest length at any stiffness searched, at each height, in stated λc."""
     q = result.parameters
-    y = _inputs_at(result, result.theta, row, height)
-    scale = np.exp(q.scale_base["length"][row] + q.scale_slope["length"][row] @ result.theta)
-    return attainable_of(q, result.theta, np.full(len(height), row), y)[0] * scale
+    inputs = _inputs_at(result, result.theta, row, height)
+    scale = np.exp(q.scales["length"](result.theta)[row])
+    return attainable_of(q, result.theta, np.full(len(height), row), inputs)[0] * scale
 
 
 @drawn
@@ -441,9 +442,9 @@ def _field(result: "FitResult", row: int, name: str, x: np.ndarray) -> np.ndarra
     q = result.parameters
     block = next(one for one in result.problem.blocks if one.observable == name)
     datum = int(np.nonzero(block.measurement == row)[0][0])
-    y = np.repeat((block.base + block.slope @ result.theta)[block.rows[datum]][None], len(x), axis=0)
+    inputs = at(block.inputs, result.theta).take(np.full(len(x), block.rows[datum]))
     assert result.measurements.correlation_length is not None
-    true_unit = np.exp(q.scale_base["position"][row] + q.scale_slope["position"][row] @ result.theta)
-    y[:, 5] = np.log(np.maximum(x / (result.measurements.correlation_length[row] * true_unit), 1e-9))
-    unit = np.exp(q.scale_base[name][row] + q.scale_slope[name][row] @ result.theta)
-    return PREDICTED[name](y, 0).value * unit
+    true_unit = np.exp(q.scales["position"](result.theta)[row])
+    place = np.log(np.maximum(x / (result.measurements.correlation_length[row] * true_unit), 1e-9))
+    unit = np.exp(q.scales[name](result.theta)[row])
+    return PREDICTED[name](inputs._replace(log_position=place)).value * unit

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
-from slippulse_jax.inference.likelihood import Data, Loss, terms
+from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES
-from slippulse_jax.inference.resolve import ratio_per_unit, softest
+from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES, ratio_per_unit, softest
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.slider import Slider
@@ -240,8 +239,12 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
     slider = Slider(m.height, np.exp(theta)[:, None] * ratio, m.poisson)
     length = exact_lengths(slider, Interface(m.or_zero("prestress"), m.or_zero("threshold_slope")))
-    data = Data(np.array(m.kind), m.length[None], sigma, np.ones((1, len(m))), np.zeros(len(m), bool))
-    return -terms(length, data, np.zeros(len(theta), int), Loss(), None).value.sum(axis=1)
+    kind = np.array(m.kind)
+    total = np.zeros(len(theta))
+    for one in set(m.kind):
+        there = kind == one
+        total += data_log_density(length[:, there], m.length[there], sigma[there], one).sum(axis=1)
+    return total
 
 
 def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None, nodes: int) -> tuple[np.ndarray, np.ndarray]:
