@@ -1,4 +1,4 @@
-"""The front passing along the interface, as an animation: displacement and stress together."""
+"""Animation of a front: displacements and contact stress as it passes along the interface."""
 
 import tempfile
 from pathlib import Path
@@ -31,34 +31,34 @@ def animate(
 ) -> "FuncAnimation":
     """Animate a first precursor, from nucleation to arrest: displacements above, contact stress below.
 
-    One frame a broken contact (fewer where more than 150 break). The model has no time: frames count breaks.
+    One frame per broken contact, at most 150 frames. The model has no time: frames count breaks.
 
     Parameters
     ----------
     precursor : FirstPrecursor
-        Of one slider, from `first_precursor`; its front must have stopped.
+        Result of `first_precursor` for one slider; its front must have stopped.
     path : path, optional
         File to write: ``.gif``, ``.mp4`` (needs ffmpeg) or ``.html``; it appears whole or not at all.
     sites : int, optional
-        How many contacts to show; twice as many as break, by default.
+        Number of contacts to show; by default twice the number that break.
     fps : float
-        Frames a second.
+        Frames per second.
     hold : float
-        Seconds to stand still at the end.
+        Pause at the end, in seconds.
     dark : bool
         For a dark page.
 
     Returns
     -------
     matplotlib.animation.FuncAnimation
-        Shown by a notebook as the last value of a cell.
+        A notebook shows it as the last value of a cell.
 
     Raises
     ------
     ValueError
-        If the precursor is a batch or did not stop, or the file is of another kind.
+        If the precursor is a batch or did not stop, or the format is not supported.
     RuntimeError
-        If an MP4 is asked for where there is no ffmpeg.
+        If ffmpeg, which MP4 needs, is not installed.
     """
     import matplotlib.pyplot as plt
     from matplotlib import animation
@@ -69,7 +69,7 @@ def animate(
     if not np.isfinite(float(precursor.length)) or broken > recorded:
         raise ValueError(f"this front did not stop within the {recorded} contacts recorded: there is no arrest to show")
     if not (fps > 0 and hold >= 0):
-        raise ValueError(f"fps = {fps}, hold = {hold}: must be positive, and not negative")
+        raise ValueError(f"fps = {fps}, hold = {hold}: fps must be positive, hold 0 or more")
     writer = None if path is None else _writer(Path(path), fps)
     shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
     positions = np.unique(np.linspace(0, broken, min(broken + 1, MOST_FRAMES)).round().astype(int))
@@ -82,7 +82,7 @@ def animate(
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # laid out once: to do so in every frame takes far longer than to draw it
+        figure.set_layout_engine("none")  # laid out once: the layout takes far longer than a frame
         if path is not None:
             _save(movie, Path(path), writer, fps)
         movie._repr_html_ = lambda: movie.to_jshtml(fps=fps)  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
@@ -91,7 +91,7 @@ def animate(
 
 
 def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
-    """Draw what does not move, and return the function that draws a frame."""
+    """Draw the first frame, and return the function that draws any other."""
     above, below = panels
     c = style.colours(above)
     x = np.arange(shown)
@@ -99,16 +99,17 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
     stress = np.asarray(fields.stress)[:, :shown]
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
-    below.plot(x, stress[0], ":", color=c.ink, lw=1)
-    below.axhline(1, color=c.grey, lw=0.8)
+    below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
+    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
     (on_top,) = above.plot(x, upper[0], color=c.blue, label="upper layer $u_t$")
     (in_layer,) = above.plot(x, layer[0], color=c.vermilion, label="interfacial layer $u$")
     (carried,) = below.plot(x, stress[0], color=c.ink)
-    fronts = [ax.axvline(0, color=c.green, lw=1, ls="--") for ax in (above, below)]
+    fronts = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in (above, below)]
     words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
     above.set(ylabel="displacement, $u/u_s$", ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
-    below.set(xlabel=style.DISTANCE, ylabel="contact stress, $\\sigma_c/\\sigma_s$", ylim=(0, 1.15 * max(stress.max(), 1)))
+    below.set(xlabel=style.DISTANCE, ylabel="contact stress, $t/\\sigma_s$", ylim=(0, 1.15 * max(stress.max(), 1)))
     above.legend(loc="upper right")
+    below.legend(handles=below.lines[:2], loc="center right")
 
     def frame(number: int) -> list[Any]:
         on_top.set_ydata(upper[number])

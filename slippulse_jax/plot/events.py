@@ -1,4 +1,4 @@
-"""Pictures of a series of events."""
+"""Pictures of a series of events: friction curve and space–time map."""
 
 import warnings
 from typing import TYPE_CHECKING
@@ -17,12 +17,12 @@ COLOURS = {
     EventClass.INTERIOR: "green",
     EventClass.SPANNING: "vermilion",
 }
-"""Of the class of an event: a name in `slippulse_jax.plot.style.Colours`."""
+"""Colour of each class of event, by its name in `slippulse_jax.plot.style.Colours`."""
 
 
 @drawn
 def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Force on the left edge against the load: rising between events, dropping at each."""
+    """Draw the force on the left edge against the load."""
     ax = axes(ax)
     c = colours(ax)
     events = table(catalogue)
@@ -47,7 +47,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Every recorded break, by site and load, in the colour of its event's class; warns if some were not recorded."""
+    """Draw every recorded break by site and load, coloured by the class of its event; warn if some are missing."""
     ax = axes(ax)
     c = colours(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)

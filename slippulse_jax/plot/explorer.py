@@ -1,4 +1,4 @@
-"""Explore by looking: sliders for the numbers of the model, and its fields, length and sensitivities as they move."""
+"""Interactive explorer: sliders for the parameters, and the fields, length and sensitivities that follow."""
 
 import functools
 import io
@@ -16,7 +16,7 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 SITES = 320
-"""Contacts that are computed and can be shown; a fixed number, so that one compilation serves every slider."""
+"""Contacts computed and shown; fixed, so that one compiled program serves every slider."""
 
 MOST_CONTACTS = 20_000
 LOW = float(np.log10(0.03)) - 1.5  # so that the paper's 0.03 is a step of the slider
@@ -27,11 +27,11 @@ STEPS = {
     "+0.01 prestress": (3, 0.01, False),
     "+0.001 slope": (4, 0.001, False),
 }
-"""Small changes whose effect is shown: which parameter, how much, and whether relative to it."""
+"""Small changes whose effect is shown: index of the parameter, change, and whether it is relative."""
 
 
 class View(NamedTuple):
-    """All that is drawn, of fixed shapes; lengths in λc, displacements in u_s, stresses in σ_s."""
+    """Everything drawn, in arrays of fixed shapes; lengths in λc, displacements in u_s, stresses in σ_s."""
 
     length: Array
     slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
@@ -48,7 +48,7 @@ class View(NamedTuple):
 
 @jax.jit
 def view(theta: Array, position: Array) -> View:
-    """What is shown for θ = (H/λc, k/K, ν, φ, ε) with the front at `position` (−1: where it stops)."""
+    """Compute the view of θ = (H/λc, k/K, ν, φ, ε) with the front at `position` (−1: where it stops)."""
 
     def length(x: Array) -> Array:
         return precursor_length(
@@ -76,9 +76,9 @@ def view(theta: Array, position: Array) -> View:
 
 
 def explore(*, dark: bool = False) -> Any:
-    """Sliders for H/λc, k/K, ν, prestress and threshold slope; fields, front stress, length and sensitivities follow.
+    """Show sliders for H/λc, k/K, ν, prestress and threshold slope, and the fields, length and sensitivities.
 
-    For a notebook; needs the extra ``explore`` (ipywidgets). The play button runs the front from nucleation to arrest.
+    For notebooks; needs the extra ``explore`` (ipywidgets). The play button runs the front from nucleation to arrest.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def explore(*, dark: bool = False) -> Any:
     Raises
     ------
     ImportError
-        Without ipywidgets, saying how to install it.
+        If ipywidgets is not installed.
     """
     try:
         import ipywidgets  # noqa: F401
@@ -104,11 +104,11 @@ def explore(*, dark: bool = False) -> Any:
 
 @functools.cache
 def _explorer_class() -> Any:
-    """The widget; made when first asked for, because ipywidgets is optional."""
+    """Define the widget on first use, because ipywidgets is optional."""
     import ipywidgets as widgets
 
     class Explorer(widgets.VBox):
-        """Controls, a picture that follows them, and a line of numbers."""
+        """Controls, the picture that follows them, and a line of numbers."""
 
         def __init__(self, *, dark: bool) -> None:
             wide = {"style": {"description_width": "9em"}, "layout": widgets.Layout(width="24em")}
@@ -132,19 +132,19 @@ def _explorer_class() -> Any:
             self.position.observe(self._position_moved, "value")
             widgets.jslink((self.play, "value"), (self.position, "value"))
             controls = [self.height, self.stiffness, self.poisson, self.prestress, self.slope, self.position, self.play]
-            # as many beside each other as there is room for, so that the picture is in sight while one is moved
+            # side by side, so that the picture stays in sight while a slider is moved
             row = widgets.HBox(controls, layout=widgets.Layout(flex_flow="row wrap"))
             super().__init__([self.numbers, row, self.picture])
             self._parameters_moved()
 
         @property
         def theta(self) -> np.ndarray:
-            """(H/λc, k/K, ν, φ, ε) as the sliders stand."""
+            """(H/λc, k/K, ν, φ, ε) as set by the sliders."""
             controls = (self.height, self.stiffness, self.poisson, self.prestress, self.slope)
             return np.array([control.value for control in controls])
 
         def _parameters_moved(self, change: Any = None) -> None:
-            """Another slider: show its front where it stops."""
+            """Show the new slider, with its front where it stops."""
             seen = self._show(-1)
             last = min(int(seen.contacts_broken), SITES) if int(seen.contacts_broken) > 0 else SITES
             self._moving = True
@@ -168,7 +168,7 @@ def _explorer_class() -> Any:
 
 
 def describe(seen: View) -> str:
-    """The line of numbers, as HTML."""
+    """Format the line of numbers, as HTML."""
     status = Outcome(int(seen.status))
     length = f"{float(seen.length):.2f} λ<sub>c</sub>" if np.isfinite(seen.length) else "none: the front does not stop"
     count = int(seen.contacts_broken) if np.isfinite(seen.length) else "–"
@@ -179,7 +179,7 @@ def describe(seen: View) -> str:
 
 
 class Drawing:
-    """Three panels whose lines are moved, not drawn anew; called with a `View`, it gives a PNG."""
+    """Four panels whose lines are moved, not redrawn; calling it with a `View` returns a PNG."""
 
     def __init__(self, dark: bool) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -197,23 +197,24 @@ class Drawing:
             (self.layer,) = self.fields.plot(x, x, color=c.vermilion, label="interfacial layer $u$")
             (self.carried,) = self.stress.plot(x, x, color=c.ink, label="stress")
             (self.held,) = self.stress.plot(x, x, ":", color=c.grey, label="threshold")
-            (self.tip,) = self.front.plot(x, x, "o-", ms=2.5, lw=1, color=c.blue, label="stress at the front")
+            (self.tip,) = self.front.plot(x, x, "o-", ms=2.5, lw=1, color=c.blue, label="front stress")
             (self.limit,) = self.front.plot(x, x, ":", color=c.grey, label="threshold")
-            self.arrest = self.front.axvline(0, color=c.vermilion, ls="--", lw=1)
-            self.marks = [ax.axvline(0, color=c.green, lw=1, ls="--") for ax in (self.fields, self.stress, self.front)]
+            self.arrest = self.front.axvline(0, color=c.vermilion, ls="--", lw=1, label="length, $\\ell$")
+            panels = (self.fields, self.stress, self.front)
+            self.marks = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in panels]
             self.bars = self.slopes.barh(list(STEPS), np.zeros(len(STEPS)), color=c.blue)
             self.slopes.axvline(0, color=c.ink, lw=0.8)
             self.slopes.invert_yaxis()
             self.words = self.slopes.text(0.5, 0.5, "", transform=self.slopes.transAxes, ha="center", va="center")
-            for ax, label in ((self.fields, "displacement, $u/u_s$"), (self.stress, "contact stress, $\\sigma_c/\\sigma_s$")):
+            for ax, label in ((self.fields, "displacement, $u/u_s$"), (self.stress, "contact stress, $t/\\sigma_s$")):
                 ax.set(xlabel=style.DISTANCE, ylabel=label)
                 ax.legend(loc="upper right")
-            self.front.set(xlabel="contact, $s$", ylabel="front stress, $t/\\sigma_s$")
+            self.front.set(xlabel="contact, $s$ ($x/\\lambda_c$)", ylabel="front stress, $t/\\sigma_s$")
             self.front.legend(loc="upper right")
             self.slopes.set(xlabel="change of the length, $\\lambda_c$")
 
     def __call__(self, seen: View, theta: np.ndarray) -> bytes:
-        """The picture of one view."""
+        """Draw one view."""
         stops = bool(np.isfinite(seen.length))
         broken = min(int(seen.contacts_broken), SITES) if stops else SITES
         shown = int(min(SITES, max(20, 1.7 * broken)))
@@ -235,7 +236,7 @@ class Drawing:
         self._draw_slopes(seen, theta, stops)
         if not self._laid_out:
             self.figure.draw_without_rendering()
-            self.figure.set_layout_engine("none")  # once: it takes longer than to draw
+            self.figure.set_layout_engine("none")  # laid out once: the layout takes longer than the drawing
             self._laid_out = True
         picture = io.BytesIO()
         self.canvas.print_png(picture)

@@ -21,25 +21,25 @@ LABELS = {
 }
 UNITS = {"lambda_c": "$\\lambda_c$", "sigma_s": "$\\sigma_s$", "u_s": "$u_s$", "lambda_c/sigma_s": "$\\lambda_c/\\sigma_s$"}
 LINES = 8
-"""Most lines of a family; an axis with more values makes a map."""
+"""Largest number of lines in a family; an axis with more values makes a map."""
 
 
 @style.drawn
 def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw one output: lines along one axis, one for each of at most 8 values of another, or a map over two.
+    """Draw one output of a sweep: a line for each of at most 8 values of an axis, or a map over two axes.
 
     Parameters
     ----------
     found : xarray.Dataset
-        Of `sweep`, with one or two axes left of more than one value; ``.sel`` the others first.
+        Result of `sweep` with one or two axes of more than one value; select from the others with ``.sel`` first.
     name : str, optional
-        Which output; the first by default.
+        Output to draw; the first by default.
     ax : matplotlib.axes.Axes, optional
 
     Raises
     ------
     ValueError
-        If there are not one or two such axes.
+        If the number of such axes is neither one nor two.
     """
     column = found[str(next(iter(found.data_vars))) if name is None else name].squeeze()
     axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
@@ -66,7 +66,7 @@ def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -
     least, most = (0.4, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
     colours = mpl.colormaps["cividis"](np.linspace(least, most, len(members)))
     for member, colour in zip(members, colours, strict=True):
-        label = None if family is None else f"{float(member[family]):g}"
+        label = None if family is None else f"{float(member[family]):.4g}"
         ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
     ax.set(xlabel=LABELS[along], ylabel=_label(column))
@@ -89,7 +89,7 @@ def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> 
 
 
 def _scale(set_scale: Any, values: np.ndarray) -> None:
-    """Logarithmic where the values are, or reach over a factor of 30."""
+    """Choose a logarithmic scale for positive values that span more than a factor of 30."""
     if values.min() > 0 and values.max() / values.min() > 30:
         set_scale("log")
 

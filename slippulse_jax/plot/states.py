@@ -1,4 +1,4 @@
-"""Pictures of states, of one rupture, and of what holds a front."""
+"""Pictures of one event: displacements, stresses, the order of breaks, and the sensitivity of the length."""
 
 from typing import TYPE_CHECKING
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 def displacements(
     found: Equilibrium, *, before: Equilibrium | None = None, sites: int | None = None, ax: "Axes | None" = None
 ) -> "Axes":
-    """Displacements of the two layers, in u_s; dashed: those `before` a rupture.
+    """Draw the displacements of the two layers, in u_s; dashed: `before` a rupture.
 
     Parameters
     ----------
     found, before : Equilibrium
     sites : int, optional
-        How many sites from the left edge to show; all by default.
+        Number of sites to show, from the left edge; all by default.
     ax : matplotlib.axes.Axes, optional
     """
     ax = axes(ax)
@@ -48,7 +48,7 @@ def stress(
     sites: int | None = None,
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Stress on every contact, in σ_s; with `chain`, its thresholds; dashed: the stress `before` a rupture."""
+    """Draw the stress on every contact, in σ_s, and the thresholds of `chain`; dashed: `before` a rupture."""
     ax = axes(ax)
     c = colours(ax)
     shown = slice(sites)
@@ -66,7 +66,7 @@ def stress(
 def front_stress(
     stress: np.ndarray, *, length: float | None = None, threshold: float = 1.0, ax: "Axes | None" = None
 ) -> "Axes":
-    """Stress each contact carries as the front reaches it, in σ_s, and the length ℓ where it falls below threshold."""
+    """Draw the stress on each contact as the front reaches it, and the length ℓ where it falls below threshold."""
     ax = axes(ax)
     c = colours(ax)
     stress = np.asarray(stress)
@@ -82,9 +82,9 @@ def front_stress(
 
 @drawn
 def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
-    """Which contact broke when: every break of a rupture, coloured by the stress it gave up; time counts breaks.
+    """Draw every break of a rupture under the hard rule: site against order, coloured by stress drop.
 
-    Of a rupture under the hard rule; the model is quasi-static, so the order is all there is to time.
+    The model is quasi-static and has no time beyond the order of breaks.
     """
     ax = axes(ax)
     n = int(found.breaks)
@@ -93,13 +93,13 @@ def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
         order, np.arange(1, n + 1), c=released, s=np.clip(4000 / max(n, 1), 2, 25), cmap="cividis", linewidths=0
     )
     ax.set(xlabel=DISTANCE, ylabel="breaks since the first")
-    ax.figure.colorbar(points, ax=ax, label="stress given up, $t/\\sigma_s$")
+    ax.figure.colorbar(points, ax=ax, label="stress drop, $t/\\sigma_s$")
     return ax
 
 
 @drawn
 def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Which contacts hold the front: the change of its length per change of threshold and of prestress, contact by contact."""
+    """Draw the derivatives of the length in the threshold and in the prestress of each contact."""
     ax = axes(ax)
     c = colours(ax)
     shown = slice(sites)
@@ -112,6 +112,6 @@ def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | Non
     if np.isfinite(length):
         ax.axvline(length, color=c.green, linestyle="--", linewidth=1, label=f"$\\ell = {length:.2f}\\,\\lambda_c$")
     ax.set_yscale("symlog", linthresh=1, linscale=0.7)
-    ax.set(xlabel=DISTANCE, ylabel="change of length, $\\lambda_c/\\sigma_s$")
+    ax.set(xlabel=DISTANCE, ylabel="derivative of $\\ell$, $\\lambda_c/\\sigma_s$")
     ax.legend(frameon=False)
     return ax

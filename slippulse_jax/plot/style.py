@@ -1,7 +1,7 @@
-"""One look for every picture: colours that all kinds of sight tell apart, type that is read at column width, light or dark.
+"""The look of every picture: colours safe for colour-blind readers, type legible at column width, light or dark.
 
-Drawing functions take ``ax=None``, begin with `axes`, and take their colours from `colours`, which looks at what they are
-drawn on; so a picture suits the page it is put on, whoever made the Axes.
+Drawing functions take ``ax=None``, begin with `axes`, and take their colours from `colours`, which depend on the background;
+so a picture suits the page, whoever made the Axes.
 """
 
 import functools
@@ -21,7 +21,7 @@ COLUMN, PAGE = 3.4, 7.0
 """Widths of a journal's column and page, in inches (86 and 178 mm)."""
 
 DISTANCE = "distance from the trailing edge, $x/\\lambda_c$"
-"""The label of every axis that runs along the interface."""
+"""Label of every axis along the interface."""
 
 
 ABOVE: dict[str, Any] = {
@@ -31,7 +31,7 @@ ABOVE: dict[str, Any] = {
 
 
 class Colours(NamedTuple):
-    """The first six are for data, in the order in which they should be used; `ink` is text, `grey` what stands back."""
+    """Six colours for data, in order of use; `ink` for text, `grey` for what is secondary."""
 
     blue: str
     vermilion: str
@@ -45,19 +45,19 @@ class Colours(NamedTuple):
 
     @property
     def data(self) -> tuple[str, ...]:
-        """The colours for data."""
+        """Colours for data."""
         return tuple(self[:6])
 
 
 LIGHT = Colours("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#737373", "#000000", "#FFFFFF")
-"""Okabe and Ito's colours, for paper."""
+"""Okabe and Ito's colours, for white pages."""
 
 DARK = Colours("#5B8DD9", "#E0603A", "#4FE3A0", "#F0BE3C", "#E7A6CC", "#B9DDF5", "#9AA3AD", "#E8EAED", "#131619")
 """The same hues, lighter, for a dark page."""
 
 
 def colours(ax: Any) -> Colours:
-    """The colours that can be read on an Axes: `DARK` where its background is dark, `LIGHT` elsewhere."""
+    """Choose the colours for an Axes: `DARK` where its background is dark, else `LIGHT`."""
     from matplotlib.colors import to_rgba
 
     face = ax.get_facecolor()
@@ -72,7 +72,7 @@ def _is_dark(colour: Any) -> bool:
 
 
 def settings(*, dark: bool = False) -> dict[str, Any]:
-    """Matplotlib's rcParams of the look, a dictionary to keep, change or hand to ``plt.rcParams.update``."""
+    """Matplotlib's rcParams of the look, for ``plt.rcParams.update``."""
     from cycler import cycler
 
     c = DARK if dark else LIGHT
@@ -92,14 +92,14 @@ def settings(*, dark: bool = False) -> dict[str, Any]:
 
 @contextmanager
 def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
-    """Everything drawn inside ``with sp.plot.style.use():`` has the look; the settings are put back afterwards.
+    """Use the look for everything drawn inside ``with sp.plot.style.use():``, and restore the settings afterwards.
 
     Parameters
     ----------
     dark : bool
         For a dark page.
     **changes
-        Other rcParams, with ``__`` for the dot: ``use(figure__figsize=(7, 3))``.
+        Other rcParams, with ``__`` in place of the dot: ``use(figure__figsize=(7, 3))``.
     """
     import matplotlib as mpl
 
@@ -109,7 +109,7 @@ def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
 
 
 def _in_force() -> Any:
-    """The look, dark where the settings are; nothing where they are the look already, so that what was changed of it holds."""
+    """Apply the look, dark where the current settings are dark; keep the settings if they are the look, changed or not."""
     import matplotlib as mpl
 
     data = mpl.rcParams["axes.prop_cycle"].by_key().get("color", [])
@@ -117,7 +117,7 @@ def _in_force() -> Any:
 
 
 def axes(ax: "Axes | None" = None) -> "Axes":
-    """`ax`, or where there is none an Axes of a new pyplot figure in the look, of column width unless that was changed."""
+    """Return `ax`, or the Axes of a new pyplot figure in the look, by default of column width."""
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
@@ -136,7 +136,7 @@ def new_figure(width: float, height: float) -> "Iterator[Figure]":
 
 
 def drawn(function: Draw) -> Draw:
-    """Let a drawing function that makes its own figure do all of it in the look."""
+    """Decorate a drawing function, so that it draws in the look where it makes its own figure."""
 
     @functools.wraps(function)
     def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
@@ -149,7 +149,7 @@ def drawn(function: Draw) -> Draw:
 
 
 def contrast(one: str, other: str) -> float:
-    """Contrast of two colours as WCAG 2 defines it, between 1 and 21.
+    """Compute the contrast of two colours by WCAG 2, between 1 and 21.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""The paper's claims, each measured: what it says, what the model gives, and whether the two agree.
+"""Measure the paper's claims: the claim, the criterion, the numbers found, and the verdict that follows from them.
 
-Everything is computed when it is asked for, at the parameters of the paper's Fig. 2 unless said otherwise: H/λc = 25, k/K = 0.03,
-ν = 0.3. A claim that does not hold is reported with the reason found.
+Everything is computed on demand, at the parameters of the paper's Fig. 2 unless stated otherwise: H/λc = 25, k/K = 0.03,
+ν = 0.3. Where a claim does not hold, the reason found is reported.
 """
 
 from slippulse_jax.paper.claims.claim import FAILS as FAILS

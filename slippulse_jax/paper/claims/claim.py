@@ -1,4 +1,4 @@
-"""A claim of the paper, what decides whether it holds, and what was found."""
+"""A claim of the paper, the criteria of its verdict, and its measurement."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple
@@ -13,7 +13,7 @@ FAILS: Verdict = "does not hold as worded"
 
 
 class Finding(NamedTuple):
-    """What was measured of one claim, and the verdict that its criteria give on that."""
+    """The numbers measured for one claim, and the verdict that follows from them."""
 
     measured: str
     verdict: Verdict
@@ -25,17 +25,17 @@ class Claim(NamedTuple):
     number: str
     says: str
     holds: str
-    limits: str  # empty where there is nothing between holding and failing
+    limits: str  # empty where a claim either holds or fails
     measure: Callable[[], Finding]
 
 
 def claim(number: str, *, holds: str, limits: str = "") -> Callable[[Callable[[], Finding]], Claim]:
-    """Make a measurement, whose docstring is what the paper says, a `Claim`."""
+    """Turn a measurement into a `Claim`; its docstring states the claim."""
     return lambda measure: Claim(number, (measure.__doc__ or "").rstrip("."), holds, limits, measure)
 
 
 def judge(holds: bool, within: bool = False) -> Verdict:
-    """Verdict of the two criteria."""
+    """Give the verdict of the two criteria."""
     return HOLDS if holds else WITHIN if within else FAILS
 
 

@@ -1,4 +1,4 @@
-"""Claims of the paper's discussion: what it expects of more than the first front on a uniform, quasi-static interface."""
+"""Claims of the paper's discussion: prestress, thresholds, repinning, inertia, distributions, series of precursors."""
 
 import jax
 import jax.numpy as jnp
@@ -20,16 +20,16 @@ from slippulse_jax.paper.claims.claim import Finding, claim, fig2, judge
 from slippulse_jax.slider import Slider
 
 ROUGHLY = 0.2
-"""Relative difference below which a number agrees that the paper gives as rough."""
+"""Largest relative difference from a number that the paper gives as rough."""
 SAME = 1.5
-"""Largest over smallest below which lengths are said to be about the same."""
+"""Largest ratio of lengths that are about the same."""
 
 
 @claim(
     "C8",
     holds="Λ rises with φ and is finite below φ_c = (1 + G_00)/2, the Griffith threshold of the lattice, and fronts never stop above it, "
     "at Fig. 2 and where b is small",
-    limits="so at Fig. 2",
+    limits="only at Fig. 2",
 )
 def prestress() -> Finding:
     """Prestress σ_0 lengthens Λ, and beyond a threshold the front never stops."""
@@ -108,7 +108,7 @@ def _pushed_to_nucleation(one: Chain) -> tuple[int, float]:
     "C11",
     holds="at every damping more contacts break than quasi-statically, and a chain that is pushed slowly breaks first at contact 0, at "
     "the static load to 1%",
-    limits="so without damping",
+    limits="only without damping",
 )
 def inertia() -> Finding:
     """Inertia lengthens Λ and leaves the nucleation as it is."""
@@ -197,7 +197,7 @@ def without_ageing() -> Finding:
 
 
 def _patches(events: Catalogue) -> list[int]:
-    """Into how many runs of neighbours the contacts fall that broke in each event."""
+    """Count the separate patches of neighbouring contacts that broke in each event."""
     site, event = np.asarray(events.break_site), np.asarray(events.break_event)
     return [int((np.diff(np.unique(site[event == e])) > 1).sum()) + 1 for e in range(len(events.breaks))]
 
@@ -230,7 +230,7 @@ def with_ageing() -> Finding:
     "C15",
     holds=f"breaks far apart in time give the quasi-static state to 1e-9 u_s, and Λ is that of the quasi-static model to {ROUGHLY:.0%} "
     "with instantaneous breaks at damping 0.3, 0.1 and 0, and for contacts that repin when their slip rate vanishes",
-    limits="breaks far apart in time do",
+    limits="only with breaks far apart in time",
 )
 def simulation() -> Finding:
     """A simulation with inertia agrees with the quasi-static model."""

@@ -10,9 +10,9 @@ from slippulse_jax.paper.claims.claim import Finding, Verdict, claim, fig2, judg
 from slippulse_jax.slider import Slider
 
 STRAIGHT = 0.99
-"""R² above which points are said to lie almost on a straight line."""
+"""Smallest R² of points that lie almost on a straight line."""
 CLOSE = 0.10
-"""Relative difference below which a formula agrees."""
+"""Largest relative difference of a formula that agrees."""
 LONG = 3.0
 """κΛ above which Λ ≫ 1/κ, where the paper expects its Eq. (25) to hold."""
 
@@ -29,7 +29,7 @@ def count() -> Finding:
 @claim(
     "C2",
     holds="on every broken contact u_t grows by less than 10% and u by a factor of 1.5 to 2",
-    limits="so on the contact where u grows most",
+    limits="only on the contact where u grows most",
 )
 def displacements() -> Finding:
     """As the front passes, u_t hardly changes while u almost doubles."""
@@ -58,7 +58,7 @@ def stress() -> Finding:
 
 
 def _straight(x: np.ndarray, lengths: np.ndarray) -> tuple[str, Verdict]:
-    """R² of a straight line through each row of lengths, with the sign of its slope, and what that makes of a claim."""
+    """R² of a straight line through each row of lengths, with the sign of its slope; and the verdict."""
     r = np.array([np.corrcoef(x, length)[0, 1] for length in lengths])
     r2 = r * abs(r)
     return f"R² = {', '.join(f'{one:.4f}' for one in r2)}", judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any()))
@@ -67,7 +67,7 @@ def _straight(x: np.ndarray, lengths: np.ndarray) -> tuple[str, Verdict]:
 @claim(
     "C4",
     holds=f"lengths lie on a rising straight line, R² > {STRAIGHT}, over H/λc = 10–50 at k/K = 0.003, 0.01 and 0.03",
-    limits="so at one of them",
+    limits="only at one of them",
 )
 def height() -> Finding:
     """Λ grows almost linearly with H."""
@@ -81,7 +81,7 @@ def height() -> Finding:
 @claim(
     "C5",
     holds=f"lengths lie on a rising straight line in ln(k/K), R² > {STRAIGHT}, over 0.003–0.03 at H/λc = 10, 25 and 50",
-    limits="so at one of them",
+    limits="only at one of them",
 )
 def stiffness() -> Finding:
     """Λ grows almost logarithmically with k/K."""
@@ -93,7 +93,7 @@ def stiffness() -> Finding:
     peaks = beyond[precursor_lengths(Slider(heights[:, None], beyond, 0.3)).argmax(axis=1)]
     text = (
         f"{r2}: the taller the slider, the more the line bends; Λ is largest at k/K = "
-        f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond, so that it is not monotonic"
+        f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond: Λ is not monotonic in k/K"
     )
     return Finding(text, verdict)
 
@@ -103,7 +103,7 @@ def stiffness() -> Finding:
     holds="ℓ differs by less than 1e-9 λc",
 )
 def threshold() -> Finding:
-    """Λ does not depend on σ_s, nor therefore on a uniform normal load."""
+    """Λ does not depend on σ_s, and therefore not on a uniform normal load."""
     at = [float(first_precursor(fig2(), interface=Profile(np.full(1, t))).length) for t in (0.1, 1.0, 10.0)]
     spread = max(at) - min(at)
     return Finding(f"thresholds of 0.1, 1 and 10: ℓ differs by {spread:.1e} λc", judge(spread < 1e-9))
@@ -112,7 +112,7 @@ def threshold() -> Finding:
 @claim(
     "C7",
     holds=f"both are within {CLOSE:.0%} of the lattice over H/λc = 10–50, k/K = 0.003–0.03",
-    limits=f"so where κΛ > {LONG:g}, the paper's own condition Λ ≫ 1/κ",
+    limits=f"only where κΛ > {LONG:g}, the paper's own condition Λ ≫ 1/κ",
 )
 def formulas() -> Finding:
     """Eqs. (58) and (25) agree with the numerics (Fig. 3)."""
@@ -121,8 +121,8 @@ def formulas() -> Finding:
     long = lattice * np.asarray(sliders.kappa) > LONG
     given = {"Eq. (25)": theory.length_eq25(sliders), "Eq. (58), corrected,": theory.length(sliders)}
     ratio = {name: np.asarray(length) / lattice for name, length in given.items()}
-    text = "; ".join(
-        f"{name} over the lattice {r.min():.3f} to {r.max():.3f}, where κΛ > {LONG:g} {r[long].min():.3f} to {r[long].max():.3f}"
+    text = ". ".join(
+        f"{name} relative to the lattice: {r.min():.3f} to {r.max():.3f}; where κΛ > {LONG:g}, {r[long].min():.3f} to {r[long].max():.3f}"
         for name, r in ratio.items()
     )
     off = [abs(r - 1) for r in ratio.values()]
@@ -140,9 +140,7 @@ def no_upper_layer() -> Finding:
     q, n = 0.03, 200
     a = np.diag(np.full(n, 2 + q)) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
     push = np.linalg.solve(a, np.eye(n)[0])  # u_1 … u_n per u_0
-    text = (
-        f"contact 1 carries {push[0]:.4f} σ_s when contact 0 breaks at u_0 = u_s, and as much after: u_0 is held, nothing moves"
-    )
+    text = f"contact 1 carries {push[0]:.4f} σ_s when contact 0 breaks at u_0 = u_s, and the same afterwards: u_0 is held, nothing moves"
     return Finding(text, judge(bool(push[0] < 1)))
 
 

@@ -1,4 +1,4 @@
-"""The table of the claims: measured one after the other, and as a page of the documentation."""
+"""The table of claims: measured one by one, and as a page of the documentation."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -30,16 +30,16 @@ class Result(NamedTuple):
 
 
 def examine(numbers: list[str] | None = None) -> Iterator[Result]:
-    """Measure the claims, in double precision, one after the other.
+    """Measure the claims one by one, in double precision; all by default.
 
     Raises
     ------
     ValueError
-        If there is no such claim.
+        If a number is not that of a claim.
     """
     for number in numbers or []:
         if number not in CLAIMS:
-            raise ValueError(f"no claim {number!r}: there are {', '.join(CLAIMS)}")
+            raise ValueError(f"no claim {number!r}: must be one of {', '.join(CLAIMS)}")
     for one in CLAIMS.values():
         if numbers is None or one.number in numbers:
             with jax.enable_x64(True):
@@ -49,13 +49,13 @@ def examine(numbers: list[str] | None = None) -> Iterator[Result]:
 
 
 def page(results: list[Result]) -> str:
-    """The table of claims as a page of the documentation."""
+    """Write the table of claims as a page of the documentation."""
     count = {verdict: sum(r.verdict == verdict for r in results) for verdict in (HOLDS, WITHIN, FAILS)}
     head = (
         "# The paper's claims, measured\n\n"
         "Written by `slippulse claims --write docs/claims.md`; every number is measured when the page is written, and every verdict "
         "follows from the numbers by the criterion stated beside it. Where the paper gives no number (*almost*, *roughly*), the "
-        "criterion is this project's. Unless said otherwise: $H/\\lambda_c = 25$, $k/K = 0.03$, $\\nu = 0.3$.\n\n"
+        "criterion is this project's. Unless stated otherwise: $H/\\lambda_c = 25$, $k/K = 0.03$, $\\nu = 0.3$.\n\n"
         f"{count[HOLDS]} hold, {count[WITHIN]} hold within limits, {count[FAILS]} does not hold as worded.\n\n"
         "| | the paper says | it holds if | measured | verdict |\n|---|---|---|---|---|\n"
     )
@@ -63,5 +63,5 @@ def page(results: list[Result]) -> str:
 
 
 def row(result: Result) -> str:
-    """One line of the page."""
+    """Format one line of the page."""
     return f"| {' | '.join(result)} |"
