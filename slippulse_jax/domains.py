@@ -1,4 +1,4 @@
-"""Where each number of the model may lie, written once; and the refusal of one that does not."""
+"""The domain of each number of the model, and the check that a value lies in it."""
 
 from typing import Any, NamedTuple
 
@@ -6,19 +6,19 @@ import numpy as np
 
 
 class Domain(NamedTuple):
-    """An interval, and what a user is told who leaves it."""
+    """An interval, and the message for a value outside."""
 
-    low: float  # never part of it
+    low: float  # excluded
     high: float
     requirement: str
-    closed: bool = False  # whether `high` is part of it
+    closed: bool = False  # whether `high` is included
 
     def holds(self, x: Any) -> Any:
-        """Whether `x` lies in it, element by element; for numbers, NumPy and JAX arrays, traced ones included."""
+        """Whether `x` lies in it, element by element; numbers, NumPy arrays, JAX arrays and tracers."""
         return (x > self.low) & ((x <= self.high) if self.closed else (x < self.high))
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse concrete values outside it, as `check_domain` does; traced ones cannot be looked at."""
+        """Check a value as `check_domain` does, unless it is traced."""
         from jax.core import Tracer  # here, because a table of measurements is read without JAX
 
         if not isinstance(value, Tracer):
@@ -36,12 +36,12 @@ THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the thresho
 
 
 def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
-    """Refuse values outside a domain, or not finite, naming the first and its index.
+    """Check that all values are finite and inside a domain.
 
     Raises
     ------
     ValueError
-        Name, value, index, and `requirement` as the user should read it.
+        With name, value and index of the first that is not, and `requirement`.
     """
     bad = ~(np.isfinite(value) & inside(value))
     if bad.any():

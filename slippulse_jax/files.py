@@ -1,4 +1,4 @@
-"""Files that are never half written."""
+"""Atomic writing of files."""
 
 import os
 import tempfile
@@ -6,14 +6,15 @@ from pathlib import Path
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write `content` to a temporary file beside `path`, flush it to disk, and put it in place in one step.
+    """Write a file whole or not at all.
 
-    Whatever happens on the way (a full disk, a kill), `path` holds either what it held before or all of `content`.
+    `content` goes to a temporary file beside `path`, is flushed to disk and renamed. Whatever interrupts this (a full disk, a
+    kill), `path` holds either its former content or all of the new.
 
     Raises
     ------
     OSError
-        If the folder does not exist or cannot be written; nothing is left behind.
+        If the folder does not exist or cannot be written; no temporary file is left.
     """
     path = Path(path)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")

@@ -1,7 +1,7 @@
-"""The interface: what loads, holds and re-forms the contacts of a uniform slider.
+"""The interface: prestress, thresholds and repinning of the contacts under a uniform slider.
 
-The paper's own interface is relaxed, uniform and repins at once; its Discussion asks what each of the three does to the
-first precursor. All three are exact in the fast recursion (`slippulse_jax.lattice.delayed`).
+The paper's own interface is relaxed, uniform and repins at once. Its Discussion asks how each of the three changes the first
+precursor; the fast recursion treats all three exactly.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -18,12 +18,12 @@ from slippulse_jax.units import Numbers, as_float, quantity_field
 
 
 def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
-    """Refuse concrete thresholds and prestresses of contacts, scalars or one a site, outside their domains.
+    """Check thresholds and prestresses of contacts, scalars or one per site, where they are not traced.
 
     Raises
     ------
     ValueError
-        Naming the value, with `owner` before its name, and the site.
+        If a value lies outside its domain, naming it after `owner`, and its site.
     """
     THRESHOLD.check(f"{owner}threshold", threshold)
     if isinstance(prestress, Tracer) or isinstance(threshold, Tracer):
@@ -62,11 +62,11 @@ class Interface(eqx.Module):
         φ = σ_0/σ_s, the stress every contact carries before the left edge is pushed (top shear), in σ_s; in (−1, 1),
         negative where the top is sheared against the push.
     threshold_slope : array_like
-        ε > −1, by which thresholds rise from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
-        threshold is down to the prestress, or to nothing: a front that gets there is running away (inf).
+        ε > −1, the rise of the threshold from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
+        threshold has fallen to the prestress, or to zero: a front that gets there runs away (inf).
     repin_delay : int
-        n, how many sites a broken contact stays detached for: contact i repins, at zero stretch, when contact i + n
-        breaks. 0 is the paper's immediate repinning.
+        n, the number of sites for which a broken contact stays detached: contact i repins, at zero stretch, when contact
+        i + n breaks. 0 is the paper's immediate repinning.
 
     Raises
     ------
@@ -78,8 +78,12 @@ class Interface(eqx.Module):
     `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
     """
 
-    prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi", "\\sigma_s", default=0.0, converter=as_float)
-    threshold_slope: Float[AnyArrayLike, "..."] = quantity_field("\\epsilon", "\\sigma_s", default=0.0, converter=as_float)
+    prestress: Float[AnyArrayLike, "..."] = quantity_field(
+        "\\varphi", "\\sigma_s", name="prestress of the contacts", default=0.0, converter=as_float
+    )
+    threshold_slope: Float[AnyArrayLike, "..."] = quantity_field(
+        "\\epsilon", "\\sigma_s", name="threshold gradient", default=0.0, converter=as_float
+    )
     repin_delay: int = eqx.field(default=0, static=True)
 
     if TYPE_CHECKING:  # what the converters take
@@ -97,7 +101,7 @@ class Interface(eqx.Module):
         return np.broadcast_shapes(np.shape(self.prestress), np.shape(self.threshold_slope))
 
     def in_domain(self) -> Array:
-        """Whether the values, traced ones included, are those of an interface."""
+        """Whether the values, traced ones too, lie in their domains."""
         return PRESTRESS.holds(jnp.asarray(self.prestress)) & THRESHOLD_SLOPE.holds(jnp.asarray(self.threshold_slope))
 
     def threshold_at(self, site: Array) -> Array:
@@ -109,34 +113,35 @@ class Interface(eqx.Module):
         return jnp.asarray(self.prestress) + 0.0 * site
 
     def last_site(self) -> Array:
-        """Where the threshold is down to the prestress, or to nothing, so that no contact holds; inf if nowhere."""
+        """Site where the threshold has fallen to the prestress, or to zero, so that no contact holds; inf if none."""
         falling = jnp.asarray(self.threshold_slope) < 0
         fall = jnp.where(falling, -jnp.asarray(self.threshold_slope), 1)
         return jnp.where(falling, (1 - jnp.maximum(self.prestress, 0)) / fall, jnp.inf)
 
 
 class Profile(eqx.Module):
-    """Contacts whose thresholds and prestress are given site by site.
+    """Contacts whose thresholds and prestress are given per site.
 
     Parameters
     ----------
     threshold : array_like, shape (n,)
         θ_i > 0, in σ_s; the last value holds for all sites beyond.
     prestress : array_like, shape () or (n,)
-        φ_i, in σ_s; likewise. Within (−θ_i, θ_i): beyond, a contact breaks before the slider is pushed.
+        φ_i, in σ_s; likewise. In (−θ_i, θ_i): beyond, a contact would break before the slider is pushed.
     repin_delay : int
         As for `Interface`.
 
     Raises
     ------
     ValueError
-        If a shape does not fit or a value lies outside its domain, naming it. Of values traced by JAX the lengths are NaN.
+        If a shape does not fit or a value lies outside its domain, naming it. Values traced by JAX are not checked:
+        lengths computed from invalid ones are NaN.
 
     Notes
     -----
-    The fast recursion takes a profile as it takes an `Interface`, for one slider. It follows the domino from the left edge:
-    where a contact further on is overloaded before its neighbours, or one behind the front breaks again, the general
-    cascade (`slippulse_jax.rupture` of a `slippulse_jax.chain` with the same profile) is the judge.
+    The fast recursion takes a profile as it takes an `Interface`, for one slider. It follows the domino from the left edge.
+    Where a contact far ahead is overloaded first, or one behind the front breaks again, use `slippulse_jax.rupture` of a
+    `slippulse_jax.chain` with the same profile.
     """
 
     threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s", converter=as_float)
@@ -150,7 +155,7 @@ class Profile(eqx.Module):
     def __check_init__(self) -> None:
         _check_delay(self)
         if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
-            raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with a value at least")
+            raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with at least one value")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):
             raise ValueError(
                 f"Profile.prestress has shape {np.shape(self.prestress)}: must be () or {np.shape(self.threshold)}"
@@ -163,7 +168,7 @@ class Profile(eqx.Module):
         return ()
 
     def in_domain(self) -> Array:
-        """Whether the values, traced ones included, are those of a profile."""
+        """Whether the values, traced ones too, lie in their domains."""
         threshold = jnp.asarray(self.threshold)
         return (THRESHOLD.holds(threshold) & (jnp.abs(jnp.asarray(self.prestress)) < threshold)).all()
 
@@ -182,5 +187,5 @@ class Profile(eqx.Module):
         return self._at(self.prestress, site)
 
     def last_site(self) -> Array:
-        """There is none: the last values hold for ever."""
+        """None (inf): the last values hold for all sites beyond."""
         return jnp.asarray(jnp.inf)

@@ -1,11 +1,11 @@
-"""Results as plain Python values, for JSON and the next program."""
+"""Results as plain Python values, for JSON."""
 
 import math
 from typing import Any
 
 
 def plain(content: Any) -> Any:
-    """The same with arrays and tuples as lists, and None for every number that is not finite: JSON has no word for it."""
+    """Convert arrays and tuples to lists, and numbers that are not finite to None, for which JSON has no other word."""
     if isinstance(content, dict):
         return {name: plain(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):

@@ -1,4 +1,4 @@
-"""What a λ-contact does at its threshold."""
+"""Break rules: what a λ-contact does at its threshold."""
 
 from typing import Any
 
@@ -15,11 +15,11 @@ from slippulse_jax.units import quantity_field
 
 
 class HardBreak(eqx.Module):
-    """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once with zero stretch."""
+    """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch."""
 
 
 class SmoothBreak(eqx.Module):
-    """A λ-contact whose micro-junctions do not all have the same threshold: the part that has reached its own breaks.
+    """A λ-contact of many micro-junctions with thresholds of their own; those that reach theirs break.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ class SmoothBreak(eqx.Module):
 
         p(t) = [σ((t − θ)/w) − σ(−θ/w)] / σ(θ/w),        σ(x) = 1/(1 + e^{−x}),
 
-    of them breaks and repins with zero stretch, so that the contact gives up the stress p t. p → 1 [t ≥ θ] as w → 0.
+    of them breaks and repins at zero stretch, so that the contact releases the stress p t. p → 1 [t ≥ θ] as w → 0.
 
-    Another law is a class derived from this one, with `broken` and `overloaded_length` of its own, called with scalars. It may
-    have further fields: a number takes part in batches and derivatives as the width does; anything else is
+    For another law, derive a class with `broken` and `overloaded_length` of its own; both are called with scalars. Further
+    fields that are numbers take part in batches and derivatives as the width does; any other field must be
     ``equinox.field(static=True)``, and hashable.
     """
 
-    width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", default=0.01)
+    width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", name="width of the smooth break rule", default=0.01)
 
     def __check_init__(self) -> None:
         if not isinstance(self.width, Tracer):
@@ -54,7 +54,7 @@ class SmoothBreak(eqx.Module):
                 raise ValueError(f"SmoothBreak.width = {self.width}: must lie in [1e-6, 1], in σ_s")
 
     def broken(self, stress: Array, threshold: Array) -> Array:
-        """p(t), the fraction of a contact's junctions that break under a stress; 0 without stress or under a negative one."""
+        """p(t), the fraction of a contact's junctions that break under a stress; 0 where the stress is not positive."""
         w = jnp.asarray(self.width)
         pulled = jnp.where(stress > 0, stress, 0)
         # σ(a) − σ(b) = σ(a) σ(−b) (1 − e^{b−a}): no difference of near equals, so that p is exact down to t = 0; the
@@ -62,9 +62,9 @@ class SmoothBreak(eqx.Module):
         return jnp.where(stress > 0, sigmoid((pulled - threshold) / w) * -jnp.expm1(-pulled / w), 0)
 
     def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
-        """∫ p(t(x)) dx from one contact to the next, with t − θ and t linear in between; in λc.
+        """∫ p(t(x)) dx from one contact to the next, with t and t − θ linear in between; in λc.
 
-        For w → 0: the length over which the stress exceeds the threshold. Without the cut-off at zero it is
+        As w → 0, the length over which the stress exceeds the threshold. Without the cut-off at zero it is
         [S(b) − S(a)]/(b − a), with S(x) = ln(1 + e^x) and a, b = (t − θ)/w at the two ends.
         """
         w = jnp.asarray(self.width)
@@ -96,7 +96,7 @@ NUMBER = (jax.Array, np.ndarray, np.generic, int, float)
 
 
 def check_rule(rule: Any, *, one: bool = False) -> None:
-    """Refuse what is no break rule, and a rule of one's own of which a part would not be used.
+    """Check that `rule` is a break rule and that all its methods are used.
 
     Parameters
     ----------
@@ -107,10 +107,10 @@ def check_rule(rule: Any, *, one: bool = False) -> None:
     Raises
     ------
     TypeError
-        If it is no rule; or a class derived from `SmoothBreak` that has a field that is neither a number nor static, or
-        that says anew which fraction breaks but not its mean between two contacts.
+        If it is no rule, or if a class derived from `SmoothBreak` has a field that is neither a number nor static, or
+        overrides `broken` without `overloaded_length`.
     ValueError
-        If it is a batch, and must not be.
+        If it is a batch where a single rule is needed.
     """
     if type(rule) is HardBreak:
         return
@@ -118,15 +118,15 @@ def check_rule(rule: Any, *, one: bool = False) -> None:
     if not isinstance(rule, SmoothBreak):
         raise TypeError(f"rule = {rule!r}: must be HardBreak(), or SmoothBreak(width) or a rule derived from it")
     if _depth(rule, "broken") < _depth(rule, "overloaded_length"):
-        raise TypeError(f"{name} has its own `broken`, but not its mean between two contacts, `overloaded_length`: write both")
+        raise TypeError(f"{name} overrides `broken` but not `overloaded_length`, its mean between two contacts: write both")
     for path, value in jax.tree_util.tree_leaves_with_path(rule):
         field = name + jax.tree_util.keystr(path)
         if not isinstance(value, NUMBER):
             raise TypeError(f"{field} = {value!r}: must be a number or an array, or equinox.field(static=True)")
         if one and np.shape(value):
-            raise ValueError(f"{field} has shape {np.shape(value)}: one rule is taken here; use jax.vmap for several")
+            raise ValueError(f"{field} has shape {np.shape(value)}: must be one rule; use jax.vmap for several")
 
 
 def _depth(rule: SmoothBreak, method: str) -> int:
-    """How many classes up from that of `rule` the method is defined."""
+    """Number of classes between that of `rule` and the one that defines the method."""
     return next(i for i, ancestor in enumerate(type(rule).__mro__) if method in vars(ancestor))

@@ -1,4 +1,4 @@
-"""The slider: three numbers, and every stiffness and inverse length that follows from them.
+"""The slider: three numbers, and the stiffnesses and inverse lengths that follow from them.
 
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
@@ -35,12 +35,12 @@ class Slider(eqx.Module):
     ------
     ValueError
         If a value lies outside its domain or is not finite, naming field, value and index; or if the shapes do not
-        broadcast. Values traced by JAX cannot be looked at: there the lengths computed from them are NaN instead.
+        broadcast. Values traced by JAX are not checked: lengths computed from invalid ones are NaN.
 
     Notes
     -----
-    The three broadcast against each other: a `Slider` of arrays is a batch of sliders, and a pytree, so that
-    ``jax.vmap`` and ``jax.grad`` work through it.
+    The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
+    and ``jax.grad`` work through it.
 
     Examples
     --------
@@ -49,9 +49,9 @@ class Slider(eqx.Module):
     0.0201 per λc
     """
 
-    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", converter=as_float)
-    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", converter=as_float)
-    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", converter=as_float)
+    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", "height of the slider, H/λc", converter=as_float)
+    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K", converter=as_float)
+    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
 
     if TYPE_CHECKING:  # what the converters take
 
@@ -137,7 +137,7 @@ class Slider(eqx.Module):
     @property
     @quantity("b", "1", "cra42")
     def b(self) -> Array:
-        """Contact over transverse stiffness, k/K_T: the one number of the macroscopic limit."""
+        """Contact over transverse stiffness, k/K_T: the only parameter of the macroscopic limit."""
         return 2 * (1 + jnp.asarray(self.poisson)) * self.stiffness * self.height
 
     @property
@@ -155,19 +155,19 @@ class Slider(eqx.Module):
     @property
     @quantity("\\kappa", "1/\\lambda_c", "cra10")
     def kappa(self) -> Array:
-        """Inverse screening length of the interfacial layer on a rigid upper one."""
+        """Inverse screening length of the interfacial layer under a rigid upper layer."""
         return jnp.sqrt(self.stiffness + self.K_T)
 
     @property
     @quantity("\\kappa_T", "1/\\lambda_c", "cra10")
     def kappa_T(self) -> Array:
-        """Inverse screening length of the upper layer on a rigid interfacial one."""
+        """Inverse screening length of the upper layer on a rigid interfacial layer."""
         return jnp.sqrt(self.K_T / self.K_L)
 
     @property
     @quantity("\\sqrt{\\mathcal D}", "1/\\lambda_c^2", "cra18")
     def mode_splitting(self) -> Array:
-        """κ_1² − κ_2², as a sum of positive terms: D = (κ² − κ_T²)² + 4βκ²κ_T², with βκ² = K_T/K."""
+        """κ_1² − κ_2², a sum of positive terms: D = (κ² − κ_T²)² + 4βκ²κ_T², with βκ² = K_T/K."""
         coupling = self.K_T
         return jnp.sqrt((coupling + self.stiffness - self.kappa_T**2) ** 2 + 4 * self.kappa_T**2 * coupling)
 
@@ -199,7 +199,7 @@ class Slider(eqx.Module):
         return self._excess_over_contacts / self.kappa_1**2
 
     def driving_stress(self, upper: Real, layer: Real) -> Array:
-        """σ_d = K_T(u_t − u)/λc², by which the upper layer drives the interfacial one, in σ_s; label cra07.
+        """Stress σ_d = K_T(u_t − u)/λc² by which the upper layer drives the interfacial one, in σ_s; label cra07.
 
         Parameters
         ----------
@@ -222,20 +222,20 @@ class Slider(eqx.Module):
 
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:
-    """The fields of `slider` and `others`, of one floating type, and of one rank but for scalars; not broadcast."""
+    """The fields of `slider` and `others` in one floating type and, but for scalars, of one rank; not broadcast."""
     values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
     rank, dtype = max(x.ndim for x in values), jnp.result_type(float, *values)
     return [x.astype(dtype).reshape((1,) * (rank - x.ndim) * (x.ndim > 0) + x.shape) for x in values]
 
 
 def broadcast(slider: Slider, *others: Any) -> list[Array]:
-    """The fields of `slider` and `others`, of one shape and one floating type."""
+    """The fields of `slider` and `others`, broadcast, in one floating type."""
     return list(jnp.broadcast_arrays(*of_one_type(slider, *others)))
 
 
 def each_slider(function: Any, slider: Slider, *others: Any) -> Any:
-    """``function(slider, *others)``, written for one slider and scalars, over all that broadcast together.
+    """Map ``function(slider, *others)``, written for one slider and scalars, over arrays that broadcast together.
 
-    What depends on the slider alone is worked out once for each slider: `jnp.vectorize` maps only the axes an argument has.
+    What depends on the slider alone is computed once per slider: `jnp.vectorize` maps only the axes that an argument has.
     """
     return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*of_one_type(slider, *others))

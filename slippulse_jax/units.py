@@ -1,4 +1,4 @@
-"""What a number is: symbol, unit and where the paper defines it, kept on the field or property that holds it; and its type."""
+"""Symbols, units and names of quantities, kept on the fields and properties that hold them; conversions to SI."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,22 +12,35 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 Numbers = Array | ArrayLike
-"""A number or many: what a constructor takes, sequences among them, and holds as an array."""
+"""What a constructor takes for a number or many, sequences too."""
+
+SI = {"N_per_mm": 1e3, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
+"""Units in which names of columns and options end, in SI."""
+
+
+def split_unit(name: str) -> tuple[str, float]:
+    """Split the unit off a name: ``height_mm`` is the height in units of 1e-3 m; without a unit the factor is 1."""
+    for unit, size in SI.items():
+        if name.lower().endswith("_" + unit.lower()):
+            return name[: -len(unit) - 1], size
+    return name, 1.0
+
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Quantity(NamedTuple):
-    """Symbol as printed in the paper, unit, and the LaTeX label(s) of the defining equation(s)."""
+    """What a number means."""
 
-    symbol: str
+    symbol: str  # as printed in the paper
     unit: str
-    label: str = ""
+    label: str = ""  # LaTeX label of the defining equation, or several
+    name: str = ""  # in words, for the axes of sweeps
 
 
-def quantity_field(symbol: str, unit: str, label: str = "", **kwargs: Any) -> Any:
+def quantity_field(symbol: str, unit: str, label: str = "", name: str = "", **kwargs: Any) -> Any:
     """Dataclass field that carries its `Quantity`."""
-    return eqx.field(metadata={"quantity": Quantity(symbol, unit, label)}, **kwargs)
+    return eqx.field(metadata={"quantity": Quantity(symbol, unit, label, name)}, **kwargs)
 
 
 def quantity(symbol: str, unit: str, label: str = "") -> Callable[[F], F]:
@@ -41,7 +54,7 @@ def quantity(symbol: str, unit: str, label: str = "") -> Callable[[F], F]:
 
 
 def quantities(cls: type) -> dict[str, Quantity]:
-    """Every field and property of `cls` that carries a `Quantity`, by name, in order of definition."""
+    """Quantities of the fields and properties of `cls`, by name, in order of definition."""
     found = {f.name: f.metadata["quantity"] for f in dataclasses.fields(cls) if "quantity" in f.metadata}
     for name, value in vars(cls).items():
         mark = getattr(getattr(value, "fget", None), "quantity", None)
@@ -51,7 +64,7 @@ def quantities(cls: type) -> dict[str, Quantity]:
 
 
 def as_float(x: Any) -> Any:
-    """Leave JAX arrays (tracers included) to JAX; hold anything else in float64 until JAX asks for it."""
+    """Convert to floating point: JAX arrays and tracers in their own precision, anything else to NumPy float64."""
     if isinstance(x, jax.Array):
         return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     return np.asarray(x, dtype=np.float64)

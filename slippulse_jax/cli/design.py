@@ -87,6 +87,8 @@ def command(
 
 def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
     """The conditions of the candidates, as `design` takes them."""
+    from slippulse_jax.units import split_unit
+
     forms = {"plain": ("height", "sigma"), "si": ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")}
     chosen = [name for name, columns in forms.items() if any(given[c] is not None for c in columns)]
     if len(chosen) > 1:
@@ -95,11 +97,10 @@ def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
     missing = ["--" + c.replace("_", "-") for c in columns if given[c] is None]
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
-    units = {"mm": 1e-3, "um": 1e-6, "gpa": 1e9}
     result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}
     for column in columns:
-        name, _, unit = column.rpartition("_") if column.split("_")[-1] in units else (column, "", "")
-        result[name] = [x * units.get(unit, 1.0) for x in given[column] or []]
+        name, size = split_unit(column)
+        result[name] = [x * size for x in given[column] or []]
     return result
 
 

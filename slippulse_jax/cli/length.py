@@ -63,19 +63,15 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     from slippulse_jax.lattice.modes import check_right_end, lattice_modes
     from slippulse_jax.slider import Slider
     from slippulse_jax.status import NotConverged, Outcome
+    from slippulse_jax.units import split_unit
 
     try:
         check_right_end(right, sites)
         if "height" in form:
             slider = Slider(form["height"], form["stiffness"], poisson)
         else:
-            slider = Slider.from_material(
-                height=form["height_mm"] * 1e-3,
-                correlation_length=form["correlation_length_um"] * 1e-6,
-                areal_stiffness=form["areal_stiffness"],
-                poisson=poisson,
-                young=form["young_gpa"] * 1e9,
-            )
+            in_si = {name: form[option] * size for option in SI for name, size in [split_unit(option)]}
+            slider = Slider.from_material(**in_si, poisson=poisson)
     except ValueError as error:
         refuse(error)
     ended, load = jax.jit(  # one program: step by step JAX would compile sixty

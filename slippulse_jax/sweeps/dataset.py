@@ -14,7 +14,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from slippulse_jax.sweeps.outputs import OUTPUTS
-from slippulse_jax.sweeps.request import LONG_NAMES, PARAMETERS, Columns, Request
+from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request
 from slippulse_jax.sweeps.store import Store, StoreError, current_versions
 
 OPEN_CHUNKS = 8
@@ -115,8 +115,8 @@ def _dataset(request: Request, data: dict[str, Any], about: dict[str, Any]) -> x
 
 
 def _parameter(name: str) -> dict[str, Any]:
-    symbol, unit, label = PARAMETERS[name]
-    about = {"long_name": LONG_NAMES[name], "units": unit, "symbol": symbol}
+    symbol, unit, label, long_name = PARAMETERS[name]
+    about = {"long_name": long_name, "units": unit, "symbol": symbol}
     return about | ({"equation": label} if label else {})
 
 

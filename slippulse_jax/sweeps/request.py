@@ -19,19 +19,9 @@ Columns = dict[str, np.ndarray]
 """Values by name of parameter or output, one per point."""
 
 SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
-INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites")}
+INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name="delay before a contact repins")}
 PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak)}
 """Parameters that can be swept, in the order of the axes."""
-
-LONG_NAMES = {
-    "height": "height of the slider, H/λc",
-    "stiffness": "contact stiffness, k/K",
-    "poisson": "Poisson's ratio",
-    "prestress": "prestress of the contacts",
-    "threshold_slope": "threshold gradient",
-    "repin_delay": "delay before a contact repins",
-    "width": "width of the smooth break rule",
-}
 
 
 class Request(NamedTuple):
