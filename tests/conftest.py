@@ -20,6 +20,11 @@ import hypothesis
 import jax
 import pytest
 
+if os.environ.get("SLIPPULSE_CHECK_SHAPES"):  # of every array that passes between functions
+    import shapes
+
+    shapes.install()
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

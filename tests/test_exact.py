@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 from oracles.lattice_mp import Chain, random_sliders
+from problems import PRESTRESSED, REFERENCE, RUNAWAY
 
 import slippulse_jax as sp
 from slippulse_jax import double_series
@@ -103,31 +104,21 @@ def test_degree_kept():
         assert max(abs(t(s) / reference(s) - 1) for s in (0, 0.5, 2, 7)) < bound
 
 
-@pytest.mark.parametrize(
-    ("height", "stiffness", "contacts", "kinked", "load"),
-    [
-        (10, 0.03, 10, 9.722, 2.0197),
-        (25, 0.03, 26, 25.790, 3.1985),
-        (50, 0.03, 52, 51.393, 5.1521),
-        (25, 0.01, 22, 21.637, 1.7977),
-        (25, 0.003, 16, 15.022, 1.2770),
-        (50, 0.003, 35, 34.651, 1.4736),
-    ],
-)
-def test_whole_contacts_and_load_of_the_reference_table(height, stiffness, contacts, kinked, load):
-    front = exact_front(sp.Slider(height, stiffness, 0.3))
-    assert front.contacts_broken == contacts
-    np.testing.assert_allclose(front.load, load, atol=5e-5)
-    assert abs(front.length - kinked) < 5e-3
+@pytest.mark.parametrize("known", REFERENCE)
+def test_length_contacts_and_load_of_the_reference_table(known):
+    front = exact_front(sp.Slider(*known.slider))
+    assert front.contacts_broken == known.contacts
+    np.testing.assert_allclose(front.length, known.exact_length, rtol=1e-11)
+    np.testing.assert_allclose(front.load, known.load, rtol=1e-11)
 
 
 def test_prestress_sequence_and_runaway():
-    phi = np.array([0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, 0.54])
-    length, contacts_broken, load, status = fronts(*([25.0, 0.03, 0.3, p, 0.0] for p in phi))
-    np.testing.assert_allclose(load, 3.1985 * (1 - phi), rtol=2e-5)
-    assert list(contacts_broken) == [30, 34, 42, 56, 71, 107, 204, -1]
+    known = [*PRESTRESSED, RUNAWAY]
+    length, contacts_broken, load, status = fronts(*([*x.slider, x.prestress, 0.0] for x in known))
+    np.testing.assert_allclose(length, [x.exact_length for x in known], rtol=1e-10)
+    np.testing.assert_allclose(load, [x.load for x in known], rtol=1e-10)
+    assert list(contacts_broken) == [x.contacts for x in known]
     assert status[-1] == Outcome.RUN_AWAY
-    assert np.isinf(length[-1])
 
 
 def against_recursion(sliders, count):

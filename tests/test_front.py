@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 from oracles.lattice_mp import Chain
+from problems import REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
@@ -14,24 +15,14 @@ from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.precursor import FrontNotArrested
 from slippulse_jax.status import Outcome
 
-# physics of the paper's numerics, semi-infinite, ν = 0.3: H/λc, k/K, s0, ℓ, U0
-PRINTED = [
-    (10, 0.03, 10, 9.722, 2.0197),
-    (25, 0.03, 26, 25.790, 3.1985),
-    (50, 0.03, 52, 51.393, 5.1521),
-    (25, 0.01, 22, 21.637, 1.7977),
-    (25, 0.003, 16, 15.022, 1.2770),
-    (50, 0.003, 35, 34.651, 1.4736),
-]
 
-
-@pytest.mark.parametrize(("height", "stiffness", "count", "length", "load"), PRINTED)
-def test_reference_values(height, stiffness, count, length, load):
-    front = first_precursor(Slider(height, stiffness, 0.3))
-    assert int(front.contacts_broken) == count
-    assert round(float(front.length), 3) == length
-    assert round(float(front.load), 4) == load
-    assert int(front.status) == Outcome.ARRESTED
+@pytest.mark.parametrize("known", REFERENCE)
+def test_reference_values(known):
+    front = first_precursor(Slider(*known.slider))
+    assert int(front.contacts_broken) == known.contacts
+    assert abs(front.length - known.length) < 1e-11 * known.length
+    assert abs(front.load - known.load) < 1e-11 * known.load
+    assert int(front.status) == Outcome[known.status]
 
 
 def random_sliders(count, seed):

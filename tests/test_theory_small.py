@@ -110,7 +110,8 @@ def test_continuum_at_both_levels(x):
         assert abs(float((t(at) - 1) / mp.diff(t, at) / at)) < 1e-10
     if np.isfinite(frozen):
         at = mp.mpf(float(frozen))
-        assert abs(float((line.frozen(at) - 1) / mp.diff(line.frozen, at) / at)) < 1e-10
+        stress = line.frozen(at)
+        assert abs(float((stress - 1) / line.frozen_slope(at, stress) / at)) < 1e-10
 
 
 def eq58_against_line(sliders):
@@ -137,5 +138,7 @@ def test_edge_and_tail_that_eq58_is_fitted_to_are_those_of_the_integrated_stress
     first, slope, far = line.edge_and_tail()
     step = mp.mpf(10) ** -12
     assert abs(line.frozen(step) / first - 1 - slope * step) < 1e-20
+    at = 3 / line.kappa
+    assert relative(line.frozen_slope(at, line.frozen(at)), mp.diff(line.frozen, at)) < 1e-15
     s = 100 / line.kappa
     assert relative(line.frozen(s) * mp.exp(line.k[1] * s), far) < 1e-15

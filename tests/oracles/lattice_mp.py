@@ -168,13 +168,22 @@ class Line:
         first = (1 + self.q / (k + k**2)) * mp.exp(grown(s) - k * s)
         return first + mp.quad(source, points)
 
-    def edge_and_tail(self):
-        """t(0), t'(0)/t(0) and 𝒜 of t → 𝒜e^{−κ_2 s}, from t' = −κt + ½(1−β)κ(1 + even e^{−2κs})t + drive e^{−κ_2 s}."""
-        k, k2, KT, half = self.kappa, self.k[1], self.KT, (1 - self.beta) * self.kappa / 2
+    def frozen_slope(self, s, t):
+        """t' where the frozen front stress is t, from its own equation: t' = −κt + ½(1−β)κ(1 + even e^{−2κs})t + drive e^{−κ_2 s}."""
+        k, k2 = self.kappa, self.k[1]
+        half, even = (1 - self.beta) * k / 2, (1 - k) / (1 + k)
+        return (half * (1 + even * mp.exp(-2 * k * s)) - k) * t + self._drive() * mp.exp(-k2 * s)
+
+    def _drive(self):
+        k, k2, KT = self.kappa, self.k[1], self.KT
         p = self.beta * k**2 / (k**2 - k2**2)
-        drive = p / (p + (KT - p * (k2 + k**2)) / (k + k**2)) * (k - k2)
+        return p / (p + (KT - p * (k2 + k**2)) / (k + k**2)) * (k - k2)
+
+    def edge_and_tail(self):
+        """t(0), t'(0)/t(0) and 𝒜 of t → 𝒜e^{−κ_2 s}."""
+        k, k2, half, drive = self.kappa, self.k[1], (1 - self.beta) * self.kappa / 2, self._drive()
         first = 1 + self.q / (k + k**2)
-        return first, drive / first - k + half * (1 + (1 - k) / (1 + k)), drive / (k - k2 - half)
+        return first, self.frozen_slope(mp.mpf(0), first) / first, drive / (k - k2 - half)
 
     def fitted_length(self):
         """Eq. (58) by labels cra57a–cra58, without any Ψ or A of the Appendix; nan where there is none."""
