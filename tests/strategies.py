@@ -14,22 +14,20 @@ from slippulse_jax import domains
 
 
 class Range(NamedTuple):
-    """Part of a domain, evenly or on a logarithmic scale, counted from `origin`."""
+    """Part of a domain, from one end to the other, evenly or on a logarithmic scale."""
 
     domain: domains.Domain
-    low: float
-    high: float
+    start: float
+    end: float
     log: bool = False
-    origin: float = 0.0
 
     def at(self, u):
         """The number a fraction `u` of the way."""
-        x = self.low * (self.high / self.low) ** u if self.log else self.low + (self.high - self.low) * u
-        return self.origin + x
+        return self.start * (self.end / self.start) ** u if self.log else self.start + (self.end - self.start) * u
 
 
 HEIGHT = Range(domains.HEIGHT, 2.0, 1e5, log=True)
-STIFFNESS = Range(domains.STIFFNESS, 1e-6, 1.0, log=True)
+STIFFNESS = Range(domains.STIFFNESS, 1.0, 1e-6, log=True)
 POISSON = Range(domains.POISSON, 0.0, 0.5)
 SLIDER = HEIGHT, STIFFNESS, POISSON
 """The domain the toolkit answers for."""
@@ -46,11 +44,6 @@ THRESHOLD_SLOPE = Range(domains.THRESHOLD_SLOPE, -0.002, 0.01)
 THRESHOLD = Range(domains.THRESHOLD, 0.85, 1.15)
 
 
-def beyond_one(low, high):
-    """H/λc from the very edge of its domain: H/λc − 1 on a logarithmic scale."""
-    return Range(domains.HEIGHT, low, high, log=True, origin=1.0)
-
-
 def sample(count, seed, *ranges):
     """Rows of `count` numbers from each range, all of them inside its domain; SLIDER where no range is given."""
     ranges = ranges or SLIDER
@@ -59,6 +52,11 @@ def sample(count, seed, *ranges):
     )
     assert all(one.domain.holds(row).all() for one, row in zip(ranges, rows, strict=True))
     return rows
+
+
+def random_sliders(count, seed):
+    """Sliders of the whole domain, (H/λc, k/K, ν) in the last axis."""
+    return sample(count, seed).T
 
 
 def numbers(one):

@@ -6,8 +6,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles import dense_chain
-from oracles.lattice_mp import Chain, random_sliders
+from oracles.lattice_mp import Chain
 from problems import PRESTRESSED, REFERENCE, RUNAWAY
+from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series

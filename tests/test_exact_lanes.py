@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from oracles.lattice_mp import random_sliders
+from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.exact import exact_front, exact_length

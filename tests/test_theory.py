@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles.lattice_mp import random_sliders
 from scipy.integrate import quad, solve_ivp
+from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import theory

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from oracles.lattice_mp import Chain, Line, random_sliders
+from oracles.lattice_mp import Chain, Line
+from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import theory

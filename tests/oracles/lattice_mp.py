@@ -3,14 +3,6 @@
 from itertools import product
 
 import mpmath as mp
-import numpy as np
-
-
-def random_sliders(count, seed):
-    """H/λc 2–10⁵ and k/K 1e-6–1 log-uniform, ν 0–0.5: the domain the toolkit answers for."""
-    rng = np.random.default_rng(seed)
-    u = rng.uniform(size=(3, count))
-    return np.stack([2 * 5e4 ** u[0], 1e-6 ** u[1], u[2] / 2], axis=1)
 
 
 class Chain:
