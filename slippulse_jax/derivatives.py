@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-Function = Callable[[Float[Array, " n"]], Float[Array, "..."]]
+Function = Callable[..., Float[Array, "..."]]
 
 
 def by_forward_mode(f: Function) -> Function:
@@ -20,7 +20,8 @@ def by_forward_mode(f: Function) -> Function:
     Parameters
     ----------
     f : callable
-        From a vector of n parameters to an array; differentiable forward.
+        From arrays, of n numbers in all, to an array; differentiable forward. Under ``vmap`` an argument without the mapped
+        axis stays without it: what depends on it alone is computed once.
 
     Returns
     -------
@@ -28,16 +29,17 @@ def by_forward_mode(f: Function) -> Function:
         The same function, with derivatives. Differentiating costs one pass with n tangents whatever the mode.
     """
 
-    def value_and_jacobian(theta: Float[Array, " n"]) -> Float[Array, "... n+1"]:
-        jacobian, value = jax.jacfwd(lambda x: (f(x),) * 2, has_aux=True)(theta)
-        return jnp.concatenate([value[..., None], jacobian], axis=-1)
+    def value_and_jacobian(*arguments: Array) -> Float[Array, "... n+1"]:
+        every = tuple(range(len(arguments)))
+        jacobians, value = jax.jacfwd(lambda *x: (f(*x),) * 2, argnums=every, has_aux=True)(*arguments)
+        return jnp.concatenate([value[..., None], *(x.reshape(*value.shape, -1) for x in jacobians)], axis=-1)
 
     differentiable = jax.custom_jvp(f)
 
     @differentiable.defjvp
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
         both = by_forward_mode(value_and_jacobian)(*primals)
-        return both[..., 0], both[..., 1:] @ tangents[0]
+        return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents])
 
     return differentiable
 

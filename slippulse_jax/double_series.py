@@ -1,283 +1,472 @@
-"""The solution of the front's recursion, as a double power series: its coefficients, and its sums at any real s.
+r"""The solution of the front's recursion as a double power series, for any number of fronts at once.
 
 The recursion of `slippulse_jax.lattice.front`, written for the two parts V_m of the stress t = φ + V_1 + V_2 ahead of the
 front (φ a uniform prestress), is a linear q-difference system,
 
-    V(s+1) = A V(s) + r w φ + Σ_mn r_m R_mn (r_m r_n)^s t(s) e_m,      A = diag(r) (1 + w 1ᵀ),     V(0) = (1 − φ) C,
+    V(s+1) = A V(s) + r w φ + Σ_mn r_m R_mn (r_m r_n)^s t(s) e_m,      A = diag(r) (1 + w 1ᵀ),
 
-solved by sums of μ^s with μ = start · r_1^a r_2^b, a + b even. Inserting a term at μ asks for (μ − A) V_ab = g_ab, the
-reflection of the terms two degrees below; the starts are the eigenvalues ρ_1 < ρ_2 of A, and 1 for the prestress.
-`docs/exact_solution.md` derives all that follows.
+solved by sums of μ^s with μ = start · (r_2²)^k (r_1/r_2)^a, 0 ≤ a ≤ 2k. The starts are the eigenvalues ρ_1 < ρ_2 of A, and 1
+where there is a prestress. For the stress alone,
 
-**Resonance.** μ may meet the eigenvalue ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one b = 2n nearest to it
-(because the others are a factor r_2² apart). There the plain series has a pole, cancelled by another in front of ρ_1^s.
-So that term is written with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}, which is regular:
-n = 0 covers coalescing roots. The choice of n does not change the sum, only the rounding.
+    t(s) = Σ_j c_j Σ_ka τ^j_ka μ^s,    τ_ka = [g_1 (μ − r_2) + g_2 (μ − r_1)] / [(μ − ρ_1)(μ − ρ_2)],
+    g_1 = r_1 (R_11 τ_{k−1,a−2} + R_12 τ_{k−1,a−1}),    g_2 = r_2 (R_21 τ_{k−1,a−1} + R_22 τ_{k−1,a}),
 
-**Layout.** Terms are held as k = (a + b)/2 by a, since r_1^a r_2^b = (r_2²)^k (r_1/r_2)^a; entries with a > 2k are zero.
+with amplitudes c_j from t(0) and t(1) − t(0). `docs/exact_solution.md` derives all of it.
+
+**Lanes are last** in every array, in as many axes as the caller likes: none for one front. The table of a lane ends at the
+first row k whose moduli add up to less than `ROW_TOLERANCE` of the first row's; from there on it has rows of zeros, so that a
+lane never depends on its neighbours.
+
+**Resonance.** μ may meet ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one k = n nearest to it (because the others
+are a factor r_2² apart). There the plain series has a pole, cancelled by another in front of ρ_1's own series. A `regular`
+table writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing
+roots, and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in and reports in `Series.sound` the few
+lanes whose digits it costs.
 
 Everything is built from the small numbers 1 − r_m, 1 − ρ_j and from decay rates −ln μ, never from r_m and ρ_j themselves:
-for tall sliders these agree with 1 to eight digits.
+for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_jax.theory`) differences become derivatives:
+κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-DEGREE = 28
-"""Largest a + b kept: what is left out is below 1e-12 (measured; docs/exact_solution.md), largest at s = 0."""
+ROW_TOLERANCE = 5e-13
+"""Moduli of the last row of a lane relative to those of its first; rows shrink to an eighth or less from there on."""
 
-Pair = tuple[Array, Array]  # V_1, V_2
-Terms = Float[Array, "k a"]
+ROWS = 17
+"""Rows of the longest table: degree 34 in r_1 and r_2."""
+
+REGULAR, PLAIN = ((1, ROWS),), ((1, 5), (6, 11), (12, ROWS))
+"""First and last row of the loops a table is made by, each as wide as its last row: one to compile little, three to compute
+little."""
+
+LEAST, STORED = 5, 11
+"""Rows that every lane has; rows of a plain table kept for the sums at s (`died_out` checks what later ones would add)."""
+
+SOUND = 1e3
+"""Amplitude from which a pole nearby has cost too many digits."""
+
+Lanes = Float[Array, "*lanes"]
 
 
-class Roots(eqx.Module):
-    """A = diag(r)(1 + w 1ᵀ), its eigenvalues, and their differences as sums of positive numbers."""
+class System(eqx.Module):
+    """What the table and its amplitudes are made of; F families, one per start."""
 
-    rate: Float[Array, "2"]  # λ_m = −ln r_m
-    reflected: Float[Array, "2 2"]  # r_m R_mn
-    coupling: Float[Array, "2"]  # r_m w_m
-    gap: Float[Array, "2"]  # 1 − ρ_j
-    root_rate: Float[Array, "2"]  # σ_j = −ln ρ_j
-    split: Float[Array, ""]  # ρ_2 − ρ_1
-    over_first: Float[Array, "2"]  # ρ_j − A_11
-    over_second: Float[Array, "2"]  # ρ_j − A_22
-    runaway: Float[Array, ""]  # (1 + G_00)/2
-    # False: the same on a line, where κ_m, σ_j and W_m stand for 1 − r_m, 1 − ρ_j and r_m w_m
+    gap: Float[Array, "2 *lanes"]  # 1 − r_m
+    coupling: Float[Array, "2 *lanes"]  # r_m w_m
+    reflected: Float[Array, "2 2 *lanes"]  # r_m R_mn
+    over_first: Float[Array, "2 *lanes"]  # ρ_1 − A_mm
+    start_gap: Float[Array, "F *lanes"]  # 1 − start_j
+    to_roots: Float[Array, "2 F *lanes"]  # start_j − ρ_i
+    to_modes: Float[Array, "2 F *lanes"]  # start_j − r_m
+    rate: Float[Array, "F *lanes"]  # −ln start_j
+    level_rate: Lanes  # −2 ln r_2
+    column_rate: Lanes  # −ln(r_1/r_2)
+    at_edge: Lanes  # t(0)
+    first_step: Lanes  # t(1) − t(0)
+    prestress: Lanes  # φ
+    plateau: Lanes  # stress far from the edge where nothing stops the front
     lattice: bool = eqx.field(static=True, default=True)
 
-
-class Family(NamedTuple):
-    """One start of the series: Σ_ab terms e^{−(start + aλ_1 + bλ_2)s}, and its share κ D(s) of ρ_1's series."""
-
-    start: Array  # −ln of the start
-    terms: tuple[Terms, Terms]  # V_ab
-    kappa: Array
-    resonant: Array  # −ln x
+    @property
+    def mode_rate(self) -> Float[Array, "2 *lanes"]:
+        """−ln r_m."""
+        half = self.level_rate / 2
+        return jnp.stack([self.column_rate + half, half])
 
 
-class Solution(NamedTuple):
-    """t(s) = φ + [c_1 ρ_1^s + Σ κ D(s)] · (first series) + Σ over `others`, whose c_2 is inside."""
+class Series(NamedTuple):
+    """Table and amplitudes of every lane."""
 
-    roots: Roots
-    prestress: Array
-    c1: Array
-    first: tuple[Terms, Terms]
-    others: tuple[Family, ...]
-
-
-def solve(roots: Roots, drive: Pair, prestress: Array | None = None, degree: int = DEGREE) -> Solution:
-    """Coefficients of the front stress with V(0) = (1 − φ) `drive`; `prestress` None saves the family it would add."""
-    zero, one = jnp.zeros_like(roots.split), jnp.ones_like(roots.split)
-    eigenvector_1, eigenvector_2 = ((roots.coupling[0], roots.over_first[j]) for j in (0, 1))
-    gaps = _power_gaps(roots, degree)
-    first = _terms(roots, gaps, 0, eigenvector_1, zero)
-    # the nearest resonance; n = 0 starts ρ_2's series from the second unit vector, as A^s itself does
-    n = jnp.round((roots.root_rate[0] - roots.root_rate[1]) / (2 * roots.rate[1]))
-    start_2 = (jnp.where(n == 0, zero, eigenvector_2[0]), jnp.where(n == 0, one, eigenvector_2[1]))
-    second = _family(roots, gaps, 1, start_2, zero, n, first)
-    phi, others = zero, ()
-    if prestress is not None:
-        # (1 − A) V_00 = r w φ, then as for the others; its resonances are at r_2^{2n} = ρ_1, never with n = 0
-        phi = prestress
-        pushed = _resolve(roots, roots.gap[1], roots.gap[0], (roots.coupling[0] * phi, roots.coupling[1] * phi))
-        n = jnp.maximum(jnp.round(roots.root_rate[0] / (2 * roots.rate[1])), 1)
-        third = _family(roots, gaps, 2, pushed, phi, n, first)
-        drive = ((1 - phi) * drive[0] - third.terms[0].sum(), (1 - phi) * drive[1] - third.terms[1].sum())
-        others = (third,)
-    (a1, a2), (b1, b2), (d1, d2) = (x.sum() for x in first), (x.sum() for x in second.terms), drive
-    determinant = a1 * b2 - a2 * b1
-    c1, c2 = (d1 * b2 - d2 * b1) / determinant, (a1 * d2 - a2 * d1) / determinant
-    second = second._replace(terms=(c2 * second.terms[0], c2 * second.terms[1]), kappa=c2 * second.kappa)
-    return Solution(roots, phi, c1, first, (second, *others))
+    system: System
+    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored
+    rows: Float[Array, "k F *lanes"]  # Σ_a τ up to the last row stored
+    beyond: Float[Array, "F *lanes"]  # Σ_ka τ of later rows
+    totals: Float[Array, "3 F *lanes"]  # Σ τ, Σ τ (1 − μ), −Σ τ ln μ
+    amplitude: Float[Array, "F *lanes"]  # c_j
+    echo: Float[Array, "F *lanes"] | None  # κ_j, with which D(s) times ρ_1's series is part of family j; None if not regular
+    echo_rate: Float[Array, "F *lanes"]  # −ln x_j
+    last: Array  # the last row any lane has
+    ended: Bool[Array, "*lanes"]  # whether the table has converged
+    sound: Bool[Array, "*lanes"]  # whether every digit is there
 
 
-def roots_of(gap: Array, coupling: Array, reflected: Array, weight: Array | None = None) -> Roots:
-    """Eigenvalues of A, from γ_m = 1 − r_m, r_m w_m, r_m R_mn and w_m.
+def system_of(
+    gap: Array,
+    coupling: Array,
+    reflected: Array,
+    start: Array,
+    prestress: Array | None = None,
+    response: Array | None = None,
+) -> System:
+    """Roots ρ_j of A, their distances, and the first step of the front.
 
-    The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 (1 + G_00)/2. Without `weight`, the line:
-    A = −diag(κ) + W 1ᵀ from κ_m, W_m and R_mn, with static responses 2W_m/κ_m that add up to 1.
+    Parameters
+    ----------
+    gap, coupling, reflected : array, shapes (2, *lanes), (2, *lanes), (2, 2, *lanes)
+        1 − r_m, r_m w_m, r_m R_mn; on a line κ_m, W_m, R_mn.
+    start : array, shape (2, *lanes)
+        V(0).
+    prestress : array, shape (*lanes), optional
+        φ; without it the family of terms that it would add is left out.
+    response : array, shape (*lanes), optional
+        G_00 = Σ w_m. Without it, a line, whose static responses 2W_m/κ_m add up to 1.
+
+    Notes
+    -----
+    The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 (1 + G_00)/2, and ρ_j − r_m as products of positive
+    numbers from (r_1 − ρ_1)(r_1 − ρ_2) = −w_1 r_1 (r_1 − r_2) and the like at r_2.
     """
-    lattice = weight is not None
-    diagonal = gap - coupling  # at least γ_m/2
-    difference = diagonal[0] - diagonal[1]  # A_22 − A_11
+    lattice = response is not None
+    diagonal = gap - coupling  # 1 − A_mm, at least half of 1 − r_m
+    difference = diagonal[0] - diagonal[1]
     split = jnp.sqrt(difference**2 + 4 * coupling[0] * coupling[1])
     larger = (jnp.where(difference < 0, -difference, difference) + split) / 2
     smaller = coupling[0] * coupling[1] / larger
     up, down = jnp.where(difference < 0, smaller, larger), jnp.where(difference < 0, larger, smaller)
-    runaway = (1 + weight[0] + weight[1]) / 2 if weight is not None else jnp.full_like(split, 0.5)
+    runaway = (1 + response) / 2 if response is not None else jnp.full_like(split, 0.5)
     gap_1 = (diagonal[0] + diagonal[1] + split) / 2
-    gaps = jnp.stack([gap_1, gap[0] * gap[1] * runaway / gap_1])
-    return Roots(
-        rate=-jnp.log1p(-gap) if lattice else gap,
-        reflected=reflected,
+    gap_2 = gap[0] * gap[1] * runaway / gap_1
+    apart, zero = gap[0] - gap[1], jnp.zeros_like(split)
+    to_mode_1 = [coupling[0] * apart / (up + coupling[0]), up + coupling[0], gap[0]]
+    to_mode_2 = [-coupling[1] * apart / (down + coupling[1]), down + coupling[1], gap[1]]
+    to_root_1, to_root_2, start_gap = [zero, split, gap_1], [-split, zero, gap_2], [gap_1, gap_2, zero]
+    families = 2 if prestress is None else 3
+    start_gaps, root_1, root_2, mode_1, mode_2 = (
+        jnp.stack(x[:families]) for x in (start_gap, to_root_1, to_root_2, to_mode_1, to_mode_2)
+    )
+    mode_rate, rate = (-jnp.log1p(-gap), -jnp.log1p(-start_gaps)) if lattice else (gap, start_gaps)
+    phi = zero if prestress is None else prestress
+    at_edge = start[0] + start[1] + phi if not lattice else jnp.ones_like(split)
+    return System(
+        gap=gap,
         coupling=coupling,
-        gap=gaps,
-        root_rate=-jnp.log1p(-gaps) if lattice else gaps,
-        split=split,
-        over_first=jnp.stack([-down, up]),
-        over_second=jnp.stack([-up, down]),
-        runaway=runaway,
+        reflected=reflected,
+        over_first=jnp.stack([-down, -up]),
+        start_gap=start_gaps,
+        to_roots=jnp.stack([root_1, root_2]),
+        to_modes=jnp.stack([mode_1, mode_2]),
+        rate=rate,
+        level_rate=2 * mode_rate[1],
+        column_rate=mode_rate[0] - mode_rate[1],
+        at_edge=at_edge,
+        first_step=(coupling.sum(0) + reflected.sum((0, 1))) * at_edge - (gap * start).sum(0),
+        prestress=phi,
+        plateau=phi / runaway,
         lattice=lattice,
     )
 
 
-def _power_gaps(roots: Roots, degree: int) -> Terms:
-    """1 − r_1^a r_2^b as a sum of positive numbers: (1 − r_2^{2k}) + r_2^{2k} (1 − (r_1/r_2)^a)."""
-    half = degree // 2
-    if not roots.lattice:
-        k, a = np.arange(half + 1)[:, None], np.arange(degree + 1)[None]
-        return 2 * roots.rate[1] * k + (roots.rate[0] - roots.rate[1]) * a
-    level = -2 * roots.rate[1] * np.arange(half + 1)
-    a = -(roots.rate[0] - roots.rate[1]) * np.arange(degree + 1)
-    return -jnp.expm1(level)[:, None] - jnp.exp(level)[:, None] * jnp.expm1(a)[None]
+def solve(system: System, *, regular: bool = True) -> Series:
+    """Table, and the amplitudes that give t(0) and t(1) − t(0)."""
+    table = _table(system, regular)
+    (A, gaps, _), plateau = table.totals, system.plateau
+    B = -gaps
+    if table.echo is not None:
+        # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
+        once = (A[0] - gaps[0]) / (1 - system.start_gap[0]) if system.lattice else A[0]
+        B = B + table.echo * once[None]
+    known_0, known_1 = system.at_edge, system.first_step
+    prestressed = A.shape[0] > 2
+    if prestressed:
+        known_0, known_1 = known_0 - plateau * A[2], known_1 - plateau * B[2]
+    determinant = A[0] * B[1] - A[1] * B[0]
+    c1, c2 = (known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant
+    sound = table.ended & (jnp.abs(c1) < SOUND) & (jnp.abs(c2) < SOUND)
+    return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]), sound=sound)
 
 
-def _distances(roots: Roots, gaps: Array, start: int) -> tuple[Array, Array]:
-    """μ − ρ_1 and μ − ρ_2, both up to sign positive but for the resonances, for μ = (ρ_1, ρ_2, 1)[start] · (1 − gaps)."""
-    root = 1 - roots.gap if roots.lattice else jnp.ones_like(roots.gap)
-    if start == 0:
-        over_1 = -root[0] * gaps
-        return over_1, over_1 - roots.split
-    if start == 1:
-        over_2 = -root[1] * gaps
-        return over_2 + roots.split, over_2
-    return roots.gap[0] - gaps, roots.gap[1] - gaps
+class _Progress(NamedTuple):
+    k: Array  # the next row
+    level: Array  # 1 − r_2^{2(k−1)}
+    rows: Array
+    beyond: Array
+    totals: Array
+    running: Array
+    fed: Array | None  # r_1^a r_2^b V_ab of ρ_1's series, shape (k, 2, a, *lanes); of a regular table
+    echo: Array | None
 
 
-def _resolve(roots: Roots, over_2: Array, over_1: Array, g: Pair, regular: Array | None = None) -> Pair:
-    """(μ − A)⁻¹ g; where not `regular`, something finite of no meaning."""
-    determinant = over_1 * over_2 if regular is None else jnp.where(regular, over_1 * over_2, 1)
-    over_first, over_second = over_2 + roots.over_first[1], over_2 + roots.over_second[1]
-    return (
-        (over_second * g[0] + roots.coupling[0] * g[1]) / determinant,
-        (roots.coupling[1] * g[0] + over_first * g[1]) / determinant,
+def _table(system: System, regular: bool) -> Series:
+    """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
+    families, *lanes = system.rate.shape
+    zeros, one = jnp.zeros_like(system.rate), jnp.ones_like(system.rate)
+    blocks, stored = (REGULAR, ROWS) if regular else (PLAIN, STORED)
+    rows = jnp.zeros((stored + 1, families, *lanes), one.dtype).at[0].set(1)
+    above = jnp.zeros((families, 3, *lanes), one.dtype).at[:, 2].set(1)
+    resonance, fed, echo = zeros, None, None
+    if regular:
+        distance = (system.rate[:1] - system.rate) / system.level_rate[None]
+        # of the prestress's family never n = 0, of ρ_1's own none
+        least = np.arange(families).reshape(-1, *[1] * len(lanes)) == 2
+        resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
+        fed = jnp.zeros((ROWS + 1, 2, 2 * ROWS + 1, *lanes), one.dtype)
+        echo = jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0)
+    totals = jnp.stack([one, system.start_gap, system.rate])
+    running = jnp.ones(lanes, bool)
+    progress = _Progress(jnp.asarray(1), jnp.zeros_like(system.level_rate), rows, zeros, totals, running, fed, echo)
+    kept = []
+    for start, end in blocks:
+        block = jnp.zeros((end - start + 1 if end <= stored else 0, families, 2 * end + 1, *lanes), one.dtype)
+        above = jnp.zeros((families, 2 * end + 3, *lanes), one.dtype).at[:, : above.shape[1]].set(above)
+        progress, above, block = _fill(system, progress, above, block, (start, end), resonance)
+        kept.append(block)
+    return Series(
+        system=system,
+        blocks=tuple(kept),
+        rows=progress.rows,
+        beyond=progress.beyond,
+        totals=progress.totals,
+        amplitude=zeros,
+        echo=progress.echo,
+        echo_rate=system.rate + resonance * system.level_rate[None],
+        last=progress.k - 1,
+        ended=~progress.running,
+        sound=~progress.running,
     )
 
 
-def _reflect(roots: Roots, stress: Float[Array, " a"]) -> Pair:
-    """g_ab = Σ_mn r_m R_mn t_{(a,b) − e_m − e_n} e_m, from the degree below."""
-    (R11, R12), (R21, R22) = roots.reflected
-    one, two = (jnp.pad(stress[:-j], (j, 0)) for j in (1, 2))
-    return R11 * two + R12 * one, R21 * one + R22 * stress
+def _fill(
+    system: System, progress: _Progress, above: Array, block: Array, span: tuple[int, int], resonance: Array
+) -> tuple[_Progress, Array, Array]:
+    """Rows of one block; written to `block` if it has places for them."""
+    start, end = span
+    stored = block.shape[0] > 0
+    lanes = system.level_rate.ndim
+    a = jnp.asarray(_column(np.arange(2.0 * end + 1), lanes), above.dtype)
+    if system.lattice:
+        columns, level_gap = power_gaps(decayed(system.column_rate), 2 * end + 1), decayed(system.level_rate)
+    else:
+        columns, level_gap = a * system.column_rate[None], system.level_rate
+
+    def row(state: tuple[_Progress, Array, Array]) -> tuple[_Progress, Array, Array]:
+        (k, level, rows, beyond, totals, running, fed, echo), above, block = state
+        if system.lattice:
+            level = level + (1 - level) * level_gap
+            gap = level[None] + (1 - level[None]) * columns
+        else:
+            level = level + level_gap
+            gap = level[None] + columns
+        rho = 1 - system.start_gap if system.lattice else jnp.ones_like(system.rate)
+        if fed is None or echo is None:
+            tau = _entries(system, above, rho[:, None] * gap[None])
+        else:
+            tau, fed, echo = _regular_entries(system, above, gap, rho, resonance, (k, fed, echo))
+        if end > LEAST:
+            tau = jnp.where(running[None, None], tau, 0)
+        total = over_columns(tau)
+        bend = (system.level_rate * k.astype(total.dtype))[None] * total + system.column_rate[None] * over_columns(
+            a[None] * tau
+        )
+        lost = over_columns(gap[None] * tau)
+        totals = totals + jnp.stack([total, system.start_gap * total + rho * lost, system.rate * total + bend])
+        if stored:
+            rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
+            block = lax.dynamic_update_index_in_dim(block, tau, k - start, 0)
+        else:
+            beyond = beyond + total
+        if end > LEAST:
+            size = over_families(over_columns(jnp.abs(tau)))
+            scale = jnp.minimum(over_families(jnp.abs(rows[1])), 1)
+            running = running & ((size > ROW_TOLERANCE * scale) | (k <= LEAST))
+        above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
+        return _Progress(k + 1, level, rows, beyond, totals, running, fed, echo), above, block
+
+    def going(state: tuple[_Progress, Array, Array]) -> Array:
+        return (state[0].k <= end) & state[0].running.any()
+
+    return lax.while_loop(going, row, (progress, above, block))
 
 
-def _terms(
-    roots: Roots, gaps: Terms, start: int, vector: Pair, constant: Array, n: Array | None = None, echo: Any = None
-) -> Any:
-    """V_ab of one start, degree by degree; `constant` is what t has beside V_1 + V_2 at degree 0.
+def _sources(system: System, above: Array) -> tuple[Array, Array]:
+    """g_m of one row from the row above, which has two columns of zeros first."""
+    (R11, R12), (R21, R22) = system.reflected[:, :, None, None]
+    two, one, zero = above[:, :-2], above[:, 1:-1], above[:, 2:]
+    return R11 * two + R12 * one, R21 * one + R22 * zero
 
-    With `n` and `echo` (ρ_1's series from degree 2n on, times its power) also κ, the amplitude at the resonance (0, 2n).
+
+def _entries(system: System, above: Array, x: Array) -> Array:
+    """τ of one row from the row above and x = start − μ."""
+    to_1, to_2, from_1, from_2 = (y[:, None] for y in (*system.to_roots, *system.to_modes))
+    g1, g2 = _sources(system, above)
+    return (g1 * (from_2 - x) + g2 * (from_1 - x)) / ((to_1 - x) * (to_2 - x))
+
+
+def _regular_entries(
+    system: System, above: Array, gap: Array, rho: Array, resonance: Array, state: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """τ of one row, ρ_1's series with this row added, and κ.
+
+    Beyond the resonance the families of ρ_2 and of the prestress obey (μ − A) V_ka = g_ka − κ p V¹_{k−n,a}, p = (r_2²)^{k−n}
+    (r_1/r_2)^a, where V¹ is ρ_1's series in units of V¹_00 = (r_1 w_1, ρ_1 − A_11), whose stress is ρ_1 − r_1; at it V = (0, κ),
+    κ = g_2/(x − ρ_2). D(s + 1) = ρ_1 D(s) + x^s; on a line D' = −σ_1 D + e^{−xs}. What is kept is κ (ρ_1 − r_1), for a series
+    in units of its own stress.
     """
-    width = gaps.shape[-1]
-    at_0 = tuple(jnp.zeros(width, gaps.dtype).at[0].set(v) for v in vector)
-    first_column = np.arange(width) == 0
-
-    def raise_degree(carry: Any, level: Any) -> Any:
-        stress, kappa = carry
-        k, gap, fed = level
-        g = _reflect(roots, stress)
-        over_1, over_2 = _distances(roots, gap, start)
-        if n is None:
-            v = _resolve(roots, over_2, over_1, g)
-            return (v[0] + v[1], kappa), v
-        here = (k == n) & first_column
-        amplitude = g[1][0] / over_2[0]
-        kappa = jnp.where(k == n, amplitude, kappa)
-        v = _resolve(roots, over_2, over_1, (g[0] - kappa * fed[0], g[1] - kappa * fed[1]), ~here)
-        v = jnp.where(here, 0, v[0]), jnp.where(here, amplitude, v[1])
-        return (v[0] + v[1], kappa), v
-
-    kappa = jnp.zeros_like(constant) if n is None else jnp.where(n == 0, jnp.ones_like(constant), 0)
-    seen = (at_0[0] + at_0[1]).at[0].add(constant)
-    k = np.arange(1, gaps.shape[0])
-    fed = (gaps[1:],) * 2 if echo is None else (echo[0][1:], echo[1][1:])
-    (_, kappa), levels = lax.scan(raise_degree, (seen, kappa), (jnp.asarray(k, gaps.dtype), gaps[1:], fed))
-    terms = tuple(jnp.concatenate([x[None], y]) for x, y in zip(at_0, levels, strict=True))
-    return terms if n is None else (terms, kappa)
-
-
-def _family(
-    roots: Roots, gaps: Terms, start: int, vector: Pair, constant: Array, n: Array, first: tuple[Terms, Terms]
-) -> Family:
-    """Series of ρ_2 or of the prestress: ρ_1's feeds into it from degree 2n + 2 on, as D(s + 1) = ρ_1 D(s) + x^s."""
-    depth = gaps.shape[0]
-    shift = jnp.clip(n, 0, depth).astype(jnp.int32)
-    echo = []
-    for x in first:
-        fed = ((1 - gaps) * x if roots.lattice else x).at[0].set(0)
-        echo.append(lax.dynamic_slice_in_dim(jnp.pad(fed, ((depth, 0), (0, 0))), depth - shift, depth))
-    terms, kappa = _terms(roots, gaps, start, vector, constant, n, echo)
-    rate = jnp.stack([roots.root_rate[0], roots.root_rate[1], jnp.zeros_like(constant)])[start]
-    return Family(rate, terms, kappa, rate + 2 * n * roots.rate[1])
+    k, fed, echo = state
+    to_1, to_2, from_1, from_2 = (y[:, None] for y in (*system.to_roots, *system.to_modes))
+    x = rho[:, None] * gap[None]
+    g1, g2 = _sources(system, above)
+    # ρ_1's series by components
+    determinant = (to_1[0] - x[0]) * (to_2[0] - x[0])
+    over_1, over_2 = system.over_first[:, None] - x[0][None]
+    c = system.coupling[:, None]
+    own = jnp.stack([over_2 * g1[0] + c[0] * g2[0], c[1] * g1[0] + over_1 * g2[0]]) / determinant[None]
+    width = own.shape[1]
+    fed = lax.dynamic_update_index_in_dim(fed, (1 - gap if system.lattice else jnp.ones_like(gap))[None] * own, k, 0)
+    tau = [own[0] + own[1]]
+    found = [echo[0]]
+    first = jnp.asarray(_column(np.arange(width) == 0, gap.ndim - 1))
+    for j in range(1, rho.shape[0]):
+        back = k - resonance[j].astype(jnp.int32)
+        shifted = jnp.where(
+            (back > 0)[None, None], jnp.take_along_axis(fed, jnp.clip(back, 0, ROWS)[None, None, None], 0)[0], 0
+        )
+        kappa = jnp.where(back == 0, system.to_modes[0, 0] * g2[j, 0] / (to_2[j, 0] - x[j, 0]), echo[j])
+        h1, h2 = g1[j] - kappa[None] * shifted[0], g2[j] - kappa[None] * shifted[1]
+        here = (back == 0)[None] & first
+        distance = jnp.where(here, 1, to_1[j] - x[j])
+        numerator = jnp.where(here, g2[j], h1 * (from_2[j] - x[j]) + h2 * (from_1[j] - x[j]))
+        tau.append(numerator / (distance * (to_2[j] - x[j])))
+        found.append(kappa)
+    return jnp.stack(tau), fed, jnp.stack(found)
 
 
-def _powers(roots: Roots, s: Array, shape: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
-    """(r_2²)^{ks} and (r_1/r_2)^{as}, and their decay rates."""
-    k_rate = 2 * roots.rate[1] * np.arange(shape[0])
-    a_rate = (roots.rate[0] - roots.rate[1]) * np.arange(shape[1])
-    return jnp.exp(-s * k_rate), jnp.exp(-s * a_rate), k_rate, a_rate
+class _Sums(NamedTuple):
+    """Of every family, over the stored rows and with p = μ/start."""
+
+    missing: Array  # Σ τ (1 − p^s)
+    left: Array  # Σ τ p^s
+    bent: Array  # −Σ τ p^s ln p
 
 
-def parts(solution: Solution, s: Array) -> Float[Array, "2"]:
-    """V_1(s), V_2(s) at real s ≥ 0."""
-    level, column, _, _ = _powers(solution.roots, s, solution.first[0].shape)
-    both = []
-    for m in (0, 1):
-        total = _of_first(solution, s) * (level @ (solution.first[m] @ column))
-        for family in solution.others:
-            total = total + jnp.exp(-s * family.start) * (level @ (family.terms[m] @ column))
-        both.append(total)
-    return jnp.stack(both)
+def _sums(series: Series, s: Lanes, blocks: int | None = None) -> _Sums:
+    """Sums at s by as many blocks of stored rows, all by default.
+
+    By Horner's rule in u = r_2^{2s}: what row k has lost is (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), v = (r_1/r_2)^s, and
+    (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k. Rows that are not summed are taken to have lost what the last one
+    has by its level.
+    """
+    system = series.system
+    chosen = series.blocks if blocks is None else series.blocks[:blocks]
+    starts = np.cumsum([1, *(len(block) for block in chosen)])
+    moments = [_row_moments(series, s, block, int(k)) for k, block in zip(starts, chosen, strict=False) if block.shape[0]]
+    level_gap = decayed(s * system.level_rate)
+    level, level_gap = (1 - level_gap)[None], level_gap[None]
+    zero = jnp.zeros_like(system.rate)
+    lost, bent = (jnp.concatenate([zero[None], *(block[n] for block in moments)]) for n in (0, 1))
+    above = series.beyond
+    for k in range(lost.shape[0], series.rows.shape[0]):
+        above = above + series.rows[k]
+    missing, left, fall = zero, zero, zero
+    for k in range(lost.shape[0] - 1, -1, -1):
+        kept = series.rows[k] - lost[k]
+        missing = level * missing + level_gap * above + lost[k]
+        left = level * left + kept
+        fall = level * fall + (k * system.level_rate)[None] * kept + bent[k]
+        above = above + series.rows[k]
+    return _Sums(missing, left, fall)
 
 
-def _of_first(solution: Solution, s: Array) -> Array:
-    """c_1 ρ_1^s + Σ κ D(s)."""
-    y = solution.roots.root_rate[0]
-    return solution.c1 * jnp.exp(-s * y) + sum(f.kappa * _difference(solution.roots, f.resonant, s) for f in solution.others)
+def _row_moments(series: Series, s: Lanes, block: Array, start: int) -> list[Float[Array, "rows F *lanes"]]:
+    """Of each row of a block: Σ_a τ (1 − v^a) and Σ_a aδ τ v^a; v^s = e^{−δ s}."""
+    width, rate = block.shape[2], series.system.column_rate[None]
+    gap = power_gaps(decayed(s * series.system.column_rate), width)
+    a = jnp.asarray(_column(np.arange(float(width)), s.ndim), gap.dtype)
+    weights = gap[None], (a * rate * (1 - gap))[None]
+    if s.ndim == 0:
+        return [(w[None] * block).sum(2) for w in weights]
+    zero = [jnp.zeros((len(block), *series.rows.shape[1:]), gap.dtype)] * 2
+
+    def add(k: Array, found: list[Array]) -> list[Array]:
+        each = (over_columns(w * block[k]) for w in weights)
+        return [lax.dynamic_update_index_in_dim(x, y, k, 0) for x, y in zip(found, each, strict=True)]
+
+    return lax.fori_loop(0, jnp.clip(series.last + 1 - start, 0, len(block)), add, zero)
 
 
-def stress(solution: Solution, s: Array) -> Array:
-    """t(s), the stress on contact s when all before it have broken, at real s ≥ 0; in σ_s."""
-    v = parts(solution, s)
-    return solution.prestress + v[0] + v[1]
+def at_edge(series: Series) -> Lanes:
+    """t'(0)."""
+    c, system = series.amplitude, series.system
+    slope = -over_families(c * series.totals[2])
+    if series.echo is None:
+        return slope
+    once = jnp.ones_like(series.echo)  # D'(0)
+    if system.lattice:
+        slower, distance = _slower(series.echo_rate, system.rate[:1])
+        once = jnp.exp(slower) / _relaxation(distance)
+    return slope + over_families(c * series.echo * once) * series.totals[0, 0]
 
 
-def rise(solution: Solution, s: Array) -> Array:
-    """t(s) − t(0), term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
-    roots = solution.roots
-    level, column, k_rate, a_rate = _powers(roots, s, solution.first[0].shape)
-    level_gap, column_gap = -jnp.expm1(-s * k_rate), -jnp.expm1(-s * a_rate)
+def rise(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Lanes, Lanes]:
+    """t(s) − t(0) and t'(s).
 
-    def fall(start: Array, terms: Terms) -> Array:
-        """Σ terms (1 − e^{−start s} u_k v_a), 1 − xyz = (1 − x) + x (1 − y) + xy (1 − z)."""
-        by_column = terms @ column_gap
-        power = jnp.exp(-s * start)
-        return -jnp.expm1(-s * start) * terms.sum() + power * (level_gap @ terms.sum(1) + level @ by_column)
-
-    first = solution.first[0] + solution.first[1]
-    y = roots.root_rate[0]
-    total = -solution.c1 * fall(y, first)
-    for family in solution.others:
-        total = total - fall(family.start, family.terms[0] + family.terms[1])
-        total = total + family.kappa * _difference(roots, family.resonant, s) * (level @ (first @ column))
-    return total
+    Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose.
+    """
+    c, rate = series.amplitude, series.system.rate
+    missing, left, bent = _sums(series, s, blocks)
+    gone = decayed(s[None] * rate)
+    lost, slope = missing + gone * left, (1 - gone) * (rate * left + bent)
+    if series.echo is None:
+        return -over_families(c * lost), -over_families(c * slope)
+    D, D_slope = _difference(series, s)
+    weight = c * series.echo
+    lost = over_families(c * lost) - over_families(weight * D) * left[0]
+    slope = over_families(c * slope) - over_families(weight * D_slope) * left[0] + over_families(weight * D) * bent[0]
+    return -lost, -slope
 
 
-def stress_sums(solution: Solution, low: Array, high: Array) -> Float[Array, "2"]:
-    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on the line the integral."""
-    roots = solution.roots
-    first = solution.first[0] + solution.first[1]
-    _, _, k_rate, a_rate = _powers(roots, low, first.shape)
-    rate, span = k_rate[:, None] + a_rate[None], high - low
+def died_out(series: Series, s: Lanes) -> Bool[Array, "*lanes"]:
+    """Whether the rows that were not stored are negligible at s."""
+    level = decayed(s * series.system.level_rate * series.rows.shape[0])
+    scale = jnp.minimum(jnp.abs(series.rows[1]).max(0), 1)
+    return (1 - level) * jnp.abs(series.beyond).max(0) <= ROW_TOLERANCE * scale
+
+
+def stress(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
+    """t(s), the stress on contact s when all before it have broken, in σ_s, and t'(s).
+
+    Of a regular table: every digit at any s ≥ 0, however far beyond the crossing.
+    """
+    c, rate = series.amplitude, series.system.rate
+    _, left, bent = _sums(series, s)
+    power = jnp.exp(-s[None] * rate)
+    value, slope = over_families(c * power * left), over_families(c * power * (rate * left + bent))
+    if series.echo is None:
+        return value, -slope
+    D, D_slope = _difference(series, s)
+    weight = c * series.echo
+    value = value + over_families(weight * D) * left[0]
+    return value, over_families(weight * D_slope) * left[0] - over_families(weight * D) * bent[0] - slope
+
+
+def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
+    """V_1(s), V_2(s), from the stress and its next step (on a line its slope): two linear equations."""
+    system = series.system
+    t, slope = stress(series, s)
+    step = stress(series, s + 1)[0] - t if system.lattice else slope
+    power = jnp.exp(-s[None] * system.mode_rate)
+    returned = over_families(power * over_columns(system.reflected * power[None]))
+    fall = (over_families(system.coupling) + returned) * t - step  # Σ (1 − r_m) V_m
+    (gap_1, gap_2), free = system.gap, t - system.prestress
+    return jnp.stack([fall - gap_2 * free, gap_1 * free - fall]) / (gap_1 - gap_2)[None]
+
+
+def stress_sums(series: Series, low: Array, high: Array) -> Float[Array, "2"]:
+    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral. One lane."""
+    system = series.system
+    table = jnp.concatenate([jnp.zeros_like(series.blocks[0][0, :, :])[None].at[0, :, 0].set(1), *series.blocks])
+    k, a = np.arange(table.shape[0])[:, None], np.arange(table.shape[2])[None]
+    rate, span = k * system.level_rate + a * system.column_rate, high - low
 
     def over(every: Array) -> Array:
-        """1 − e^{−rate}, what a geometric series is divided by; on the line the rate."""
-        return -jnp.expm1(-every) if roots.lattice else every
+        """1 − e^{−rate}, what a geometric series is divided by; on a line the rate."""
+        return -jnp.expm1(-every) if system.lattice else every
 
     def one(mode: Array) -> Array:
         def summed(start: Array) -> Array:
@@ -285,38 +474,49 @@ def stress_sums(solution: Solution, low: Array, high: Array) -> Float[Array, "2"
             every = start + rate + mode
             return -jnp.exp(-low * (start + rate)) * jnp.expm1(-span * every) / over(every)
 
-        total = solution.c1 * (summed(roots.root_rate[0]) * first).sum()
-        for family in solution.others:
-            x, y = family.resonant, roots.root_rate[0]
-            total = total + (summed(family.start) * (family.terms[0] + family.terms[1])).sum()
-            # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
-            D_low, D_high = (_difference(roots, x, s) for s in (low, high))
-            numerator = jnp.exp(-rate * low) * (D_low - jnp.exp(-span * (rate + mode)) * D_high)
-            power = jnp.exp(-rate - mode) if roots.lattice else 1
-            both = (numerator + summed(x) * power) / over(y + rate + mode)
-            total = total + family.kappa * (both * first).sum()
-        return total - solution.prestress * jnp.expm1(-span * mode) / over(mode)
+        total = jnp.zeros_like(span)
+        for j in range(table.shape[1]):
+            total = total + series.amplitude[j] * (summed(system.rate[j]) * table[:, j]).sum()
+        if series.echo is None:
+            return total
+        # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
+        D_low, D_high = (_difference(series, s)[0] for s in (low, high))
+        power = jnp.exp(-rate - mode) if system.lattice else 1
+        for j in range(1, table.shape[1]):
+            numerator = jnp.exp(-rate * low) * (D_low[j] - jnp.exp(-span * (rate + mode)) * D_high[j])
+            both = (numerator + summed(series.echo_rate[j]) * power) / over(system.rate[0] + rate + mode)
+            total = total + series.amplitude[j] * series.echo[j] * (both * table[:, 0]).sum()
+        return total
 
-    return jnp.stack([one(roots.rate[0]), one(roots.rate[1])])
+    return jnp.stack([one(mode) for mode in system.mode_rate])
 
 
-def _difference(roots: Roots, x_rate: Array, s: Array) -> Array:
-    """D(s); on the line (e^{−xs} − e^{−ys})/(y − x), in the rates themselves."""
-    y = roots.root_rate[0]
-    return divided_difference(x_rate, y, s) if roots.lattice else overlap(x_rate, y, s)
+def _difference(series: Series, s: Lanes) -> tuple[Array, Array]:
+    """D(s) of every family, on a line (e^{−xs} − e^{−ys})/(y − x) in the rates themselves, and D'(s)."""
+    x, y, at = series.echo_rate, series.system.rate[:1], s[None]
+    D = divided_difference(x, y, at) if series.system.lattice else overlap(x, y, at)
+    if not series.system.lattice:
+        return D, jnp.exp(-x * at) - y * D
+    # D' = (y^s y − x^s x)/(e^{−x} − e^{−y}) = −y D + x^s (y − x)/(e^{−x} − e^{−y})
+    slower, distance = _slower(x, y)
+    return D, jnp.exp(slower - x * at) / _relaxation(distance) - y * D
+
+
+def _slower(x: Array, y: Array) -> tuple[Array, Array]:
+    """The smaller of two rates, and their distance."""
+    gap = y - x
+    return jnp.where(gap >= 0, x, y), jnp.where(gap >= 0, gap, -gap)
 
 
 def overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
     """∫_0^s e^{−x(s−y) − zy} dy = (e^{−xs} − e^{−zs})/(z − x) for rates x, z; regular, with all its derivatives, at x = z."""
-    gap = y_rate - x_rate
-    slower, distance = jnp.where(gap >= 0, x_rate, y_rate), jnp.where(gap >= 0, gap, -gap)
+    slower, distance = _slower(x_rate, y_rate)
     return jnp.exp(-slower * s) * s * _relaxation(s * distance)
 
 
 def divided_difference(x_rate: Array, y_rate: Array, s: Array) -> Array:
     """D(s) = (x^s − y^s)/(x − y) from rates −ln x, −ln y; regular, with all its derivatives, at x = y."""
-    gap = y_rate - x_rate  # ln(x/y)
-    slower, distance = jnp.where(gap >= 0, x_rate, y_rate), jnp.where(gap >= 0, gap, -gap)
+    slower, distance = _slower(x_rate, y_rate)
     return jnp.exp(-slower * (s - 1)) * s * _relaxation(s * distance) / _relaxation(distance)
 
 
@@ -328,3 +528,47 @@ def _relaxation(z: Array) -> Array:
     for k in range(19, 1, -1):
         series = 1 - z0 / k * series
     return jnp.where(small, series, -jnp.expm1(-z1) / z1)
+
+
+def _column(x: np.ndarray, lanes: int) -> np.ndarray:
+    """Numbers along the axis before `lanes` others."""
+    return x.reshape(-1, *[1] * lanes)
+
+
+def power_gaps(gap: Lanes, count: int) -> Float[Array, "count *lanes"]:
+    """1 − (1 − gap)^n, n = 0 … count − 1, as sums of positive numbers."""
+    out = jnp.stack([jnp.zeros_like(gap), gap])
+    while out.shape[0] < count:  # twice as many powers by one product: 1 − xy = (1 − x) + x (1 − y)
+        step = out[-1] + (1 - out[-1]) * gap
+        out = jnp.concatenate([out, step[None] + (1 - step)[None] * out])
+    return out[:count]
+
+
+def over_columns(x: Float[Array, "F a *lanes"]) -> Float[Array, "F *lanes"]:
+    """Σ_a, written out where there are lanes: XLA hands its own reduction to a library that costs more than the sum."""
+    if x.ndim == 2:
+        return x.sum(1)
+    total = x[:, 0]
+    for a in range(1, x.shape[1]):
+        total = total + x[:, a]
+    return total
+
+
+def over_families(x: Float[Array, "F *lanes"]) -> Lanes:
+    """Σ_j, written out."""
+    total = x[0]
+    for j in range(1, x.shape[0]):
+        total = total + x[j]
+    return total
+
+
+def decayed(x: Array) -> Array:
+    """1 − e^{−x} for x ≥ 0, to a few roundings: a polynomial for x/64, doubled six times, so that it vectorises."""
+    y = jnp.minimum(x, 44) / 64
+    e = jnp.ones_like(y)
+    for n in range(15, 1, -1):
+        e = 1 - y / n * e
+    e = y * e
+    for _ in range(6):
+        e = e * (2 - e)
+    return e

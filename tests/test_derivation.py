@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import derivation as d
 
 import slippulse_jax as sp
 from slippulse_jax import theory
-from slippulse_jax.theory import derivation as d
 from slippulse_jax.theory.frozen import psi6
 
 SLIDERS = [(25.0, 0.03, 0.3), (8.0, 0.2, 0.1), (400.0, 1e-3, 0.45)]

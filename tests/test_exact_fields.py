@@ -45,8 +45,8 @@ def test_series_is_solved_once_for_all_positions():
     """One slider at many s: nothing with an axis of s goes through the loop over degrees."""
     positions = jnp.arange(7.0)
     program = str(jax.make_jaxpr(lambda s: exact_front_stress(FIG2, s))(positions))
-    assert "f64[15,29]" in program
-    assert not re.search(r"f64\[(7,\d+,29|\d+,7,29)\]", program)
+    assert "f64[2,35]" in program
+    assert not re.search(r"f64\[(7,2,35|2,7,35)\]", program)
     slider = sp.Slider(np.array([[10.0], [25.0]]), 0.03, 0.3)
     both = exact_front_stress(slider, positions)
     assert both.shape == (2, 7)

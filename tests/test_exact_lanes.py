@@ -8,8 +8,6 @@ from strategies import random_sliders
 import slippulse_jax as sp
 from slippulse_jax.lattice.exact import exact_front, exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
-from slippulse_jax.lattice.lane_series import Inputs, inputs_of
-from slippulse_jax.lattice.mode_jets import flatten, input_jets
 
 
 def random_lanes(count, seed):
@@ -120,19 +118,6 @@ def test_hessian_against_differences_of_the_gradient():
         assert not ok or np.max(np.abs(one[:last])) < 1e-6 * most
     symmetric = (found.hessian - found.hessian.swapaxes(1, 2)) * scale
     assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
-
-
-def test_numbers_that_carry_derivatives_are_the_same_inputs():
-    lanes = random_lanes(40, 66)
-    found, first, _ = input_jets(lanes[:4])
-    with jax.numpy_rank_promotion("allow"):
-        expected, slope = jax.jit(lambda x: jax.jvp(lambda y: inputs_of(y, prestressed=True), (x,), (x,)))(lanes[:4])
-    for one, two in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-300)
-    # along the parameters themselves
-    lengths = np.abs(first * lanes[:4]).max(1) + 1e-300
-    error = (first * lanes[:4]).sum(1) - flatten(Inputs(*(np.asarray(x) for x in slope)))
-    assert np.max(np.abs(error) / lengths) < 1e-10
 
 
 def test_a_lane_does_not_see_its_neighbours():

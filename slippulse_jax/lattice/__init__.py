@@ -12,7 +12,7 @@ The uniform chain, one slider: everything rests on its two modes.
     `sensitivity`       the derivative in the threshold and prestress of every contact
 
 The same front in closed form (the series itself is `slippulse_jax.double_series`).
-    `exact_crossing`    the search for where the front stress falls to the threshold, and its derivative
+    `crossing`          the search for where the front stress first falls to the threshold
     `exact`             what users call: length, record, stress and fields
     `readings`          slip and stress along the interface, as gauges would read them
 
@@ -21,8 +21,6 @@ formulas written a second time, for speed: number by number, without Python obje
     `kernel`            a loop as one function, several results from one loop: what XLA does not do by itself
     `batch`             lanes of like length put together, in few fixed shapes, on every core
     `lane_modes`, `lanes`                   the recursion for lanes: modes by hand, and chunks that advance in step
-    `lane_series`, `lane_crossing`          the closed form for lanes: the series, and the search for the crossing
-    `mode_jets`, `lane_derivatives`         its first and second derivatives, in NumPy
     `long_fronts`       lengths ℓ of long fronts by that closed form
     `bulk`, `exact_lanes`                   what users call: ℓ and ℓ* by the million
 

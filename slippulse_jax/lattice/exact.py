@@ -23,12 +23,17 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series as series
-from slippulse_jax.domains import check_domain
+from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.exact_crossing import Plain, differentiable_crossing, front_series, solve_series
+from slippulse_jax.lattice.crossing import crossing, length_of, system_of
+from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
+
+Plain = tuple[bool, bool]
+"""Whether prestress and threshold slope are zero for certain, so that compiled code need not carry them."""
 
 
 class ExactFront(NamedTuple):
@@ -106,12 +111,11 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
     """
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     prestress, _ = uniform(interface)
-    return _each(_stress, _is_zero(prestress), *of_one_type(slider, prestress, s))
+    return _each(_stress, (_is_zero(prestress), True), *of_one_type(slider, prestress, s))
 
 
-def _stress(no_prestress: bool, *arguments: Array) -> Array:
-    *theta, s = arguments
-    return series.stress(solve_series(jnp.stack(theta), no_prestress), s)
+def _stress(plain: Plain, *arguments: Array) -> Array:
+    return by_forward_mode(lambda theta, s: series.stress(_solve(plain, theta), s)[0])(jnp.stack(arguments[:-1]), arguments[-1])
 
 
 def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> ExactFields:
@@ -141,21 +145,25 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     prestress, _ = uniform(interface)
-    return ExactFields(*_each(_fields, _is_zero(prestress), *of_one_type(slider, prestress, s, site)))
+    plain = (_is_zero(prestress), True)
+    return ExactFields(*_each(_fields, plain, *of_one_type(slider, prestress, s, site)))
 
 
-def _fields(no_prestress: bool, *arguments: Array) -> tuple[Array, Array, Array]:
-    height, stiffness, poisson, phi, s, site = arguments
-    modes = lattice_modes(Slider(height, stiffness, poisson))
-    solution = front_series(modes, None if no_prestress else phi)
-    rate, behind = solution.roots.rate, site < s
-    ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * series.parts(solution, jnp.minimum(site, s))
-    later = jnp.where(behind, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
-    back = modes.weight * later
-    echo = jnp.exp(-site * rate) * (modes.reflection @ (jnp.exp(-site * rate) * later))
-    mode = ahead + back + echo
-    held = jnp.where(behind, (back + echo).sum(), solution.prestress + mode.sum())
-    return modes.upper @ mode, mode.sum(), held
+def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:
+    def fields(theta: Array, s: Array, site: Array) -> Array:
+        modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
+        solution = _solve(plain, theta)
+        rate, behind = solution.system.mode_rate, site < s
+        ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * series.parts(solution, jnp.minimum(site, s))
+        later = jnp.where(behind, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
+        back = modes.weight * later
+        echo = jnp.exp(-site * rate) * (modes.reflection @ (jnp.exp(-site * rate) * later))
+        mode = ahead + back + echo
+        held = jnp.where(behind, (back + echo).sum(), solution.system.prestress + mode.sum())
+        return jnp.stack([modes.upper @ mode, mode.sum(), held])
+
+    upper, layer, stress = by_forward_mode(fields)(jnp.stack(arguments[:-2]), *arguments[-2:])
+    return upper, layer, stress
 
 
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
@@ -207,17 +215,50 @@ def _is_zero(value: Any) -> bool:
     return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
 
 
+def _solve(plain: Plain, theta: Float[Array, " n"]) -> series.Series:
+    """The series of θ = (H/λc, k/K, ν, φ, …)."""
+    return series.solve(system_of(theta, not plain[0]))
+
+
 def _length(plain: Plain, *theta: Array) -> Array:
-    return differentiable_crossing(jnp.stack(theta), plain)[0]
+    return by_forward_mode(lambda x: crossing_of(x, plain)[0])(jnp.stack(theta))
 
 
-def _front(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array, Array]:
-    theta = jnp.stack(arguments)
-    length, code = differentiable_crossing(theta, plain)
-    status = code.astype(jnp.int32)
-    load = lattice_modes(Slider(theta[0], theta[1], theta[2])).load
+def _front(plain: Plain, *theta: Array) -> tuple[Array, Array, Array, Array]:
+    both = by_forward_mode(lambda x: jnp.stack(crossing_of(x, plain)))(jnp.stack(theta))
+    length, status = both[0], both[1].astype(jnp.int32)
+    load = lattice_modes(Slider(*theta[:3])).load
     if not plain[0]:
         load = (1 - theta[3]) * load
     finite = (status == Outcome.ARRESTED) | (status == Outcome.NO_DOMINO)
     count = jnp.where(finite, jnp.maximum(jnp.ceil(jnp.where(finite, length, 0)), 1), -1).astype(jnp.int32)
     return length, count, jnp.where(status == Outcome.INVALID, jnp.nan, load), status
+
+
+def crossing_of(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
+    """(ℓ*, status) with the forward derivatives of an implicit function: dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s."""
+
+    def excess(theta: Array, s: Array) -> tuple[Array, Array]:
+        """t(s) − 1 − εs and its slope in s."""
+        rise, slope = series.rise(_solve(plain, theta), s)
+        return rise - theta[4] * s, slope - theta[4]
+
+    @jax.custom_jvp
+    def crossed(theta: Array) -> tuple[Array, Array]:
+        length, status = crossing(_solve(plain, theta), theta, careful=plain != (True, True))
+        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & PRESTRESS.holds(theta[3]) & THRESHOLD_SLOPE.holds(theta[4])
+        status = jnp.where(valid, status, Outcome.INVALID)
+        return length_of(length, status), status
+
+    @crossed.defjvp
+    def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+        # through `crossed` itself, so that the rule can be differentiated again
+        length, status = crossed(*primals)
+        arrested = status == Outcome.ARRESTED
+        at = jnp.where(arrested, length, 1)
+        (_, slope), (change, _) = jax.jvp(lambda x: excess(x, at), primals, tangents)
+        # a constant where nothing follows contact 0; never a number where there is no length
+        elsewhere = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.nan)
+        return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))
+
+    return crossed(theta)

@@ -2,33 +2,28 @@
 
 import functools
 import warnings
-from collections.abc import Callable
-from typing import Any, Literal, overload
+from typing import Literal, overload
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.threads import compiled_once, spread
+from slippulse_jax import double_series as series
+from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import lane_crossing, lane_derivatives, lane_series
-from slippulse_jax.lattice.exact import exact_front, uniform
+from slippulse_jax.lattice.crossing import crossing, crossing_in_bulk, system_of
+from slippulse_jax.lattice.exact import uniform
 from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
-CHUNK = 128
-"""Lanes of a chunk: as many as leave its table in the second-level cache."""
-
-DERIVATIVE_CHUNKS = {1: 128, 2: 32}
-"""Lanes of a chunk with derivatives up to an order, worked in NumPy."""
-
 EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
 """What an exact front may end with."""
 
-SAFEGUARDED_CHUNK = 16
-"""Lanes of a chunk that goes through the safeguarded search of `exact_length`."""
+IN_BULK, CAREFULLY = Layout(chunk=128), Layout(chunk=32)
+"""As many lanes per chunk as leave a plain table in the second-level cache; and a regular one, with derivatives or without."""
 
 
 @overload
@@ -60,8 +55,8 @@ def exact_lengths(
 
     Notes
     -----
-    Relative error ≤ 1e-11, of derivatives 1e-8 of the largest. Lengths alone run through one compiled program; with derivatives
-    they are worked in NumPy, which has nothing to compile and takes longer per lane. The two agree to 1e-12, not to the bit.
+    Relative error ≤ 1e-11, of derivatives 1e-8 of the largest. Each order of derivatives is a program of its own, compiled on
+    first use; the length is the same number in all.
 
     Raises
     ------
@@ -75,7 +70,7 @@ def exact_lengths(
         raise TypeError("exact_lengths needs NumPy arrays; inside jit, grad or vmap use exact_length")
     shape = np.broadcast_shapes(*(np.shape(x) for x in numbers))
     lanes = np.stack([np.broadcast_to(np.asarray(x, np.float64), shape).ravel() for x in numbers])
-    length, status, *rest = _solve(lanes, derivatives)
+    length, status = exact_fronts(lanes)
     lost = np.isnan(length)
     if lost.any():
         first = tuple(int(i) for i in np.unravel_index(np.argmax(lost), shape))
@@ -86,87 +81,86 @@ def exact_lengths(
     if not derivatives:
         return length
     count = 3 if interface is None else 5
-    slopes = [x.reshape(shape) for x in rest[0].T[:count]]
-    hessian = rest[1][:, :count, :count].reshape(*shape, count, count) if derivatives > 1 else None
-    return LengthDerivatives(length, *slopes, hessian=hessian)
+    flat = np.where(status == Outcome.ARRESTED, length.ravel(), 1)
+    found = over_lanes(_derivatives(count, derivatives), np.vstack([lanes, flat]), CAREFULLY)
+    # a constant where nothing follows contact 0; never a number where there is no length
+    elsewhere = np.where(status == Outcome.NO_DOMINO, 0, np.nan)
+    first, *second = (np.where(status == Outcome.ARRESTED, x, elsewhere) for x in found)
+    hessian = np.moveaxis(second[0], -1, 0).reshape(*shape, count, count) if second else None
+    return LengthDerivatives(length, *(x.reshape(shape) for x in first), hessian=hessian)
 
 
 def exact_fronts(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked."""
-    length, status = _solve(lanes, 0)
-    return length, status
+    """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
+
+    Simple lanes go through a plain series. The others, and the few that a pole of the plain series costs digits, go through a
+    regular one, which takes ten times as long.
+    """
+    found = np.empty((2, lanes.shape[1]))
+    prestressed = lanes[3] != 0  # a family of terms more: a lane's own value chooses its program
+    for kernel, chosen in ((_relaxed, ~prestressed), (_prestressed, prestressed)):
+        if chosen.any():
+            (found[:, chosen],) = over_lanes(kernel, lanes[:, chosen], IN_BULK, _effort)
+    left = found[1] == Outcome.NOT_CONVERGED
+    if left.any():
+        (found[:, left],) = over_lanes(_careful, lanes[:, left], CAREFULLY)
+    return found[0], found[1].astype(np.int32)
 
 
-def _solve(lanes: Float[np.ndarray, "5 n"], derivatives: int) -> list[np.ndarray]:
-    count = lanes.shape[1]
-    found = [np.empty(count), np.empty(count, np.int32), np.empty((count, 5)), np.empty((count, 5, 5))][: 2 + derivatives]
-    if derivatives:
-        _in_chunks(
-            lanes, np.arange(count), DERIVATIVE_CHUNKS[derivatives], functools.partial(_with_derivatives, derivatives), found
-        )
-        return found
-    order = np.argsort(_effort(lanes), kind="stable")
-    prestressed = lanes[3, order] != 0  # a family of terms more: a lane's own value chooses its program
-    for kind in (False, True):
-        _in_chunks(lanes, order[prestressed == kind], CHUNK, lambda theta, kind=kind: _compiled(kind)(theta), found)
-    unsettled = np.flatnonzero(found[1] == lane_crossing.UNSETTLED)
-    _in_chunks(lanes, unsettled, SAFEGUARDED_CHUNK, lambda theta: _safeguarded()(theta), found)
-    return found
+def _relaxed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
+    found = series.solve(system_of(theta, prestressed=False), regular=False)
+    return (jnp.stack(crossing_in_bulk(found, theta)),)
 
 
-def _effort(lanes: np.ndarray) -> np.ndarray:
+def _prestressed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
+    found = series.solve(system_of(theta, prestressed=True), regular=False)
+    return (jnp.stack(crossing_in_bulk(found, theta)),)
+
+
+def _careful(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
+    found = series.solve(system_of(theta, prestressed=True))
+    return (jnp.stack(crossing(found, theta, careful=True)),)
+
+
+@functools.cache
+def _derivatives(count: int, order: int) -> Kernel:
+    """Slopes of ℓ* in the first `count` parameters, and with the order 2 their slopes, at (θ, ℓ*)."""
+
+    def slopes(theta: Float[Array, "5 lanes"], length: Float[Array, " lanes"]) -> Float[Array, "{count} lanes"]:
+        def excess(theta: Array) -> tuple[Array, Array]:
+            rise, slope = series.rise(series.solve(system_of(theta, prestressed=count > 3)), length)
+            return rise - theta[4] * length, slope - theta[4]
+
+        def along(direction: Array) -> tuple[Array, Array]:
+            (_, slope), (change, _) = jax.jvp(excess, (theta,), (direction,))
+            return change, slope
+
+        change, slope = jax.vmap(along, out_axes=(0, None))(axes(theta))
+        return -change / slope
+
+    def axes(theta: Array) -> Array:
+        """Directions along the parameters."""
+        return jnp.broadcast_to(jnp.eye(5)[:count, :, None], (count, *theta.shape))
+
+    def kernel(lanes: Float[Array, "6 lanes"]) -> tuple[Array, ...]:
+        theta, length = lanes[:5], lanes[5]
+        first = slopes(theta, length)
+        if order == 1:
+            return (first,)
+        second = jax.vmap(lambda way, moves: jax.jvp(slopes, (theta, length), (way, moves))[1])(axes(theta), first)
+        return first, second
+
+    return kernel
+
+
+def _effort(lanes: Lanes) -> Int[np.ndarray, " n"]:
     """Rank by the work to expect, so that like lanes share a chunk.
 
     b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have.
     """
-    height, stiffness, poisson = lanes[:3].astype(np.float32)
+    height, stiffness, poisson = (np.asarray(x, np.float32) for x in lanes[:3])
     transverse = 1 / (2 * (1 + poisson) * height)
     with np.errstate(all="ignore"):
         b = stiffness / transverse
         rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 512 + 32768
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
-
-
-def _in_chunks(lanes: np.ndarray, order: np.ndarray, size: int, function: Any, found: list[np.ndarray]) -> None:
-    """Fill `found` at `order`, chunk by chunk, on every core."""
-
-    def run(chosen: np.ndarray) -> None:
-        with jax.numpy_rank_promotion("allow"):  # lanes are last in every array, so that missing axes are the leading ones
-            values = function(np.take(lanes, np.resize(chosen, size), axis=1))
-        for column, value in zip(found, values, strict=True):
-            column[chosen] = np.asarray(value)[: len(chosen)]
-
-    spread(run, [order[start : start + size] for start in range(0, len(order), size)])
-
-
-@functools.cache
-def _compiled(prestressed: bool) -> Callable[[np.ndarray], tuple[Array, ...]]:
-    def chunk(theta: Float[Array, "5 lanes"]) -> tuple[Array, ...]:
-        return lane_crossing.crossing(lane_series.solve(lane_series.inputs_of(theta, prestressed)), theta)
-
-    return compiled_once(jax.jit(chunk))
-
-
-def _with_derivatives(order: int, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-    """In NumPy, and the lanes that it leaves through the safeguarded search."""
-
-    def search(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        parts = [
-            _safeguarded()(np.take(theta, np.resize(left[i : i + SAFEGUARDED_CHUNK], SAFEGUARDED_CHUNK), axis=1))
-            for i in range(0, len(left), SAFEGUARDED_CHUNK)
-        ]
-        length, status = (np.concatenate([np.asarray(x) for x in column])[: len(left)] for column in zip(*parts, strict=True))
-        return length, status
-
-    return lane_derivatives.lengths(theta, order, search)
-
-
-@functools.cache
-def _safeguarded() -> Callable[[np.ndarray], tuple[Array, ...]]:
-    """The lanes that the fast search leaves: near run-away, on falling thresholds, next to a resonance."""
-
-    def one(theta: Array) -> tuple[Array, ...]:
-        front = exact_front(Slider(theta[0], theta[1], theta[2]), Interface(theta[3], theta[4]))
-        return front.length, front.status
-
-    return compiled_once(jax.jit(jax.vmap(one, in_axes=1)))

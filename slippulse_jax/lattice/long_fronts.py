@@ -1,7 +1,7 @@
 """Lengths of long fronts by the exact solution, at a cost that does not grow with the length.
 
-The recursion costs a nanosecond or two a lane and contact; the series of `slippulse_jax.lattice.lane_series`, some
-microseconds a lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the two
+The recursion costs a nanosecond or two per lane and contact; the series (`slippulse_jax.double_series`), some microseconds per
+lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the two
 contacts around ℓ*.
 """
 
@@ -12,8 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout
-from slippulse_jax.lattice import lane_crossing, lane_series
+from slippulse_jax.lattice.crossing import crossing_in_bulk, system_of
+from slippulse_jax.status import Outcome
 
 LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
@@ -45,12 +47,12 @@ def long_length_kernel(max_contacts: int) -> Kernel:
 
     def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array, ...]:
         with jax.numpy_rank_promotion("allow"):
-            series = lane_series.solve(lane_series.inputs_of(parameters, False))
+            found = series.solve(system_of(parameters, prestressed=False), regular=False)
             relaxed = jnp.concatenate([parameters, jnp.zeros((2, parameters.shape[1]))])
-            exact, status = lane_crossing.crossing(series, relaxed)
+            exact, status = crossing_in_bulk(found, relaxed)
             last = jnp.floor(exact)  # the last contact that breaks
-            behind, ahead = lane_crossing.rise(series, last)[0], lane_crossing.rise(series, last + 1)[0]
+            behind, ahead = series.rise(found, last)[0], series.rise(found, last + 1)[0]
         length = last + behind / (behind - ahead)
-        return (jnp.where((status == 0) & (length < max_contacts), length, jnp.nan),)
+        return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
 
     return lengths

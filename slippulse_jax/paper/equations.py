@@ -88,8 +88,11 @@ def in_tests(path: Path) -> Iterator[tuple[str, str]]:
 def index() -> dict[str, tuple[list[str], list[str]]]:
     """Find where each label is computed and where it is tested, as module.name and file::test."""
     computed, tested = defaultdict(list), defaultdict(list)
-    for path in sorted(PACKAGE.rglob("*.py")):
-        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+    sources = [(path, PACKAGE) for path in sorted(PACKAGE.rglob("*.py"))]
+    # the steps between two results, which only the tests need
+    sources.append((TESTS / "oracles" / "derivation.py", TESTS))
+    for path, folder in sources:
+        module = ".".join(path.relative_to(folder).with_suffix("").parts)
         if module.startswith("paper."):  # which measures what others compute
             continue
         for label, name in in_code(path):

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slippulse_jax import double_series as series
+from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.slider import Slider, each_slider
 from slippulse_jax.theory.crossing import crossing
 
@@ -61,14 +62,20 @@ def _line(slider: Slider) -> _Line:
     return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load, released.sum())
 
 
-def _solution(line: _Line) -> series.Solution:
-    return series.solve(series.roots_of(line.rate, line.weight, line.reflection), (line.start[0], line.start[1]))
+def _solution(line: _Line) -> series.Series:
+    return series.solve(series.system_of(line.rate, line.weight, line.reflection, line.start))
+
+
+def _differentiable(function: Any) -> Any:
+    """`function` of a slider and scalars, whose loops have a forward derivative only, with derivatives in every mode."""
+    of_numbers = by_forward_mode(lambda theta, *rest: function(Slider(theta[0], theta[1], theta[2]), *rest))
+    return lambda slider, *rest: of_numbers(jnp.stack([slider.height, slider.stiffness, slider.poisson]), *rest)
 
 
 @jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
-    return each_slider(lambda x, y: series.stress(_solution(_line(x)), y), slider, s)
+    return each_slider(_differentiable(lambda x, y: series.stress(_solution(_line(x)), y)[0]), slider, s)
 
 
 @jax.jit
@@ -80,14 +87,14 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
 
         line = _line(slider)
 
-        def excess(x: tuple[series.Solution, Array], s: Array) -> Array:
+        def excess(x: tuple[series.Series, Array], s: Array) -> Array:
             """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
             solution, first = x
-            return first + series.rise(solution, s)
+            return first + series.rise(solution, s)[0]
 
         return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(guess), 4 * guess + 4)
 
-    return each_slider(one, slider)
+    return each_slider(_differentiable(one), slider)
 
 
 @jax.jit
@@ -99,10 +106,10 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
     At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
     X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.
     """
-    return ContinuumFields(*each_slider(_fields, slider, s, x))
+    return ContinuumFields(*each_slider(lambda *of: tuple(_differentiable(_fields)(*of)), slider, s, x))
 
 
-def _fields(slider: Slider, s: Array, x: Array) -> tuple[Array, Array, Array]:
+def _fields(slider: Slider, s: Array, x: Array) -> Float[Array, "3"]:
     line = _line(slider)
     solution = _solution(line)
     behind, beyond = jnp.where(x < s, x, s), jnp.where(x < s, 0, x - s)  # not min and max: one-sided derivatives at x = s
@@ -113,4 +120,4 @@ def _fields(slider: Slider, s: Array, x: Array) -> tuple[Array, Array, Array]:
     echo = jnp.exp(-x * line.rate) * (line.reflection @ (jnp.exp(-x * line.rate) * later))
     mode = ahead + back + echo
     held = jnp.where(x < s, (back + echo).sum(), mode.sum())
-    return line.upper @ mode, mode.sum(), held
+    return jnp.stack([line.upper @ mode, mode.sum(), held])

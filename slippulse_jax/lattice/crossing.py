@@ -1,0 +1,217 @@
+"""Where the stress of the front first falls to the threshold, for any number of fronts at once: t(ℓ*) = 1 + ε ℓ*.
+
+A front well below run-away (φ < 0.999 φ_c) on thresholds that do not fall is *simple*: t has one maximum and one crossing
+beyond it, which Newton's method finds inside a bracket. Nearer to run-away, beyond it, and on falling thresholds the stress may
+touch the threshold in a dip and recover: a careful search comes from the edge by steps that do not leap over a dip, and takes
+only a crossing that the next contact sees. Lanes are last, and none depends on another.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from slippulse_jax import double_series as series
+from slippulse_jax.double_series import Lanes, Series, System
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
+
+SIMPLE = 0.999
+"""Part of the run-away prestress below which a front is simple."""
+
+CLOSE = 1e-7
+"""Last step of Newton's method, relative to the length: its square is rounding."""
+
+TURNS, STEPS = 16, 100
+"""Steps before a lane is left to the careful program in bulk, and before a crossing is given up; five to eight are usual."""
+
+ROUNDED = 1e-4
+"""Last step with which a crossing counts as found after `STEPS`: where the stress is all but level beside the threshold,
+rounding moves the crossing by as much, and the steps never get small."""
+
+
+def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
+    """The series' system at θ = (H/λc, k/K, ν, φ, …); φ is not looked at unless `prestressed`."""
+
+    def modes_of(height: Array, stiffness: Array, poisson: Array) -> Any:
+        return lattice_modes(Slider(height, stiffness, poisson))
+
+    for _ in theta.shape[1:]:
+        modes_of = jax.vmap(modes_of, in_axes=-1, out_axes=-1)
+    modes = modes_of(theta[0], theta[1], theta[2])
+    phi = theta[3] if prestressed else None
+    start = modes.drive if phi is None else (1 - phi)[None] * modes.drive
+    coupling, reflected = modes.ratio * modes.weight, modes.ratio[:, None] * modes.reflection
+    return series.system_of(modes.gap, coupling, reflected, start, phi, modes.weight.sum(0))
+
+
+def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -> tuple[Lanes, Lanes]:
+    """ℓ* and `Outcome`, both as numbers of one floating type, of fronts of which all are simple unless `careful`.
+
+    Parameters
+    ----------
+    found : Series
+        Of a regular table.
+    theta : array, shape (5, *lanes)
+        (H/λc, k/K, ν, φ, ε).
+    careful : bool
+        Whether some lanes may be other than simple.
+    """
+    slope, edge = theta[4], series.at_edge(found)
+    moves, zero = edge > slope, jnp.zeros_like(edge)
+    simple = _simple(found, slope) if careful else jnp.ones_like(moves)
+    start = jnp.where(simple & moves, _start(found, theta), 0)
+    low, dip, in_dip, passed = zero, zero, jnp.zeros_like(moves), ~moves
+    if careful:
+        low, dip, in_dip, passed = _first_dip(found, slope, ~simple, moves)
+        # past its dips a rising threshold is met once more, far out, where nothing is leapt over
+        start = jnp.where(~simple & passed & (slope > 0), jnp.maximum(dip, 0.25), start)
+        start = jnp.where(in_dip & (dip - low > 2 * _tiny(slope) * jnp.maximum(dip, 1)), dip, start)
+        low = jnp.where(simple, 0, low)
+    tolerance = max(CLOSE, _tiny(slope))
+    s, before = _newton(found, slope, start, low, tolerance=tolerance, most=STEPS)
+    settled = jnp.abs(s - before) <= ROUNDED * jnp.maximum(s, 1)
+    s = jnp.where(in_dip & (start == 0), dip, s)
+    none = jnp.where(simple, ~moves, in_dip & (dip == 0))
+    # what stops only where the threshold has fallen below nothing has run away
+    runs = ~simple & ~in_dip & passed & (slope <= 0) | (1 + slope * s < 0)
+    status = jnp.select(
+        [~jnp.isfinite(edge), none, runs, ~settled | ~simple & ~in_dip & ~passed],
+        [Outcome.INVALID, Outcome.NO_DOMINO, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED],
+        Outcome.ARRESTED,
+    ).astype(edge.dtype)
+    return length_of(s, status), status
+
+
+def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[Lanes, Lanes]:
+    """As `crossing`, of plain tables: lanes not simple, not sound or not found quickly are `NOT_CONVERGED`.
+
+    Newton's method on the first rows brings a lane to about 1e-5 of the crossing, and on all rows to the crossing itself.
+    """
+    slope = theta[4]
+    moves = series.at_edge(found) > slope
+    regular = found.sound & _simple(found, slope)
+    start = jnp.where(moves & regular, _start(found, theta), 0)
+    low = jnp.zeros_like(start)
+    s, _ = _newton(found, slope, start, low, tolerance=1e-4, most=TURNS, blocks=1)
+    s, before = _newton(found, slope, s, low, tolerance=CLOSE, most=TURNS)
+    settled = regular & (~moves | _close(s, before, CLOSE) & series.died_out(found, s))
+    status = jnp.where(settled, jnp.where(moves, Outcome.ARRESTED, Outcome.NO_DOMINO), Outcome.NOT_CONVERGED).astype(s.dtype)
+    return length_of(s, status), status
+
+
+def length_of(s: Lanes, status: Lanes) -> Lanes:
+    """The crossing, or what stands for it: 0 without a domino, inf on running away, NaN."""
+    without = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.where(status == Outcome.RUN_AWAY, jnp.inf, jnp.nan))
+    return jnp.where(status == Outcome.ARRESTED, s, without.astype(s.dtype))
+
+
+def _simple(found: Series, slope: Lanes) -> Bool[Array, "*lanes"]:
+    return (found.system.plateau < SIMPLE) & (slope >= 0)
+
+
+def _start(found: Series, theta: Array) -> Lanes:
+    """By the tail c_2 ρ_2^s far from the edge, or the macroscopic law on a rigid upper layer, whichever makes sense."""
+    slider = Slider(theta[0], theta[1], theta[2])
+    excess = found.amplitude[1] / (1 - jnp.minimum(found.system.plateau, SIMPLE)) - 1
+    b = slider.b
+    by_tail = excess > 0.1
+    return jnp.log1p(jnp.where(by_tail, excess, b / (2 + b))) / jnp.where(by_tail, found.system.rate[1], slider.kappa_2)
+
+
+def _newton(
+    found: Series, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int, blocks: int | None = None
+) -> tuple[Lanes, Lanes]:
+    """(s, the s before) once every lane is close, safeguarded by a bracket from `low` on.
+
+    A lane that is close stays where it is, and s = 0 asks for nothing.
+    """
+
+    def turn(carry: Any) -> Any:
+        s, before, low, high, count = carry
+        excess, rate = series.rise(found, s, blocks)
+        over = excess >= slope * s
+        low, high = jnp.where(over, s, low), jnp.where(over, high, s)
+        # ln t is all but straight: x (6 + x)/(6 + 4x) is ln(1 + x) near 0
+        x = jnp.maximum(excess, -0.9)
+        by_log = x * (6 + x) / (6 + 4 * x) * (1 + excess) / rate
+        newton = jnp.clip(s - jnp.where(slope == 0, by_log, (excess - slope * s) / (rate - slope)), s / 4, 4 * s + 10)
+        margin = tolerance * s  # at the crossing itself rounding may leave the bracket
+        inside = (rate < slope) & (newton >= low - margin) & (newton <= high + margin)
+        after = jnp.where(inside, newton, jnp.where(jnp.isfinite(high), (low + high) / 2, 2 * s + 0.25))
+        done = _close(s, before, tolerance)
+        return jnp.where(done, s, after), jnp.where(done, before, s), low, high, count + 1
+
+    def unfinished(carry: Any) -> Array:
+        return (~_close(carry[0], carry[1], tolerance)).any() & (carry[4] < most)
+
+    zero = jnp.zeros_like(start)
+    return lax.while_loop(unfinished, turn, (start, zero, low, jnp.full_like(start, jnp.inf), 0))[:2]
+
+
+def _close(s: Lanes, before: Lanes, tolerance: float) -> Bool[Array, "*lanes"]:
+    return jnp.abs(s - before) <= tolerance * s
+
+
+def _tiny(x: Array) -> float:
+    """A few roundings."""
+    return 64 * float(jnp.finfo(x.dtype).eps)
+
+
+def _first_dip(found: Series, slope: Lanes, wanted: Array, moves: Array) -> tuple[Lanes, Lanes, Array, Array]:
+    """From the edge to the first crossing that the next contact sees.
+
+    The stress beside the threshold is bent downward near the edge and upward from there on, so that it lies above its parabola
+    in the one part and above its tangent in the other: steps to their zeros come nearer to a crossing, and do not leap over a
+    dip. (Far out, where the stress tends to its plateau, they may go beyond the one crossing there.) A crossing is taken only
+    if the contact beyond it stays below its threshold.
+
+    Returns
+    -------
+    low, dip : array
+        The last point above the threshold, and the point found; where the search gave up, the point reached.
+    stopped, passed : array of bool
+        Whether there is such a crossing; whether none will come as long as the threshold does not rise.
+    """
+    tiny = _tiny(slope)
+    none = -jnp.ones_like(slope)
+
+    def turn(carry: Any) -> Any:
+        s, low, seen, stopped, passed, count = carry
+        (excess, rate), (_, bend) = jax.jvp(lambda x: series.rise(found, x), (s,), (jnp.ones_like(s),))
+        above, loss = excess - slope * s, slope - rate
+        checked = (seen >= 0) & (above < 0)
+        # the step to the zero of above − loss h + ½ min(bend, 0) h²
+        room, down = jnp.maximum(above, 0), jnp.minimum(bend, 0)
+        root = jnp.sqrt(loss**2 - 2 * room * down)
+        step = jnp.where(
+            loss > 0, 2 * room / jnp.where(loss > 0, loss + root, 1), (root - loss) / jnp.where(down < 0, -down, 1)
+        )
+        gone = ~checked & ((loss <= 0) & ~(bend < 0) | (s * found.system.rate[1] > 60))
+        after = s + jnp.minimum(step, 4 * s + 10)
+        close = ~checked & ~gone & (step <= tiny * jnp.maximum(s, 1)) & (s > 0)
+        contact = jnp.maximum(jnp.ceil(after), 1)
+        at_contact = close & (contact - after <= tiny * contact)
+        now = stopped | checked | at_contact
+        left = stopped | passed
+        return (
+            jnp.where(left, s, jnp.where(checked, seen, jnp.where(close & ~at_contact, contact, jnp.where(gone, s, after)))),
+            jnp.where(left | (above < 0), low, s),
+            jnp.where(left | checked, seen, jnp.where(close, after, none)),
+            jnp.where(left, stopped, now),
+            jnp.where(left, passed, gone),
+            count + 1,
+        )
+
+    def unfinished(carry: Any) -> Array:
+        return ~(carry[3] | carry[4]).all() & (carry[5] < STEPS)
+
+    # a stress that falls at once may still be above the threshold of contact 1
+    falls = wanted & ~moves
+    zero = jnp.zeros_like(slope)
+    begin = jnp.where(falls, 1, zero), zero, jnp.where(falls, 0, none), jnp.zeros_like(wanted), ~wanted, 0
+    s, low, _, stopped, passed, _ = lax.while_loop(unfinished, turn, begin)
+    return low, s, stopped & wanted, passed & wanted
