@@ -18,9 +18,9 @@ first row k whose moduli add up to less than `ROW_TOLERANCE` of the first row's;
 lane never depends on its neighbours.
 
 **Resonance.** μ may meet ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one k = n nearest to it (because the others
-are a factor r_2² apart). There the plain series has a pole, cancelled by another in front of ρ_1's own series. A `regular`
-table writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing
-roots, and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in and reports in `Series.sound` the few
+are a factor r_2² apart). There the series has a pole, cancelled by another in front of ρ_1's own series. A *regular* table
+writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing roots,
+and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in, and reports in `Series.sound` the few
 lanes whose digits it costs.
 
 Everything is built from the small numbers 1 − r_m, 1 − ρ_j and from decay rates −ln μ, never from r_m and ρ_j themselves:
@@ -239,6 +239,7 @@ def _fill(
     start, end = span
     stored = block.shape[0] > 0
     lanes = system.level_rate.ndim
+    summed = over_columns if progress.fed is None else _reduced
     a = jnp.asarray(_column(np.arange(2.0 * end + 1), lanes), above.dtype)
     if system.lattice:
         columns, level_gap = power_gaps(decayed(system.column_rate), 2 * end + 1), decayed(system.level_rate)
@@ -260,11 +261,9 @@ def _fill(
             tau, fed, echo = _regular_entries(system, above, gap, rho, resonance, (k, fed, echo))
         if end > LEAST:
             tau = jnp.where(running[None, None], tau, 0)
-        total = over_columns(tau)
-        bend = (system.level_rate * k.astype(total.dtype))[None] * total + system.column_rate[None] * over_columns(
-            a[None] * tau
-        )
-        lost = over_columns(gap[None] * tau)
+        total = summed(tau)
+        by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
+        bend, lost = by_level * total + by_column * summed(a[None] * tau), summed(gap[None] * tau)
         totals = totals + jnp.stack([total, system.start_gap * total + rho * lost, system.rate * total + bend])
         if stored:
             rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
@@ -272,7 +271,7 @@ def _fill(
         else:
             beyond = beyond + total
         if end > LEAST:
-            size = over_families(over_columns(jnp.abs(tau)))
+            size = over_families(summed(jnp.abs(tau)))
             scale = jnp.minimum(over_families(jnp.abs(rows[1])), 1)
             running = running & ((size > ROW_TOLERANCE * scale) | (k <= LEAST))
         above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
@@ -303,10 +302,10 @@ def _regular_entries(
 ) -> tuple[Array, Array, Array]:
     """τ of one row, ρ_1's series with this row added, and κ.
 
-    Beyond the resonance the families of ρ_2 and of the prestress obey (μ − A) V_ka = g_ka − κ p V¹_{k−n,a}, p = (r_2²)^{k−n}
-    (r_1/r_2)^a, where V¹ is ρ_1's series in units of V¹_00 = (r_1 w_1, ρ_1 − A_11), whose stress is ρ_1 − r_1; at it V = (0, κ),
-    κ = g_2/(x − ρ_2). D(s + 1) = ρ_1 D(s) + x^s; on a line D' = −σ_1 D + e^{−xs}. What is kept is κ (ρ_1 − r_1), for a series
-    in units of its own stress.
+    Beyond the resonance the families of ρ_2 and of the prestress obey (μ − A) V_ka = g_ka − κ p V¹_{k−n,a} with
+    p = (r_2²)^{k−n} (r_1/r_2)^a, where V¹ is ρ_1's series in units of V¹_00 = (r_1 w_1, ρ_1 − A_11), whose stress is ρ_1 − r_1.
+    At the resonance V = (0, κ), κ = g_2/(x − ρ_2). D(s + 1) = ρ_1 D(s) + x^s; on a line D' = −σ_1 D + e^{−xs}. What is kept is
+    κ (ρ_1 − r_1), for a series in units of its own stress.
     """
     k, fed, echo = state
     to_1, to_2, from_1, from_2 = (y[:, None] for y in (*system.to_roots, *system.to_modes))
@@ -379,7 +378,7 @@ def _row_moments(series: Series, s: Lanes, block: Array, start: int) -> list[Flo
     gap = power_gaps(decayed(s * series.system.column_rate), width)
     a = jnp.asarray(_column(np.arange(float(width)), s.ndim), gap.dtype)
     weights = gap[None], (a * rate * (1 - gap))[None]
-    if s.ndim == 0:
+    if series.echo is not None:
         return [(w[None] * block).sum(2) for w in weights]
     zero = [jnp.zeros((len(block), *series.rows.shape[1:]), gap.dtype)] * 2
 
@@ -545,13 +544,19 @@ def power_gaps(gap: Lanes, count: int) -> Float[Array, "count *lanes"]:
 
 
 def over_columns(x: Float[Array, "F a *lanes"]) -> Float[Array, "F *lanes"]:
-    """Σ_a, written out where there are lanes: XLA hands its own reduction to a library that costs more than the sum."""
-    if x.ndim == 2:
-        return x.sum(1)
+    """Σ_a, written out: XLA hands its own reduction to a library that costs more than the sum.
+
+    For plain tables; the rows of regular ones are wide, and take less time to compile as reductions.
+    """
     total = x[:, 0]
     for a in range(1, x.shape[1]):
         total = total + x[:, a]
     return total
+
+
+def _reduced(x: Array) -> Array:
+    """Σ_a."""
+    return x.sum(1)
 
 
 def over_families(x: Float[Array, "F *lanes"]) -> Lanes:
