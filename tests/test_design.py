@@ -242,7 +242,7 @@ def test_command(tmp_path):
     ("arguments", "message"),
     [
         (["--height", "10", "--sigma", "0.5", "--poisson", "0.3"], "missing --stiffness"),
-        (["--height", "10,x", "--sigma", "0.5", "--poisson", "0.3"], "numbers parted by commas"),
+        (["--height", "10,x", "--sigma", "0.5", "--poisson", "0.3"], "numbers separated by commas"),
         (["--height", "10", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "missing --sigma"),
         (["--height", "0.5", "--sigma", "0.5", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "must exceed 1"),
         (["--height", "9", "--sigma", "0.5", "--poisson", "0.3", "--measured", "nowhere.csv"], "nowhere.csv"),

@@ -62,7 +62,7 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     store = str(tmp_path / "s")
     done = invoke(*GRID, "--store", store, "--chunk", "4", "--share", "0/2")
     assert done.exit_code == 4
-    assert "the same command goes on" in done.stderr
+    assert "the same command resumes it" in done.stderr
     done = invoke(*GRID, "--store", store, "--no-resume")
     assert done.exit_code == 2
     assert "holds a sweep already" in done.stderr
@@ -140,7 +140,7 @@ def test_interrupt_leaves_a_store_to_resume(tmp_path):
         process.send_signal(signal.SIGINT)
         err = process.stderr.read()
     assert process.returncode == 130
-    assert "the same command goes on" in err
+    assert "the same command resumes it" in err
     assert "Traceback" not in err
     assert sp.open_sweep(store).attrs["complete"] == 0
     assert invoke(*arguments, "--store", str(store)).exit_code == 0

@@ -1,1 +1,1 @@
-"""The commands of ``slippulse``, a module each; they import what they need when they run."""
+"""The commands of ``slippulse``, one module each; imports are inside the functions so that ``--help`` answers at once."""

@@ -9,23 +9,23 @@ from slippulse_jax.cli.shared import as_json, figure_path, print_json, refuse, s
 
 
 class Numbers(click.ParamType):
-    """Numbers parted by commas."""
+    """Numbers separated by commas."""
 
     name = "numbers"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
-        """To a list of floats."""
+        """Convert to a list of floats."""
         if isinstance(value, list):
             return value
         try:
             return [float(x) for x in value.split(",")]
         except ValueError:
-            self.fail(f"{value!r}: numbers parted by commas are expected, such as 10,25,50", param, ctx)
+            self.fail(f"{value!r}: must be numbers separated by commas, such as 10,25,50", param, ctx)
 
 
 @click.command()
-@click.option("--height", type=Numbers(), metavar="H/λc,…", help="Heights of the blocks there are, over λc.")
-@click.option("--sigma", type=Numbers(), metavar="σ/λc,…", help="Standard error of a length, one or one a candidate, in λc.")
+@click.option("--height", type=Numbers(), metavar="H/λc,…", help="Heights of the available blocks, over λc.")
+@click.option("--sigma", type=Numbers(), metavar="σ/λc,…", help="Standard error of a length, in λc: one, or one per candidate.")
 @click.option("--height-mm", type=Numbers(), metavar="MM,…", help="Heights, in SI form.")
 @click.option("--sigma-mm", type=Numbers(), metavar="MM,…", help="Standard error of a length, in SI form.")
 @click.option("--correlation-length-um", type=Numbers(), metavar="UM,…", help="Correlation length λc, in SI form.")
@@ -33,18 +33,19 @@ class Numbers(click.ParamType):
 @click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
 @click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
 @click.option(
-    "--stiffness", type=Numbers(), metavar="K,…", help="What is known: k/K, or in SI form k/λc² in Pa/m; several roots in turn."
+    "--stiffness",
+    type=Numbers(),
+    metavar="K,…",
+    help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m.",
 )
 @click.option("--log-sd", type=Numbers(), metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
+@click.option("--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they add to the prior.")
+@click.option("--whole", is_flag=True, help="Whole contacts will be counted, to σ (0 allowed).")
 @click.option(
-    "--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they sharpen what is known."
+    "--next", "experiments", type=click.IntRange(1, 12), default=1, show_default=True, help="Number of experiments to plan."
 )
-@click.option("--whole", is_flag=True, help="Whole contacts are counted, to σ (0 allowed).")
-@click.option(
-    "--next", "experiments", type=click.IntRange(1, 12), default=1, show_default=True, help="How many to plan in turn."
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random shifts in evaluating two and more.")
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the gains and the lengths; .png, .pdf or .svg.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random shifts, for two and more.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw gains and lengths; .png, .pdf or .svg.")
 @as_json
 def command(
     stiffness: list[float] | None,
@@ -57,19 +58,19 @@ def command(
     as_json: bool,
     **conditions: list[float] | None,
 ) -> None:
-    """Which experiment to do next: candidates ranked by what they are expected to tell about the interface stiffness.
+    """Rank candidate experiments by expected information about the interface stiffness.
 
-    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa; lists parted by
-    commas, of equal lengths or single values, one entry a candidate. What is known comes from --stiffness with --log-sd, from
-    --measured, or from both.
+    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa: lists separated by
+    commas, of equal lengths or single values, one entry per candidate. Prior knowledge comes from --stiffness with --log-sd,
+    from --measured, or from both.
     """
     from slippulse_jax.inference.design.design import design
 
     candidates = _conditions(conditions)
     if measured is None and stiffness is None:
-        raise click.UsageError("missing --stiffness (with --log-sd) or --measured: what is known already")
+        raise click.UsageError("missing --stiffness (with --log-sd) or --measured: prior knowledge of the stiffness")
     if (stiffness is None) != (log_sd is None):
-        raise click.UsageError("--stiffness and --log-sd belong together")
+        raise click.UsageError("--stiffness and --log-sd must be given together")
     try:
         known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
         found = design(known, **candidates, kind="whole" if whole else "length", experiments=experiments, seed=seed)
@@ -86,7 +87,7 @@ def command(
 
 
 def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
-    """The conditions of the candidates, as `design` takes them."""
+    """Conditions of the candidates, as `design` takes them."""
     from slippulse_jax.units import split_unit
 
     forms = {"plain": ("height", "sigma"), "si": ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")}

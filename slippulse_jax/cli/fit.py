@@ -26,8 +26,8 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 
 @click.command()
 @click.argument("csv", metavar="LENGTHS.CSV")
-@click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, to fit too.")
-@click.option("--free", multiple=True, metavar="NAME", help="What to fit; repeat for several. Default: stiffness.")
+@click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, fitted too.")
+@click.option("--free", multiple=True, metavar="NAME", help="Parameter to fit; repeat for several. Default: stiffness.")
 @click.option(
     "--bounds",
     type=float,
@@ -35,20 +35,22 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     metavar="LOW HIGH",
     help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
 )
-@click.option("--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Independent knowledge.")
-@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range searched.")
+@click.option("--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Gaussian prior of a parameter.")
+@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search.")
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value.")
-@click.option("--each-specimen", multiple=True, metavar="NAME", help="A value of its own for every specimen.")
-@click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="What a residual costs.")
-@click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Whether the size of σ is believed, or only ratios.")
+@click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
+@click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="Loss function.")
+@click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Take σ as given, or only the ratios of σ.")
 @click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
-@click.option("--intervals", type=click.Choice(["profile", "calibrated"]), help="From chi-squared, or from simulations.")
-@click.option("--seed", type=int, help="Of starts and bootstrap.")
 @click.option(
-    "--request", metavar="FILE", help="TOML file of parameters and settings, or the JSON of an earlier fit to repeat."
+    "--intervals",
+    type=click.Choice(["profile", "calibrated"]),
+    help="From chi-squared, or simulations.",
 )
+@click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
+@click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")
 @click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
-@click.option("--case", is_flag=True, help="Bootstrap by drawing the measurements with replacement.")
+@click.option("--case", is_flag=True, help="Bootstrap by resampling the measurements.")
 @click.option(
     "--posterior",
     type=click.IntRange(min=2),
@@ -64,18 +66,18 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """Fit the interface to measured first precursors.
 
-    LENGTHS.CSV has one precursor a line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
+    LENGTHS.CSV has one precursor per line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
     length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
     among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), prestress, force and
     displacement at nucleation, specimen, provenance, label.
 
-    GAUGES.CSV has one reading a line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
+    GAUGES.CSV has one reading per line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
     stress_sigma_MPa. Then fit strength too: --free stiffness --free strength.
 
     A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
     max_steps. Options are added to it.
 
-    Exit status: 0 also when the data cannot tell a parameter, which is then said; 3 if the search did not converge.
+    Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
@@ -127,7 +129,7 @@ def _draw(result: "FitResult", samples: "np.ndarray | None", options: dict[str, 
 
 
 def _check(options: dict[str, Any]) -> None:
-    """Refuse options that go with another one without it."""
+    """Check for options that need another one."""
     if options["gauge_figure"] and not options["gauges"]:
         raise click.UsageError("--gauge-figure needs --gauges")
     if options["case"] and not options["bootstrap"]:

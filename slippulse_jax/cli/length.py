@@ -13,11 +13,11 @@ SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 
 @click.command()
 @click.option("--height", type=float, metavar="H/λc", help="Height of the slider over the correlation length.")
-@click.option("--stiffness", type=float, metavar="k/K", help="Contact stiffness over that of an interfacial bond, K = Eλc.")
+@click.option("--stiffness", type=float, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc.")
 @click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
 @click.option("--height-mm", type=float, metavar="MM", help="Height of the slider, in SI form.")
 @click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
-@click.option("--areal-stiffness", type=float, metavar="PA/M", help="Shear stiffness of the interface per area, k/λc².")
+@click.option("--areal-stiffness", type=float, metavar="PA/M", help="Interfacial shear stiffness per area, k/λc².")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
 @click.option(
     "--right",
@@ -29,7 +29,7 @@ SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
 @as_json
 def command(poisson: float, right: str, sites: int | None, as_json: bool, **given: float | None) -> None:
-    """Length of the first precursor of one slider.
+    """Compute the first precursor of one slider.
 
     Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
     """
@@ -45,7 +45,7 @@ def command(poisson: float, right: str, sites: int | None, as_json: bool, **give
 
 
 def _form(given: dict[str, float | None]) -> dict[str, float]:
-    """The options of the one form that was given, complete."""
+    """Values of the form that was given, dimensionless or SI; all of them are needed."""
     si, plain = ([name for name in names if given[name] is not None] for names in (SI, DIMENSIONLESS))
     if si and plain:
         raise click.UsageError(f"{_option(si[0])} and {_option(plain[0])} belong to two forms of the slider: give one")

@@ -1,7 +1,7 @@
-"""The command ``slippulse``: data on stdout, messages on stderr, and an exit status that says what happened.
+"""The command ``slippulse``: data on stdout, messages on stderr, and an exit status.
 
-0 done; 1 failure; 2 bad usage or input; 3 did not converge; 4 sweep incomplete; 130 interrupted. Nothing heavy is imported
-here: each command is imported when it is run, so that ``--help`` and ``--version`` answer at once.
+0 done; 1 failure; 2 bad usage or input; 3 did not converge; 4 sweep incomplete; 130 interrupted. A command is imported when it
+is run, so that ``--help`` and ``--version`` answer without JAX.
 """
 
 import importlib
@@ -15,13 +15,13 @@ from slippulse_jax.cli.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_
 from slippulse_jax.status import NotConverged
 
 COMMANDS = {
-    "series": "A series of precursors, as a catalogue of events.",
-    "claims": "Measure the claims of the paper, one by one.",
-    "design": "Which experiment to do next, to learn the interface stiffness.",
+    "claims": "Measure the paper's claims and compare.",
+    "design": "Choose the next experiment to determine the interface stiffness.",
     "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
-    "sweep": "First precursors over ranges of parameters, labelled, into a table or a store.",
-    "fit": "Fit the interface stiffness to a CSV file of measured precursor lengths.",
-    "length": "Length of the first precursor of one slider.",
+    "fit": "Fit the interface stiffness to measured precursor lengths.",
+    "length": "Compute the first precursor of one slider.",
+    "series": "Compute a series of precursors as a catalogue of events.",
+    "sweep": "Compute first precursors over ranges of parameters.",
 }
 
 
@@ -88,7 +88,7 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        # whoever read our output has closed it: not an error of ours, and nothing more can be written there
+        # the reader closed the pipe, as head does: nothing more can be written there
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(FAILURE)
     except OSError as error:

@@ -12,32 +12,36 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.catalogue import Catalogue
 
 BREAKS_AN_EVENT = 50
-"""For which there is room at first, where breaks are drawn."""
+"""Room for breaks at first, where they are drawn."""
 
 
 @click.command()
 @click.option("--height", type=float, required=True, metavar="H/λc", help="Height of the slider over the correlation length.")
-@click.option("--stiffness", type=float, required=True, metavar="k/K", help="Contact stiffness over that of a bond.")
+@click.option("--stiffness", type=float, required=True, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc.")
 @click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
 @click.option("--sites", type=click.IntRange(min=2), default=150, show_default=True, help="Contacts of the chain.")
-@click.option("--events", type=click.IntRange(min=1), default=100, show_default=True, help="Events.")
+@click.option("--events", type=click.IntRange(min=1), default=100, show_default=True, help="Number of events.")
 @click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
-@click.option("--step", type=float, metavar="U_S", help="Load in finite steps of this size; adiabatically by default.")
+@click.option("--step", type=float, metavar="U_S", help="Load in steps of this size; by default adiabatically.")
 @click.option("--spring", type=float, metavar="K", help="Drive through a spring of this stiffness.")
 @click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")
 @click.option("--recovery", type=float, metavar="U_S", help="Ageing: load over which thresholds recover.")
 @click.option(
-    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks for which a contact stays detached."
+    "--repin-delay",
+    type=click.IntRange(min=0),
+    default=0,
+    metavar="N",
+    help="Breaks while a contact stays detached.",
 )
 @click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw friction curve and space–time map.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the friction curve and the space–time map.")
 @as_json
 def command(
     height: float, stiffness: float, poisson: float, sites: int, events: int, right: str, step: float | None,
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
     out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """A series of precursors of one slider, as a catalogue of events (CSV on stdout)."""
+    """Compute a series of precursors of one slider: a catalogue of events, as CSV on stdout."""
     _check(step, spring, newborn, recovery)
     import jax
 
@@ -56,7 +60,7 @@ def command(
             room = BREAKS_AN_EVENT * events if figure else 0
             found = run(recorded_breaks=room)
             breaks = int(found.breaks.sum())
-            if figure and breaks > room:  # the same series again, with room for all that the figure shows
+            if figure and breaks > room:  # the same series again, with room for all breaks
                 found = run(recorded_breaks=breaks)
         except ValueError as error:
             refuse(error)
@@ -75,7 +79,7 @@ def command(
 
 
 def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None) -> None:
-    """Refuse options that do not go together, before anything is computed."""
+    """Check, before any computation, that the options go together."""
     if step is not None and spring is not None:
         raise click.UsageError("--step and --spring are two protocols: give one")
     if (newborn is None) != (recovery is None):

@@ -1,4 +1,4 @@
-"""What commands have in common: JSON, errors, figures."""
+"""Shared by the commands: JSON, errors, figures."""
 
 import io
 import json
@@ -23,44 +23,44 @@ as_json = click.option("--json", "as_json", is_flag=True, help="Print the result
 
 
 class BadInput(click.ClickException):
-    """Input that cannot be used; exit status 2."""
+    """Invalid input; exit status 2."""
 
     exit_code = BAD_INPUT
 
 
 last_words: list[str] = []
-"""What an interrupted command has to say, beside that it was interrupted; a command adds its own."""
+"""Lines printed when the command is interrupted; a command adds its own."""
 
 
 def leave_when_interrupted() -> None:
-    """From now on Ctrl-C prints the last words and ends the program at once with status 130.
+    """Let Ctrl-C print the last words and end the program at once, with status 130.
 
-    A KeyboardInterrupt will not do: one that falls into a callback that JAX makes while it compiles is swallowed there, and
-    unloading JAX under a compilation that was cut short can crash. Files are written whole or not at all, so nothing is lost.
+    A KeyboardInterrupt would be swallowed in a callback of JAX's compiler, and unloading JAX during a compilation can crash.
+    Files are written whole or not at all, so nothing is lost.
     """
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a shell, where Ctrl-C is not for us
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a shell
         return
 
     def leave(*_: Any) -> None:
         message = "\n" * os.isatty(2) + "".join(line + "\n" for line in (*last_words, "interrupted"))
-        os.write(2, message.encode())  # below Python's buffers, in one of which we may be
+        os.write(2, message.encode())  # not through Python's buffers, which may be in use
         os._exit(INTERRUPTED)
 
     signal.signal(signal.SIGINT, leave)
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """Print strict JSON, with null for every number that is not finite."""
+    """Print strict JSON, with null for numbers that are not finite."""
     click.echo(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def refuse(error: Exception) -> NoReturn:
-    """Turn an error about the input into one line and exit status 2."""
+    """Exit with status 2 and the message of an error about the input."""
     raise BadInput(str(error)) from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:
-    """Callback of an option: checks, before anything is computed, that a file of one of the formats could be written there."""
+    """Callback of an option that checks, before any computation, format and folder of a file to be written."""
 
     def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
         if value is None:
@@ -81,7 +81,7 @@ figure_path, table_path, page_path = output_path(*FIGURE_FORMATS), output_path("
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format its suffix names, in one step, and say so."""
+    """Write a figure atomically, in the format of its suffix, and report it on stderr."""
     from slippulse_jax.files import write_atomically
 
     content = io.BytesIO()

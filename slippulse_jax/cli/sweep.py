@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Incomplete(click.ClickException):
-    """Part of the sweep is in its store and the rest is not; exit status 4."""
+    """The store holds only part of the sweep; exit status 4."""
 
     exit_code = 4
 
@@ -62,13 +62,13 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s a site, likewise.")
 @click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin, likewise.")
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
-@click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="What to compute at each point.")
+@click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
 @click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
 @click.option("--store", type=click.Path(), metavar="FOLDER", help="Write the result to this folder as it is computed.")
-@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on with the sweep that --store holds, if any.")
-@click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Points a file of the store.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Resume the sweep that --store holds, if any.")
+@click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Points per file of the store.")
 @click.option("--share", callback=_pair, metavar="I/N", help="Compute only the I-th of N shares (I from 0) into the store.")
 @click.option("--distributed", is_flag=True, help="Share with the processes of a SLURM or MPI job, through jax.distributed.")
 @click.option("--out", callback=table_path, metavar="FILE", help="Write the result to .csv or .nc.")
@@ -78,9 +78,9 @@ def command(
     outputs: str, points: bool, right: Any, sites: int | None, store: str | None, resume: bool, chunk: int | None,
     share: tuple[int, int] | None, distributed: bool, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
 ) -> None:  # fmt: skip
-    """Precursors over ranges of parameters; CSV on stdout, or into a store that survives interruption.
+    """Compute first precursors over ranges of parameters: CSV on stdout, or a store that survives interruption.
 
-    A name in --outputs may also be gradients, theory or validity, for several at once.
+    --outputs also takes gradients, theory and validity, each for several outputs.
     """
     if store is None and (share or distributed or chunk):
         raise click.UsageError("--share, --distributed and --chunk go with --store")
@@ -104,7 +104,7 @@ def command(
 
 
 def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
-    """Run it, and turn what can happen to it into messages and exit statuses."""
+    """Run the sweep and turn its errors into messages and exit statuses."""
     from slippulse_jax.sweeps.run import sweep
 
     if store is not None:
@@ -123,7 +123,7 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
 
 
 def _kept(store: str) -> str:
-    return f"what was computed is kept in {store}; the same command goes on"
+    return f"what was computed is kept in {store}; the same command resumes it"
 
 
 def _hand_over(found: "xr.Dataset", out: Path | None, figure: Path | None, as_json: bool, store: str | None) -> None:
