@@ -1,5 +1,7 @@
 """Independent programs that check the package. None imports it, nor JAX; a test holds that.
 
+(`derivation` is none of them: it writes out the steps of the paper's Appendix in the package's own formulas.)
+
 =========== ============================================ ==========================================================
 program     method                                       checks
 =========== ============================================ ==========================================================
