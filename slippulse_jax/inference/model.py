@@ -98,8 +98,8 @@ def by_differences(
 ) -> Prediction:
     """Values of a model and their derivatives in the `wanted` inputs by central differences, all in one call.
 
-    The steps are `STEPS` times `size`. Two lengths more per derivative cost less than an exact one: 25 against 1100 µs per
-    lane when last measured.
+    The steps are `STEPS` times `size`. Two more lengths per derivative cost some 25 µs per lane, the exact derivatives of
+    `exact_lengths` 1100 µs when last measured.
     """
     wanted = [name for name in STEPS if name in wanted]
     if not wanted:
