@@ -21,6 +21,7 @@ from slippulse_jax.inference.design.information import (
     log_likelihoods,
     outcomes,
 )
+from slippulse_jax.inference.likelihood import data_log_density
 
 
 def normal_prior(sd, nodes=801):
@@ -106,6 +107,18 @@ def test_probabilities_of_outcomes_add_up():
     for kind, sigma in (("length", 0.1), ("length", 3.0), ("whole", 0.0), ("whole", 0.7)):
         y, dy = outcomes(length, sigma, kind)
         np.testing.assert_allclose(dy @ likelihood(y, length, sigma, kind), 1, atol=1e-9)
+
+
+def test_the_likelihood_is_that_of_a_fit():
+    """Normalised; but for σ = 0, where a fit blurs the edges of a count, and for a count of 1, which here holds all below."""
+    length = np.array([0.0, 0.6, 3.2, 17.4, 40.7, np.inf])
+    y = np.array([2.0, 3.0, 4.0, 17.0, 41.0])
+    for sigma in (0.3, 2.0):
+        norm = sigma * np.sqrt(2 * np.pi)
+        fitted = np.exp(data_log_density(length, y[:, None], sigma, "length")) / norm
+        np.testing.assert_allclose(likelihood(y, length, sigma, "length"), fitted, rtol=1e-12, atol=1e-300)
+        fitted = np.exp(data_log_density(length, y[:, None], sigma, "whole"))
+        np.testing.assert_allclose(likelihood(y, length, sigma, "whole"), fitted, rtol=1e-9, atol=1e-14)
 
 
 def test_nothing_is_learnt_at_the_peak_nor_on_the_plateau():

@@ -65,6 +65,12 @@ def likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> n
     sigma : float
         Standard error; may be 0 for counts.
     kind : {"length", "whole"}
+
+    Notes
+    -----
+    The density of a fit, `slippulse_jax.inference.likelihood.data_log_density`, normalised; a test compares the two. It is
+    written out for the millions of pairs (y, ℓ) of a design: 2 million take 0.10 s, and 0.39 s by `data_log_density`, which
+    also computes derivatives. σ = 0 is exact here and a narrow blur in a fit.
     """
     y = y[:, None]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
