@@ -19,9 +19,9 @@ lane never depends on its neighbours.
 
 **Resonance.** μ may meet ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one k = n nearest to it (because the others
 are a factor r_2² apart). There the series has a pole, cancelled by another in front of ρ_1's own series. A *regular* table
-writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing roots,
-and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in, and reports in `Series.sound` the few
-lanes whose digits it costs.
+writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing
+roots, and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in, and reports in
+`Series.sound` the few lanes whose digits it costs.
 
 Everything is built from the small numbers 1 − r_m, 1 − ρ_j and from decay rates −ln μ, never from r_m and ρ_j themselves:
 for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_jax.theory`) differences become derivatives:
