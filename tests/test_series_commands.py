@@ -15,8 +15,8 @@ import xarray
 from click.testing import CliRunner
 
 import slippulse_jax as sp
-from slippulse_jax.cli.main import claims as claims_command
-from slippulse_jax.cli.main import series as series_command
+from slippulse_jax.cli import claims as claims_command
+from slippulse_jax.cli import series as series_command
 from slippulse_jax.lattice.catalogue import COLUMNS, EventClass, write_series
 from slippulse_jax.plot import friction_curve, space_time
 
