@@ -10,7 +10,6 @@ from scipy.linalg import solve_banded
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
-from slippulse_jax.lattice.chain import relaxed
 
 jax.config.update("jax_enable_x64", True)
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
@@ -47,7 +46,7 @@ def main():
     for n in (100, 10**4, 10**6):
         rng = np.random.default_rng(0)
         c = sp.chain(FIG2, sites=n, contact=0.03 * rng.uniform(0.5, 1.5, n))
-        state = relaxed(c, 3.0)
+        state = c.relaxed(3.0)
         bands, rhs = banded(c, 3.0)
         x = solve_banded((2, 2), bands, rhs)
         found = solve(c, state)

@@ -13,6 +13,7 @@ from numba import njit, prange
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
+from slippulse_jax.bulk.compiler import compile_loops_whole
 from slippulse_jax.lattice.chain import State
 from slippulse_jax.lattice.response import dense, response
 
@@ -94,6 +95,7 @@ def main() -> None:
     parser.add_argument("--batch-events", type=int, default=500)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     given = parser.parse_args()
+    compile_loops_whole()
     jax.config.update("jax_enable_x64", True)
     numba.set_num_threads(given.threads)
 

@@ -14,7 +14,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import relaxed
 from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.smooth import smooth_length
 
@@ -124,7 +123,7 @@ def float32_errors():
 
         def run(height, stiffness, poisson):
             c = sp.chain(sp.Slider(height=height, stiffness=stiffness, poisson=poisson), sites=300)
-            state, site = sp.nucleate(c, relaxed(c))
+            state, site = sp.nucleate(c)
             return sp.equilibrium(c, state), sp.rupture(c, state, trigger=site)
 
         numbers = [jnp.asarray(x) for x in (height, stiffness, 0.3)]
@@ -154,7 +153,7 @@ def drift():
     rows = []
     for sites, load, most in ((300, 20.0, 10**3), (300, 2e3, 10**4), (3000, 2e5, 10**5)):
         c = sp.chain(FIG2, sites=sites, right="free")
-        found = jax.jit(lambda s, c=c, most=most: sp.rupture(c, s, max_breaks=most))(relaxed(c, load))
+        found = jax.jit(lambda s, c=c, most=most: sp.rupture(c, s, max_breaks=most))(c.relaxed(load))
         n, u = int(found.breaks), float(jnp.abs(found.after.layer).max())
         eps = np.finfo(float).eps
         rows.append((sites, n, int(found.broken.max()), f"{float(found.drift):.1e}", f"{n * 16 * eps:.1e}", f"{u * eps:.1e}"))
@@ -168,14 +167,14 @@ def drift():
 def pictures():
     """A rupture and the sensitivity of its length."""
     c = sp.chain(FIG2, sites=200)
-    state, site = sp.nucleate(c, relaxed(c))
+    state, site = sp.nucleate(c)
     event = sp.rupture(c, state, trigger=site)
     figure, axes = plt.subplots(2, 2, figsize=(10, 7.2), layout="constrained")
     sp.plot.displacements(event.after, before=event.before, sites=70, ax=axes[0, 0])
     sp.plot.stress(event.after, chain=c, before=event.before, sites=70, ax=axes[0, 1])
     sp.plot.front_stress(sp.sensitivity(FIG2, sites=40).stress, length=float(event.length), ax=axes[1, 0])
     weak = sp.chain(FIG2, sites=120, right="free", threshold=1 + 0.1 * np.sin(np.arange(120)))
-    sp.plot.break_order(sp.rupture(weak, relaxed(weak, 9.0)), ax=axes[1, 1])
+    sp.plot.break_order(sp.rupture(weak, weak.relaxed(9.0)), ax=axes[1, 1])
     picture(figure, "rupture")
     figure, (hard, soft) = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained", sharey=True)
     sp.plot.sensitivity(sp.sensitivity(FIG2, sites=60), sites=31, ax=hard)

@@ -12,11 +12,12 @@ import pytest
 from chains import batch, both_chains
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import State, chain, relaxed
+from slippulse_jax.lattice.chain import State, chain
 from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.response import dense, response
-from slippulse_jax.lattice.rupture import RuptureStatus, nucleate, rupture
+from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")
 SITES = (2, 3, 5, 8, 13, 29, 64, 150, 300)
@@ -89,8 +90,8 @@ def compare(seed, shapes, per_shape):
 def expected_status(numbers, order, stress):
     over = np.where(numbers.k > 0, stress - numbers.threshold, -np.inf)
     if len(order) == MAX_BREAKS and over.max() >= 0:
-        return RuptureStatus.LIMIT
-    return RuptureStatus.RAN_THROUGH if max(order) == len(numbers.k) - 1 else RuptureStatus.ARRESTED
+        return Outcome.LIMIT
+    return Outcome.RAN_THROUGH if max(order) == len(numbers.k) - 1 else Outcome.ARRESTED
 
 
 def check(worst, longest, again, beyond, chains):
@@ -123,7 +124,7 @@ def test_response_is_the_inverse_of_the_stiffness_matrix(sites, right):
 @jax.jit
 def first_precursor(slider_fields):
     c = chain(sp.Slider(*slider_fields), sites=2000)
-    state, site = nucleate(c, relaxed(c))
+    state, site = nucleate(c)
     return rupture(c, state, trigger=site), site
 
 
@@ -136,7 +137,7 @@ def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion
     found, site = first_precursor(numbers)
     fast = arrest(sp.Slider(*numbers), "semi-infinite", None, 10_000)
     assert site == 0
-    assert found.status == RuptureStatus.ARRESTED
+    assert found.status == Outcome.ARRESTED
     assert found.extent == found.breaks == fast.contacts_broken == count
     assert found.order[:count].tolist() == list(range(count))
     np.testing.assert_allclose(found.length, fast.length, rtol=1e-11)
@@ -146,9 +147,9 @@ def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion
 def test_error_over_a_hundred_thousand_breaks():
     """The bound: n breaks leave a relative error of at most n (ε + 8u), componentwise; what is found is far below it."""
     c = chain(FIG2, sites=3000, right="free")
-    found = jax.jit(lambda s: rupture(c, s, max_breaks=100_000))(relaxed(c, 2e5))
+    found = jax.jit(lambda s: rupture(c, s, max_breaks=100_000))(c.relaxed(2e5))
     assert found.breaks == 100_000
-    assert found.status == RuptureStatus.LIMIT
+    assert found.status == Outcome.LIMIT
     # ε: relative error of the response, against the same in a reference where it is known to all digits
     print(f"drift {float(found.drift):.2e} σ_s after {int(found.breaks)} breaks, largest {int(found.broken.max())} times")
     largest = float(jnp.abs(found.after.layer).max())
@@ -160,9 +161,9 @@ def test_error_over_a_hundred_thousand_breaks():
 def test_a_rupture_goes_on_where_it_was_given_up():
     """Stopping after n breaks and going on from that state is the same rupture: nothing is remembered but the state."""
     c = chain(FIG2, sites=100, right="free")
-    whole, part = (jax.tree.map(np.asarray, rupture(c, relaxed(c, 20.0), max_breaks=n)) for n in (1000, 300))
+    whole, part = (jax.tree.map(np.asarray, rupture(c, c.relaxed(20.0), max_breaks=n)) for n in (1000, 300))
     rest = jax.tree.map(np.asarray, rupture(c, State(*map(jnp.asarray, part.state)), max_breaks=1000))
-    assert part.status == RuptureStatus.LIMIT
+    assert part.status == Outcome.LIMIT
     n = int(whole.breaks)
     assert int(whole.broken.max()) > 1
     np.testing.assert_array_equal(np.concatenate([part.order, rest.order])[:n], whole.order[:n])
@@ -197,7 +198,7 @@ def test_lanes_do_not_depend_on_their_order_and_one_may_fail(lanes):
     broken = LOADS.copy()
     broken[77] = np.nan
     found = run(jnp.asarray(broken))
-    assert found.status[77] == RuptureStatus.INVALID
+    assert found.status[77] == Outcome.INVALID
     assert found.breaks[77] == 0
     assert np.isnan(found.length[77])
     others = np.arange(200) != 77
@@ -244,7 +245,7 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
 
 def energy_at(height):
     c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
-    return rupture(c, relaxed(c, 3.5)).energy
+    return rupture(c, c.relaxed(3.5)).energy
 
 
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian])
@@ -258,7 +259,7 @@ def test_hard_rupture_refuses_to_be_differentiated_and_names_the_surrogate(deriv
 def test_loading_to_nucleation_is_differentiable():
     def load(height):
         c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
-        return nucleate(c, relaxed(c))[0].load
+        return nucleate(c)[0].load
 
     load, slope, h = jax.jit(load), jax.jit(jax.grad(load)), 1e-3
     np.testing.assert_allclose(slope(25.0), (load(25 + h) - load(25 - h)) / (2 * h), rtol=1e-7)
@@ -266,34 +267,34 @@ def test_loading_to_nucleation_is_differentiable():
 
 def test_how_a_rupture_ends():
     def ends(c, load, **options):
-        found = rupture(c, relaxed(c, load), **options)
-        return RuptureStatus(int(found.status)), float(found.length), found
+        found = rupture(c, c.relaxed(load), **options)
+        return Outcome(int(found.status)), float(found.length), found
 
     semi, free = chain(FIG2, sites=40), chain(FIG2, sites=40, right="free")
     status, length, found = ends(semi, 1.0)
-    assert (status, length, int(found.breaks), int(found.extent)) == (RuptureStatus.NOTHING_BROKE, 0.0, 0, 0)
+    assert (status, length, int(found.breaks), int(found.extent)) == (Outcome.NOTHING_BROKE, 0.0, 0, 0)
     assert not found.slip.any()
-    assert ends(semi, 3.5)[0] == RuptureStatus.ARRESTED
+    assert ends(semi, 3.5)[0] == Outcome.ARRESTED
     status, length, found = ends(free, 9.0)
-    assert (status, length, int(found.extent)) == (RuptureStatus.RAN_THROUGH, np.inf, 40)
+    assert (status, length, int(found.extent)) == (Outcome.RAN_THROUGH, np.inf, 40)
     status, length, _ = ends(free, 9.0, max_breaks=5)
-    assert status == RuptureStatus.LIMIT
+    assert status == Outcome.LIMIT
     assert np.isnan(length)
     cut = np.ones(39)
     cut[9] = 0
     contact = np.where(np.arange(40) < 10, 0.03, 0)
     floating = chain(FIG2, sites=40, right="free", contact=contact, layer=cut, upper=25 * cut)
     status, length, found = ends(floating, 9.0)
-    assert status == RuptureStatus.SINGULAR
+    assert status == Outcome.SINGULAR
     assert int(found.breaks) == 0
-    assert ends(semi, np.nan)[0] == RuptureStatus.INVALID
+    assert ends(semi, np.nan)[0] == Outcome.INVALID
 
 
 def test_a_detached_contact_never_breaks_and_the_front_may_pass_it():
     contact = np.full(40, 0.03)
     contact[5] = 0
     c = chain(FIG2, sites=40, contact=contact)
-    state, site = nucleate(c, relaxed(c))
+    state, site = nucleate(c)
     found = rupture(c, state, trigger=site)
     assert found.broken[5] == 0
     assert found.broken[4] == found.broken[6] == 1
@@ -304,11 +305,11 @@ def test_refusals():
     with pytest.raises(ValueError, match=r"state.pinning has shape \(4,\): must be \(5,\)"):
         rupture(c, State(jnp.zeros(4), jnp.asarray(1.0)))
     with pytest.raises(ValueError, match="linear contacts"):
-        rupture(chain(FIG2, sites=5, law=jnp.tanh), relaxed(c))
+        rupture(chain(FIG2, sites=5, law=jnp.tanh), c.relaxed())
     with pytest.raises(ValueError, match=r"batch.*jax.vmap"):
-        rupture(batch([c, c]), relaxed(c))
+        rupture(batch([c, c]), c.relaxed())
     with pytest.raises(TypeError, match="must be HardBreak"):
-        rupture(c, relaxed(c), rule=0.01)
+        rupture(c, c.relaxed(), rule=0.01)
     with pytest.raises(ValueError, match="1e-6, 1"):
         SmoothBreak(width=2.0)
 
@@ -316,7 +317,7 @@ def test_refusals():
 def test_float32():
     with jax.enable_x64(False):
         c = chain(sp.Slider(height=np.float32(25), stiffness=np.float32(0.03), poisson=np.float32(0.3)), sites=200)
-        state, site = nucleate(c, relaxed(c))
+        state, site = nucleate(c)
         found = jax.jit(lambda s, i: rupture(c, s, trigger=i, max_breaks=100))(state, site)
         assert found.after.stress.dtype == jnp.float32
     assert found.breaks == 26

@@ -7,8 +7,7 @@ from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.catalogue import SeriesStatus
-from slippulse_jax.lattice.chain import relaxed
-from slippulse_jax.lattice.rupture import RuptureStatus
+from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
@@ -44,7 +43,7 @@ def test_series_against_dense_program(delay):
 def test_rupture_against_dense_program(delay):
     plain, chain = rough(delay)
     load = 5.0
-    got = sp.rupture(chain, relaxed(chain, load), repin_delay=delay)
+    got = sp.rupture(chain, chain.relaxed(load), repin_delay=delay)
     before = plain.at(load=load).energy()
     order = plain.rupture()
     assert list(got.order[: len(order)]) == order
@@ -58,9 +57,9 @@ def test_rupture_against_dense_program(delay):
 def test_first_precursor_is_that_of_the_recursion(delay):
     expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
     chain = sp.chain(FIG2, sites=150)
-    state, site = sp.nucleate(chain, relaxed(chain))
+    state, site = sp.nucleate(chain)
     got = sp.rupture(chain, state, trigger=site, repin_delay=delay)
-    assert int(got.status) == RuptureStatus.ARRESTED
+    assert int(got.status) == Outcome.ARRESTED
     assert int(got.breaks) == int(expected.contacts_broken) > 26
     assert abs(got.length - expected.length) < 1e-9
     first = sp.series(chain, events=1, repin_delay=delay)
@@ -73,6 +72,6 @@ def test_refusals():
     with pytest.raises(ValueError, match="repin_delay = -1"):
         sp.series(chain, events=1, repin_delay=-1)
     with pytest.raises(ValueError, match="repin_delay = 1.5"):
-        sp.rupture(chain, relaxed(chain), repin_delay=1.5)  # pyright: ignore
+        sp.rupture(chain, chain.relaxed(), repin_delay=1.5)  # pyright: ignore
     with pytest.raises(ValueError, match="smooth rule"):
-        sp.rupture(chain, relaxed(chain), repin_delay=1, rule=sp.SmoothBreak(0.01))
+        sp.rupture(chain, chain.relaxed(), repin_delay=1, rule=sp.SmoothBreak(0.01))

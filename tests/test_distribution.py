@@ -7,7 +7,6 @@ from oracles.dense_chain import chain_matrix, responses
 from scipy import stats
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import relaxed
 from slippulse_jax.lattice.distribution import (
     ThresholdDistribution,
     edge_loads,
@@ -167,7 +166,7 @@ def test_a_chain_of_wide_contacts_slides_smoothly():
         law = force_law(ThresholdDistribution("normal", width))
         chain = sp.chain(FIG2, sites=40, law=law)
         loads = edge_loads(chain, stretches)
-        at_loads = jax.vmap(lambda u: sp.equilibrium(chain, relaxed(chain, u)).layer[0])(loads[::25])
+        at_loads = jax.vmap(lambda u: sp.equilibrium(chain, chain.relaxed(u)).layer[0])(loads[::25])
         return law, loads, at_loads
 
     alone = smooth_width(FIG2, "normal")

@@ -17,8 +17,8 @@ import slippulse_jax as sp
 from slippulse_jax.lattice.catalogue import Catalogue, SeriesStatus
 from slippulse_jax.lattice.chain import Chain
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
+from slippulse_jax.lattice.inertia import Motion
 from slippulse_jax.lattice.modes import Fields
-from slippulse_jax.lattice.motion import Motion
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

@@ -10,8 +10,7 @@ from oracles.dense_chain import end_stiffness
 from scipy.optimize import fsolve
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import Chain, Springs, State, chain, endless, relaxed
-from slippulse_jax.lattice.elimination import respond
+from slippulse_jax.lattice.chain import Chain, Springs, State, chain, endless, respond
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, imbalance
 from slippulse_jax.lattice.modes import lattice_modes
 
@@ -70,7 +69,7 @@ def test_uniform_chain_against_its_lattice_modes(right):
 
 
 def relaxed_at(slider, load, sites=100):
-    return relaxed(chain(slider, sites=sites), load)
+    return chain(slider, sites=sites).relaxed(load)
 
 
 @pytest.mark.parametrize("height", [25.0, 1e3, 1e5])
@@ -290,7 +289,7 @@ def test_parameters_of_a_force_law_have_derivatives():
     def pushed(strength):
         law = Partial(lambda s, z: z + s * z**3, strength)
         c = chain(FIG2, sites=20, law=law)
-        return equilibrium(c, relaxed(c, 2.0)).push
+        return equilibrium(c, c.relaxed(2.0)).push
 
     pushed, h = jax.jit(pushed), 1e-4
     np.testing.assert_allclose(jax.jit(jax.grad(pushed))(0.2), (pushed(0.2 + h) - pushed(0.2 - h)) / (2 * h), rtol=1e-6)
@@ -309,7 +308,7 @@ def with_cut(cut_upper, detached_from, sites=8):
 
 def test_detaching_everything_moves_the_chain_as_one():
     c = with_cut(None, 0)
-    found = equilibrium(c, relaxed(c, 2.0))
+    found = equilibrium(c, c.relaxed(2.0))
     assert found.status == EquilibriumStatus.SOLVED
     np.testing.assert_allclose(found.layer, 2.0, rtol=1e-13)
     np.testing.assert_array_equal(found.stress, 0.0)
@@ -318,10 +317,10 @@ def test_detaching_everything_moves_the_chain_as_one():
 
 def test_a_floating_part_is_a_status_and_never_a_nan():
     floating, whole = with_cut(4, 5), with_cut(4, 8)
-    found = solve(batch([floating, whole]), batch([relaxed(floating, 2.0)] * 2))
+    found = solve(batch([floating, whole]), batch([floating.relaxed(2.0)] * 2))
     np.testing.assert_array_equal(found.status, [EquilibriumStatus.SINGULAR, EquilibriumStatus.SOLVED])
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
-    alone = solve(batch([whole]), batch([relaxed(whole, 2.0)]))
+    alone = solve(batch([whole]), batch([whole.relaxed(2.0)]))
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b[0]), found, alone)
     held = np.asarray(found.layer[0][:5])
     np.testing.assert_allclose(held, found.layer[1][:5], rtol=1e-14)
@@ -339,7 +338,7 @@ def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
 
 def test_newton_that_cannot_converge_says_so():
     c = chain(FIG2, sites=5, law=lambda z: 0 * z + jnp.where(z > 0, 1.0, -1.0))  # a law that jumps has no slope to follow
-    found = equilibrium(c, relaxed(c, 0.7))
+    found = equilibrium(c, c.relaxed(0.7))
     assert found.status == EquilibriumStatus.NOT_CONVERGED
     assert found.residual > 1e-6
 

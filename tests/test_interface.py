@@ -8,7 +8,6 @@ from oracles.dense_chain import DenseChain, chain_matrix
 
 import slippulse_jax as sp
 from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice.chain import relaxed
 from slippulse_jax.lattice.lengths import precursor_arrests
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.status import Outcome
@@ -74,7 +73,7 @@ def test_negative_prestress_in_bulk_and_in_the_cascade():
         dense = DenseChain.uniform((height, stiffness, poisson), even, carried, "semi-infinite")
         order = dense.event()
         chain = sp.chain(Slider(height, stiffness, poisson), sites=sites, prestress=carried)
-        state, trigger = sp.nucleate(chain, relaxed(chain))
+        state, trigger = sp.nucleate(chain)
         event = sp.rupture(chain, state, trigger=trigger)
         assert list(np.asarray(event.order[: len(order)])) == order
         assert int(event.breaks) == len(order)

@@ -1,4 +1,8 @@
-"""What XLA is asked for on a CPU: a loop as one function (it ends the process where it does not like one), many results a loop."""
+"""What XLA is asked for on a CPU: a loop as one function, and several results from one loop over the elements."""
+
+import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -9,13 +13,12 @@ from jax import lax
 import slippulse_jax as sp
 from slippulse_jax.bulk import compiler as kernel
 from slippulse_jax.lattice import lanes
-from slippulse_jax.lattice.chain import relaxed
 
 CHAIN = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60)
 
 
 def event(chain):
-    state, site = sp.nucleate(chain, relaxed(chain))
+    state, site = sp.nucleate(chain)
     return sp.rupture(chain, state, trigger=site)
 
 
@@ -29,21 +32,53 @@ def breaks():
     return int(event(CHAIN).breaks)
 
 
-def asked_for():
-    """Whether a rupture's program asks XLA for one function."""
-    return "xla_cpu_small_call" in jax.jit(lambda: event(CHAIN).breaks).lower().as_text()
+def run(code, **environment):
+    """What a new process prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ, **environment}
+    )
+    return done.stdout.strip()
 
 
-def test_with_and_without(breaks, monkeypatch):
-    assert breaks > 10
-    assert asked_for() == (jax.lib.__version__ in kernel.TRIED)
+WHOLE = """
+import numpy as np, jax
+import slippulse_jax as sp
+from slippulse_jax.bulk.compiler import compile_loops_whole, loops_are_whole
+{first}
+jax.config.update("jax_enable_x64", True)
+chain = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60)
+state, site = sp.nucleate(chain)
+one = sp.rupture(chain, state, trigger=site)
+constant = jax.jit(lambda: sp.rupture(chain, state, trigger=site).breaks)()  # all constants, one output used
+batch = jax.vmap(lambda threshold: sp.series(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60, threshold=threshold), events=9).breaks)
+found = batch(np.array([1.0, 2.0]))
+print(loops_are_whole(), *np.asarray(one.order[:30]), int(constant), *np.asarray(found).ravel())
+"""
+
+
+def test_whole_loops_give_the_same():
+    """Loops compiled as one function each, in a process that asks for it; and where this jaxlib can do that at all."""
+    usual = run(WHOLE.format(first=""), XLA_FLAGS="").split()
+    whole = run(WHOLE.format(first="compile_loops_whole()"), XLA_FLAGS="").split()
+    assert usual[0] == "False"
+    assert whole[0] == str(jax.lib.__version__ in kernel.TRIED)
+    assert usual[1:] == whole[1:]
+    assert int(usual[31]) > 10
+
+
+def test_options_of_the_user_stay(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling")
+    kernel.compile_loops_whole()
+    assert os.environ["XLA_FLAGS"] == "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling"
+
+
+def test_untried_releases_are_not_asked(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
     monkeypatch.setattr(kernel, "TRIED", ("none",))
-    jax.clear_caches()
     kernel._say_once.cache_clear()
     with pytest.warns(RuntimeWarning, match="is not among the releases slippulse_jax was tuned for"):
-        assert not asked_for()
-    assert int(event(CHAIN).breaks) == breaks
-    jax.clear_caches()
+        kernel.compile_loops_whole()
+    assert not os.environ["XLA_FLAGS"]
 
 
 def test_all_constants_and_one_output_used(breaks):

@@ -9,7 +9,6 @@ from oracles.dense_chain import responses
 from scipy.integrate import quad
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import relaxed
 from slippulse_jax.rules import HardBreak
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
@@ -71,7 +70,7 @@ def test_every_function_uses_it(plain):
     assert found.length == pytest.approx(plain.length, abs=1e-9)
     np.testing.assert_allclose(found.stress, plain.stress, atol=1e-9)
     chain = sp.chain(FIG2, sites=SITES)
-    state, site = sp.nucleate(chain, relaxed(chain))
+    state, site = sp.nucleate(chain)
     event = sp.rupture(chain, state, rule=RULE, trigger=site)
     assert event.length == pytest.approx(plain.length, abs=1e-9)
 
@@ -134,7 +133,7 @@ TAKERS = [
     lambda rule: sp.precursor_lengths(FIG2, rule=rule),
     lambda rule: sp.precursor_length_gradients(FIG2, rule=rule),
     lambda rule: sp.sensitivity(FIG2, sites=SITES, rule=rule),
-    lambda rule: sp.rupture(CHAIN, relaxed(CHAIN), rule=rule),
+    lambda rule: sp.rupture(CHAIN, CHAIN.relaxed(), rule=rule),
 ]
 
 

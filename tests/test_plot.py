@@ -10,7 +10,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import plot
-from slippulse_jax.lattice.chain import chain, relaxed
+from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
 
@@ -20,7 +20,7 @@ FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 @pytest.fixture(scope="module")
 def event():
     c = chain(FIG2, sites=80)
-    state, site = nucleate(c, relaxed(c))
+    state, site = nucleate(c)
     return c, rupture(c, state, trigger=site)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import chain, relaxed
+from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.front import arrest
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
@@ -50,7 +50,7 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     theta, phi = fields(2)
     theta[0], phi[0] = 0.9, 0.0
     c = chain(FIG2, sites=SITES, threshold=theta, prestress=phi)
-    state, site = nucleate(c, relaxed(c))
+    state, site = nucleate(c)
     event = jax.tree.map(np.asarray, rupture(c, state, trigger=site))
     assert site == 0
     n = int(event.breaks)
@@ -67,7 +67,7 @@ def test_backward_recursion_is_the_reverse_mode_of_the_surrogate_in_a_chain():
 
     def length(theta, phi):
         c = chain(FIG2, sites=SITES, threshold=theta, prestress=phi)
-        state, site = nucleate(c, relaxed(c))
+        state, site = nucleate(c)
         return rupture(c, state, trigger=site, rule=rule).length
 
     by_theta, by_phi = jax.jit(jax.grad(length, (0, 1)))(theta, phi)

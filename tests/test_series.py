@@ -137,7 +137,7 @@ def test_the_protocol_decides_what_the_precursors_look_like():
     breaks some 20 to 40 contacts at first."""
     creeping = long_series(CHAIN)
     kinds, edge = np.asarray(creeping.kind), np.nonzero(np.asarray(creeping.kind) == EventClass.EDGE)[0]
-    assert (kinds[1 : edge[1]] == EventClass.CREEP).all()
+    assert (kinds[1 : edge[1]] == EventClass.RENUCLEATED).all()
     assert (creeping.breaks[1 : edge[1]] == 1).all()
     assert int(creeping.breaks[edge[1]]) == 3
     assert round(float(creeping.load[edge[1]]), 2) == 3.90

@@ -1,9 +1,9 @@
-"""Two things XLA does not do by itself on a CPU: a loop as one function, and several results from one loop over the elements.
+"""Two things XLA does on a CPU only when asked: compile a loop as one function, and give several results from one loop.
 
-`as_one_kernel`: XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at about 0.1 µs each,
-which in a loop over short arrays is most of the time. XLA compiles loops that touch less than a kilobyte as a whole; this asks
-for it beyond that, by the attribute XLA itself marks such loops with. The attribute is not documented, and XLA ends the process
-where such a function is not as it expects.
+`compile_loops_whole`: XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at 0.1–0.2 µs each;
+in a loop over short arrays that is most of the time. XLA compiles a loop whole where one turn of it touches less than a
+kilobyte, and an option of its own raises that threshold. The option belongs to a process: ``jax.jit`` cannot pass it for one
+function.
 
 `in_one_loop`: XLA writes one loop over the elements for each array that is handed on, and repeats in it all that the array
 depends on. Its one operation that has several results and takes a function of one's own is a reduction. So the arguments are
@@ -11,12 +11,12 @@ laid down twice along a new axis (no memory is written for that) and "reduced" a
 accumulated and takes the row at hand. What is left of it in the compiled program is a loop of vector instructions, each value
 computed once. It rests on XLA's reducing on a CPU in the order of the axis.
 
-So both are used only under the releases of jaxlib that the tests were run with; under others everything is compiled as usual,
-with the same results to rounding: a series of events takes some five times as long, lengths in bulk and their derivatives
-three times.
+Both are used only under the releases of jaxlib that the tests were run with. Under others everything is compiled as usual, with
+the same results to rounding: series take some four times as long, lengths in bulk and their derivatives three times.
 """
 
 import functools
+import os
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import jaxlib.version
 from jax import lax
+from jaxtyping import Array
 
 TRIED = ("0.10.0", "0.10.1", "0.10.2")
 """Releases of jaxlib under which tests/test_kernel.py was seen to pass."""
@@ -67,28 +68,30 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any) -> Callabl
         return usual
 
 
-def as_one_kernel(f: Callable, *given: Any) -> Any:
-    """f(*given), compiled as one function on a CPU.
+LOOP_BYTES = 10_000_000
+"""Bytes that a turn of a loop may touch for the loop to be compiled whole: more than any series or rupture needs."""
 
-    f must call no library (linear algebra, sorting, random numbers) and contract no axis by a product and a sum, which XLA
-    would hand to one.
+
+def compile_loops_whole() -> None:
+    """Make XLA compile each loop as one function, in this process; to be called before JAX computes anything.
+
+    Ruptures and series then run several times as fast on a CPU. It sets the environment variable ``XLA_FLAGS``, which XLA reads
+    once; options for the backend that are there already stay as they are. The command line calls it where it helps.
     """
     if not _tried():
-        return f(*given)
-    from jax.experimental.xla_metadata import set_xla_metadata
+        return
+    flags, name = os.environ.get("XLA_FLAGS", ""), "--xla_backend_extra_options"
+    if name not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {name}=xla_cpu_small_while_loop_byte_threshold={LOOP_BYTES}".strip()
 
-    def with_witnesses(*args: Any) -> tuple:
-        # XLA aborts on an argument that such a function does not use: hand on a number of each
-        return f(*args), [x[(0,) * x.ndim] for x in jax.tree.leaves(args)]
 
-    whole = jax.jit(with_witnesses)
+def loops_are_whole() -> bool:
+    """Whether XLA compiles loops that touch more than a kilobyte a turn as one function in this process."""
 
-    def on_cpu(*args: Any) -> Any:
-        # nor may one be a constant, which would be folded in and leave its argument unused
-        tagged: Any = set_xla_metadata(whole(*lax.optimization_barrier(args)), xla_cpu_small_call="true", inlineable="false")
-        return tagged[0]
+    def loop(x: Array) -> Array:
+        return lax.while_loop(lambda x: x.sum() < 1, lambda x: x + 1, x)
 
-    return lax.platform_dependent(*given, cpu=on_cpu, default=f)
+    return "xla_cpu_small_call" in str(jax.jit(loop).lower(jnp.zeros(1000)).compile().as_text())
 
 
 def in_one_loop(f: Callable, *given: Any) -> Any:

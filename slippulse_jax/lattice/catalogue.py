@@ -28,7 +28,7 @@ class EventClass(Status):
 
     SPANNING = 0, "broke the last contact of the chain"
     EDGE = 1, "nucleated at the left edge"
-    CREEP = 2, "nucleated at a stress peak, on the contact just ahead of where an earlier event had stopped"
+    RENUCLEATED = 2, "nucleated at the stress peak just ahead of where an earlier event had been arrested"
     INTERIOR = 3, "nucleated anywhere else"
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice.chain import Chain, State
-from slippulse_jax.lattice.elimination import Pair, eliminate, respond
+from slippulse_jax.lattice.chain import Chain, Pair, State, eliminate, respond
 from slippulse_jax.status import Status
 
 MAX_NEWTON_STEPS = 50

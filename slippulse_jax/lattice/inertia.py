@@ -13,22 +13,109 @@ Nothing here has a derivative. A contact breaks at the first whole step after it
 would have the derivative of the step, and all that follows would inherit it.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_domain
-from slippulse_jax.lattice.chain import Chain, State, potential_energy, relaxed
+from slippulse_jax.lattice.chain import Chain, State, potential_energy
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
-from slippulse_jax.lattice.motion import Asked, CrackLike, Motion, MotionStatus, SelfHealing, domains
 from slippulse_jax.lattice.rupture import nucleate
+from slippulse_jax.status import Outcome
+
+MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Outcome.INVALID)
+"""How a simulation can end: at rest, after the last contact broke, still moving, not at all."""
+
+
+class SelfHealing(eqx.Module):
+    """A contact at its threshold breaks and repins at once with zero stretch: the paper's rule.
+
+    Parameters
+    ----------
+    break_time : float
+        Shortest time between two breaks anywhere, the most overloaded contact first; in √(m/K). The paper's hierarchy of
+        times, sound much faster than the front, is a break time long beside the time the chain takes to relax. 0 (no less):
+        a contact breaks the moment it reaches its threshold.
+    """
+
+    break_time: Float[AnyArrayLike, ""] = 0.0
+
+
+class CrackLike(eqx.Module):
+    """A contact at its threshold slides, under a constant friction, and repins when its slip rate vanishes (Amontons–Coulomb).
+
+    Parameters
+    ----------
+    friction : float
+        σ_k, the stress on a sliding contact, in σ_s; 0 or more, and below every threshold.
+    """
+
+    friction: Float[AnyArrayLike, ""] = 0.5
+
+
+class Motion(NamedTuple):
+    """A simulation at its end; displacements in u_s, times in √(m/K), energies in K u_s²."""
+
+    state: State
+    upper: Float[Array, " N"]
+    layer: Float[Array, " N"]
+    upper_velocity: Float[Array, " N"]
+    layer_velocity: Float[Array, " N"]
+    first_break: Float[Array, " N"]  # time at which each contact first broke; inf if it did not
+    breaks: Int[Array, " N"]
+    extent: Int[Array, ""]  # sites from the left edge to the rightmost broken contact, which is among them
+    time: Float[Array, ""]
+    step: Float[Array, ""]
+    kinetic: Float[Array, ""]
+    potential: Float[Array, ""]
+    work: Float[Array, ""]  # of the left edge
+    broken: Float[Array, ""]  # stretch lost by breaking contacts
+    damped: Float[Array, ""]
+    rubbed: Float[Array, ""]  # friction of sliding contacts
+    imbalance: Float[Array, ""]  # largest error of the energy balance at any step
+    status: Int[Array, ""]
+
+
+class Asked(NamedTuple):
+    """All that a simulation is asked for but the state it starts from."""
+
+    chain: Chain
+    rule: SelfHealing | CrackLike
+    duration: Any
+    damping: Any
+    velocity: Any
+    safety: Any
+    rest: Any
+    trigger: Any
+
+
+def domains(asked: Asked) -> dict[str, tuple[Any, Callable[[Any], Any], str]]:
+    """Every number that is asked for, whether it will do (traced or not), and what a user is told otherwise."""
+    always: dict[str, tuple[Any, Callable[[Any], Any], str]] = {
+        "duration": (asked.duration, lambda x: x > 0, "must be positive, in √(m/K)"),
+        "damping": (asked.damping, lambda x: x >= 0, "must be 0 or more, per √(m/K)"),
+        "velocity": (asked.velocity, jnp.isfinite, "must be finite, in u_s per √(m/K)"),
+        "safety": (asked.safety, lambda x: (x > 0) & (x < 1), "must lie between 0 and 1"),
+        "rest": (asked.rest, lambda x: x >= 0, "must be 0 or more, in K u_s²"),
+        "trigger": (asked.trigger, lambda x: (x >= -1) & (x < asked.chain.sites), f"must be −1 … {asked.chain.sites - 1}"),
+    }
+    if isinstance(asked.rule, CrackLike):
+        least = jnp.where(asked.chain.contact > 0, asked.chain.threshold, jnp.inf).min()
+        below = "must be 0 or more and below every threshold, in σ_s"
+        return {**always, "CrackLike.friction": (asked.rule.friction, lambda x: (x >= 0) & (x < least), below)}
+    return {
+        **always,
+        "SelfHealing.break_time": (asked.rule.break_time, lambda x: x >= 0, "must be 0 or more, in √(m/K)"),
+    }
 
 
 class _Now(NamedTuple):
@@ -95,12 +182,12 @@ def simulate_inertial(
     Returns
     -------
     Motion
-        With a status (`MotionStatus`) instead of an exception; composes with ``jit`` and ``vmap``.
+        With a status (`Outcome`) instead of an exception; composes with ``jit`` and ``vmap``.
 
     Raises
     ------
     ValueError
-        If a number lies outside its domain, naming it; traced by JAX it makes the motion `MotionStatus.INVALID`.
+        If a number lies outside its domain, naming it; traced by JAX it makes the motion `Outcome.INVALID`.
     TypeError
         If the rule is none of these, or a derivative is taken: it would be that of the time step.
     """
@@ -114,7 +201,7 @@ def simulate_inertial(
         if not any(isinstance(x, Tracer) for x in (value, holds(value))):
             check_domain(name, np.asarray(value), holds, requirement)
     if state is None:
-        state, found = nucleate(chain, relaxed(chain))
+        state, found = nucleate(chain)
         first = found if trigger is None else trigger
     dtype = chain.contact.dtype
     numbers = {name: jnp.asarray(getattr(asked, name), dtype) for name in ("duration", "damping", "velocity", "safety", "rest")}
@@ -248,7 +335,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
     moving = kinetic(now.v)
     finite = valid & jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
     endings = [~finite, extent == chain.sites, now.n >= steps]
-    status = jnp.select(endings, [MotionStatus.INVALID, MotionStatus.SPANNED, MotionStatus.TIME_OVER], MotionStatus.AT_REST)
+    status = jnp.select(endings, [Outcome.INVALID, Outcome.RAN_THROUGH, Outcome.TIME_OVER], Outcome.ARRESTED)
     return Motion(
         state=State(now.pinning, now.x[0][0]),
         upper=now.x[0],

@@ -20,8 +20,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from slippulse_jax.bulk.independence import lane_by_lane
-from slippulse_jax.lattice.chain import Chain, Springs
-from slippulse_jax.lattice.elimination import Pair, beside, eliminate, solve_pair, through
+from slippulse_jax.lattice.chain import Chain, Pair, Springs, beside, eliminate, solve_pair, through
 
 
 class Response(NamedTuple):

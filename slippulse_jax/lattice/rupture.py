@@ -1,11 +1,16 @@
-"""One rupture of any interface: the most overloaded contact breaks and repins, again and again, until none is overloaded.
+"""One rupture of any chain, under the hard rule or a smooth one.
 
-How the next contact is found is in `slippulse_jax.lattice.breaks`.
+Under the hard rule the most overloaded contact breaks and repins, again and again, until none is overloaded
+(`slippulse_jax.lattice.cascade`). Under a smooth rule the front sweeps once from left to right: the stress released behind it
+reaches the next site as two displacements, u_t and u, and travels on by the 2×2 propagators of
+`slippulse_jax.lattice.response`.
 
+Notes
+-----
 Accuracy. A break multiplies and adds positive numbers, so it can only pass on the relative error of the stresses and add
 its own: with ε the relative error of the response (a few units u in the last place per site over the decay length) and
-positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact. Contacts that repin forget most of it, and
-what is seen is far less; the final fields are solved afresh, and `Rupture.drift` is the difference found.
+positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact. Contacts that repin forget most of it, so that the
+errors observed are far smaller; the final fields are solved afresh, and `Rupture.drift` is the difference found.
 """
 
 from functools import partial
@@ -13,38 +18,30 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.compiler import as_one_kernel
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.lattice.blocks import Moves, all_opened, whole
-from slippulse_jax.lattice.breaks import Broken, check_delay, run
+from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
-from slippulse_jax.lattice.response import Response, into_blocks, shared_response
-from slippulse_jax.rules import BreakRule, HardBreak, check_rule
-from slippulse_jax.status import Status
+from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
+from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
+from slippulse_jax.status import Outcome
 
 BREAKS_PER_SITE = 20
 """Breaks per site after which a rupture is given up, unless the caller says otherwise."""
 
-
-class RuptureStatus(Status):
-    """How a rupture ended."""
-
-    ARRESTED = 0, "arrested: no contact is at its threshold any more"
-    NOTHING_BROKE = 1, "nothing broke: no contact was at its threshold"
-    RAN_THROUGH = (
-        2,
-        (
-            "ran through: the last site of the chain broke, so the rupture has no length (inf); of a semi-infinite chain "
-            "more sites must be resolved"
-        ),
-    )
-    LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks (length NaN)"
-    SINGULAR = 4, "no equilibrium: a part of the chain is held by nothing (length NaN)"
-    INVALID = 5, "no such chain or state: a value is not a number, or outside its domain (length NaN)"
+RUPTURE_OUTCOMES = (
+    Outcome.ARRESTED,
+    Outcome.NOTHING_BROKE,
+    Outcome.RAN_THROUGH,
+    Outcome.LIMIT,
+    Outcome.SINGULAR,
+    Outcome.INVALID,
+)
+"""How a rupture can end. `RAN_THROUGH` in a semi-infinite chain: more sites must be resolved."""
 
 
 class Rupture(NamedTuple):
@@ -64,101 +61,6 @@ class Rupture(NamedTuple):
     length: Float[Array, ""]  # ℓ, in λc from the left edge
     drift: Float[Array, ""]  # largest error of a stress accumulated over the breaks, in σ_s
     status: Int[Array, ""]
-
-
-class Record(NamedTuple):
-    """What is kept of every break."""
-
-    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
-    released: Float[Array, " L"]  # stress each break gave up
-    breaks: Int[Array, ""]
-    energy: Float[Array, ""]  # released, in K u_s²
-    furthest: Int[Array, ""]  # rightmost site broken so far
-    overload: Float[Array, ""]  # its overload when it first broke
-
-
-def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    resp = shared_response(chain)
-    return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
-
-
-def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Broken:
-    """Break after break, each recorded."""
-    max_breaks, delay = limits
-    size = resp.near.shape[1]
-    soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
-
-    def loop(resp: Response, soft: Array, stress: Array, threshold: Array, trigger: Array) -> Broken:
-        none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
-        start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
-
-        def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
-            site = moves.sites[-1]
-            return Record(
-                order=record.order.at[record.breaks].set(site),
-                released=record.released.at[record.breaks].set(t),
-                breaks=record.breaks + 1,
-                energy=record.energy + t * (t + after) * soft[site],
-                furthest=jnp.maximum(site, record.furthest),
-                overload=jnp.where(site > record.furthest, t - threshold[site], record.overload),
-            )
-
-        limit, held = into_blocks(threshold, size, jnp.inf), into_blocks(stress, size)
-        begin = whole(held, limit), jnp.zeros_like(held)
-        return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
-
-    given = (resp, soft, stress, threshold, trigger)
-    return loop(*given) if delay else as_one_kernel(loop, *given)
-
-
-def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
-    before = equilibrium(chain, state)
-    good = before.status == EquilibriumStatus.SOLVED
-    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    n = chain.sites
-    # a detached contact has nothing to break
-    threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
-    done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
-    record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
-    slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
-    after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
-    ahead = jnp.minimum(record.furthest + 1, n - 1)
-    short_by = stress[ahead] - safe.threshold[ahead]
-    endings = {
-        RuptureStatus.INVALID: before.status == EquilibriumStatus.INVALID,
-        RuptureStatus.SINGULAR: ~good,
-        RuptureStatus.NOTHING_BROKE: record.breaks == 0,
-        RuptureStatus.LIMIT: (stress >= threshold).any(),
-        RuptureStatus.RAN_THROUGH: record.furthest == n - 1,
-    }
-    status = jnp.select(list(endings.values()), list(endings), RuptureStatus.ARRESTED).astype(jnp.int32)
-    length = record.furthest + record.overload / (record.overload - jnp.minimum(short_by, 0))
-    return Rupture(
-        state=after_state,
-        before=before,
-        after=after,
-        order=record.order,
-        released=record.released,
-        breaks=record.breaks,
-        broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
-        slip=slip,
-        stress_drop=before.stress - after.stress,
-        energy=record.energy,
-        extent=record.furthest + 1,
-        length=length_or_reason(status, length),
-        drift=jnp.abs(stress - after.stress).max(),
-        status=status,
-    )
-
-
-_undifferentiated = without_derivative(
-    jax.jit(_hard_rupture, static_argnums=0),
-    "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
-    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
-    "precursor_length, which has an exact derivative.",
-    nondiff_argnums=(0,),
-)
 
 
 def rupture(
@@ -181,7 +83,7 @@ def rupture(
         With linear contacts.
     state : State
     rule : HardBreak or SmoothBreak, or one derived from it
-        With ``SmoothBreak(width)``, the differentiable stand-in of `slippulse_jax.lattice.smooth`.
+        With ``SmoothBreak(width)``, the differentiable stand-in: one sweep from left to right.
     trigger : int, optional
         Site that breaks first, even if rounding leaves it a digit below its threshold: what `nucleate` returns, where −1 stands
         for none. By default none.
@@ -195,7 +97,7 @@ def rupture(
     Returns
     -------
     Rupture
-        With a status (`RuptureStatus`) instead of an exception.
+        With a status (`Outcome`) instead of an exception.
 
     Raises
     ------
@@ -217,28 +119,20 @@ def rupture(
     if not isinstance(rule, HardBreak):
         if repin_delay:
             raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
-        from slippulse_jax.lattice.smooth import smooth_rupture
-
         return smooth_rupture(chain, state, rule, trigger)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
     return _undifferentiated((max_breaks, repin_delay), chain, state, trigger)
 
 
-def length_or_reason(status: Array, length: Array) -> Array:
-    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
-    arrested = status == RuptureStatus.ARRESTED
-    reasons = [status == RuptureStatus.NOTHING_BROKE, status == RuptureStatus.RAN_THROUGH]
-    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
-
-
-def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
+def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array, ""]]:
     """Load a chain until a contact reaches its threshold.
 
     Parameters
     ----------
     chain : Chain
         With linear contacts.
-    state : State
+    state : State, optional
+        By default the relaxed chain without load.
 
     Returns
     -------
@@ -249,6 +143,7 @@ def nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
         That contact, to be passed on as ``rupture(..., trigger=site)``: rounding may leave it a digit below threshold. −1
         if one was over threshold already.
     """
+    state = chain.relaxed() if state is None else state
     _check(chain, state)
     return _nucleate(chain, state)
 
@@ -271,3 +166,178 @@ def _check(chain: Chain, state: State) -> None:
         raise ValueError(f"the chain is a batch, with contacts of shape {chain.contact.shape}: use jax.vmap")
     if jnp.shape(state.pinning) != (chain.sites,):
         raise ValueError(f"state.pinning has shape {jnp.shape(state.pinning)}: must be ({chain.sites},) for this chain")
+
+
+def length_or_reason(status: Array, length: Array) -> Array:
+    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
+    arrested = status == Outcome.ARRESTED
+    reasons = [status == Outcome.NOTHING_BROKE, status == Outcome.RAN_THROUGH]
+    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
+
+
+# --- the hard rule ---
+
+
+class Record(NamedTuple):
+    """What is kept of every break."""
+
+    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
+    released: Float[Array, " L"]  # stress each break gave up
+    breaks: Int[Array, ""]
+    energy: Float[Array, ""]  # released, in K u_s²
+    furthest: Int[Array, ""]  # rightmost site broken so far
+    overload: Float[Array, ""]  # its overload when it first broke
+
+
+def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Cascade:
+    """Break after break, each recorded."""
+    max_breaks, delay = limits
+    size = resp.near.shape[1]
+    soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
+    none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
+    start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+
+    def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
+        site = moves.sites[-1]
+        return Record(
+            order=record.order.at[record.breaks].set(site),
+            released=record.released.at[record.breaks].set(t),
+            breaks=record.breaks + 1,
+            energy=record.energy + t * (t + after) * soft[site],
+            furthest=jnp.maximum(site, record.furthest),
+            overload=jnp.where(site > record.furthest, t - threshold[site], record.overload),
+        )
+
+    limit, held = into_blocks(threshold, size, jnp.inf), into_blocks(stress, size)
+    begin = whole(held, limit), jnp.zeros_like(held)
+    return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
+
+
+def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+    before = equilibrium(chain, state)
+    good = before.status == EquilibriumStatus.SOLVED
+    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
+    n = chain.sites
+    # a detached contact has nothing to break
+    threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
+    done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
+    record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
+    slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
+    after_state = State(state.pinning + slip, state.load)
+    after = equilibrium(safe, after_state)
+    ahead = jnp.minimum(record.furthest + 1, n - 1)
+    short_by = stress[ahead] - safe.threshold[ahead]
+    endings = {
+        Outcome.INVALID: before.status == EquilibriumStatus.INVALID,
+        Outcome.SINGULAR: ~good,
+        Outcome.NOTHING_BROKE: record.breaks == 0,
+        Outcome.LIMIT: (stress >= threshold).any(),
+        Outcome.RAN_THROUGH: record.furthest == n - 1,
+    }
+    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    length = record.furthest + record.overload / (record.overload - jnp.minimum(short_by, 0))
+    return Rupture(
+        state=after_state,
+        before=before,
+        after=after,
+        order=record.order,
+        released=record.released,
+        breaks=record.breaks,
+        broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
+        slip=slip,
+        stress_drop=before.stress - after.stress,
+        energy=record.energy,
+        extent=record.furthest + 1,
+        length=length_or_reason(status, length),
+        drift=jnp.abs(stress - after.stress).max(),
+        status=status,
+    )
+
+
+def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
+    resp = shared_response(chain)
+    return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
+
+
+_undifferentiated = without_derivative(
+    jax.jit(_hard_rupture, static_argnums=0),
+    "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
+    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
+    "precursor_length, which has an exact derivative.",
+    nondiff_argnums=(0,),
+)
+
+
+# --- a smooth rule ---
+
+
+@jax.jit
+def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
+    """One rupture of any chain under a smooth rule, differentiable in every field of chain, state and rule.
+
+    The front sweeps from the left edge to the right: each contact is reached once, with all that the contacts before it
+    gave up, and gives up p(t) t. The trigger breaks whole. The order of breaks is fixed, and no contact breaks twice:
+    that is what makes the sweep smooth, and what it leaves out. As w → 0 it becomes the hard rupture wherever that is one
+    front from left to right.
+
+    Returns
+    -------
+    Rupture
+        As of `rupture`; `order` lists the sites in the order of the sweep, `released` what each gave up, `broken` the
+        fraction of each contact, and `length` is ℓ_w from the left edge to where p has faded. `breaks` and `extent` count
+        the contacts of which more than half broke. RAN_THROUGH if more than half of the last contact did.
+    """
+    before = equilibrium(chain, state)
+    good = before.status == EquilibriumStatus.SOLVED
+    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
+    links, n = propagators(safe), chain.sites
+    attached = safe.contact > 0
+
+    def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
+        P, source, stress, threshold, contact, site = here
+        t = stress + contact * arriving[1]
+        p = jnp.where(site == trigger, 1, rule.broken(t, threshold)) * (contact > 0)
+        return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
+
+    sites = jnp.arange(n)
+    along = (links.right, links.source, before.stress, safe.threshold, safe.contact, sites)
+    _, (p, t) = lax.scan(step, jnp.zeros(2, safe.contact.dtype), along)
+    given_up = p * t
+    slip = given_up * safe.stiffness / jnp.where(attached, safe.contact, jnp.inf)
+    after_state = State(state.pinning + slip, state.load)
+    after = equilibrium(safe, after_state)
+
+    theta = safe.threshold
+    steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
+    from_trigger = jax.vmap(rule.broken)(t[1:], theta[1:])  # which breaks whole, to its neighbour
+    reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
+    length = (
+        jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()
+    )
+
+    most = p > 0.5
+    endings = {
+        Outcome.INVALID: before.status == EquilibriumStatus.INVALID,
+        Outcome.SINGULAR: ~good,
+        Outcome.NOTHING_BROKE: ~most.any(),
+        Outcome.RAN_THROUGH: most[-1],
+    }
+    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    # what the potential energy falls by: all is linear, so from the mean of the stress before and after each slip
+    energy = safe.stiffness * (slip * (before.stress + after.stress)).sum() / 2
+    return Rupture(
+        state=after_state,
+        before=before,
+        after=after,
+        order=sites,
+        released=given_up,
+        breaks=most.sum(),
+        broken=p,
+        slip=slip,
+        stress_drop=before.stress - after.stress,
+        energy=energy,
+        extent=jnp.where(most, sites + 1, 0).max(),
+        length=length_or_reason(status, length),
+        drift=jnp.zeros_like(length),
+        status=status,
+    )

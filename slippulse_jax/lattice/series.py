@@ -1,27 +1,51 @@
-"""A series of events: a chain loaded on and on, one rupture after another.
+r"""A series of events: a chain loaded on and on, one rupture after another.
 
-Protocols, and what a series is asked for; how it is worked out is in `slippulse_jax.lattice.loading`.
+Between events every stress grows linearly with the load, so that the next break is found exactly. In an event contacts break
+one after another at a fixed load, the most overloaded first. All sums are updated from break to break; the chain is solved
+afresh only at the end, to measure the rounding errors they have accumulated:
+
+* a break at j that gives up the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.lattice.response`);
+* by reciprocity it lowers the force on the left edge by k t_j du_j/dU;
+* it releases the energy (k t_j)²/2k_j of the broken contact's own stretch, and (k t_j)(k t_j')/2k_j on top of it as the chain
+  relaxes to equilibrium, t_j' being what the contact carries then;
+* what the drive puts in beyond that is stored.
+
+Stresses are known block by block (`slippulse_jax.lattice.cascade`), and a load reaches a block as all else does, through its
+edges. For each block is kept the load before which no contact of it breaks: exact when the block was last opened, lowered by
+what has arrived since. So the next break is found by opening the few blocks in which it may be, at O(√N) per event.
 """
+
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.bulk.compiler import as_one_kernel
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.lattice.ageing import Ageing
-from slippulse_jax.lattice.blocks import all_opened
-from slippulse_jax.lattice.breaks import check_delay
-from slippulse_jax.lattice.catalogue import Catalogue
-from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy, relaxed
-from slippulse_jax.lattice.contacts import Contacts, contacts_of
+from slippulse_jax.lattice.ageing import Ageing, next_crossing
+from slippulse_jax.lattice.cascade import (
+    Cascade,
+    Moves,
+    Stresses,
+    all_opened,
+    check_delay,
+    looked_at,
+    most,
+    opened,
+    run,
+    slack,
+    whole,
+)
+from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
+from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
-from slippulse_jax.lattice.loading import Loading, Now, load_through, recorded, start
 from slippulse_jax.lattice.response import Response, into_blocks, shared_response
 
 
@@ -143,14 +167,8 @@ def _one_series(
     )
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # all that a relaxed chain carries
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
-    valid = all_numbers(chain, relaxed(chain)) & ~resp.floating & holds
-
-    def loop(resp: Response, contacts: Contacts, prestress: Array, valid: Array, until: Array | None) -> Now:
-        now = by._replace(response=resp, contacts=contacts, until=until)
-        return load_through(now, start(now, prestress, valid))
-
-    given = resp, by.contacts, into_blocks(prestress, resp.near.shape[1]), valid, until
-    end = loop(*given) if delay else as_one_kernel(loop, *given)
+    valid = all_numbers(chain, chain.relaxed()) & ~resp.floating & holds
+    end = load_through(by, start(by, into_blocks(prestress, resp.near.shape[1]), valid))
     pinning = by.contacts.gains[:, :, 1] * end.given
     state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)
     solved = equilibrium(chain, state)
@@ -171,3 +189,328 @@ _hard_series = without_derivative(
     "a series of hard events cannot be differentiated: which contact breaks next is a comparison",
     nondiff_argnums=(0,),
 )
+
+
+# --- what loading a contact and breaking it do to the chain ---
+
+
+class Contacts(NamedTuple):
+    """B blocks of M contacts."""
+
+    threshold: Float[Array, "B M"]  # of a contact never broken; inf where there is none
+    per_load: Float[Array, "B M"]  # stress per load
+    hastened: Float[Array, "B 4"]  # most by which a contact's break comes sooner, in load, per displacement at a block's edges
+    gains: Float[Array, "B M 3"]  # per stress given up: force lost at the edge, slip, stress lost by the whole chain
+    energy: Float[Array, "B M"]  # k²/2k_i
+    edge_stiffness: Float[Array, ""]  # force on the edge per load
+
+
+def contacts_of(chain: Chain, resp: Response) -> Contacts:
+    """Tables of a chain's contacts."""
+    size = resp.near.shape[1]
+    q, k = into_blocks(chain.contact, size), chain.stiffness
+    per_load = (resp.at_load[:, :, None] * resp.read).sum(1)
+    pulled = per_load[:, None] > 0
+    soft = k / jnp.where(q > 0, q, jnp.inf)
+    # stress that a break adds to the other contacts: in its own block, and in those that what leaves it gets to
+    felt = resp.pass_on * resp.read.sum(-1)[None, :, :, None]
+    beyond = jnp.concatenate([felt[:, :, :2].sum((1, 2)), felt[:, :, 2:].sum((1, 2))], -1)
+    lost = 1 - resp.near.sum(-1) - (resp.leave * beyond[:, None]).sum(-1)
+    return Contacts(
+        threshold=into_blocks(jnp.where(chain.contact > 0, chain.threshold, jnp.inf), size, jnp.inf),
+        per_load=per_load,
+        hastened=jnp.where(pulled, resp.read / jnp.where(pulled, per_load[:, None], 1), 0).max(-1),
+        gains=jnp.stack([k * per_load * soft, soft, lost], -1),
+        energy=soft * k / 2,
+        edge_stiffness=resp.edge_stiffness,
+    )
+
+
+# --- from event to event ---
+
+
+class Numbers(NamedTuple):
+    """Of an event; recorded as one vector."""
+
+    load: Array
+    force_before: Array  # on the left edge, as it began
+    work: Array
+    force_lost: Array
+    slip: Array
+    stress_drop: Array
+    broken: Array
+    relaxed: Array
+    length: Array  # ℓ, in λc from the first site
+
+
+class Counts(NamedTuple):
+    """Likewise, as whole numbers."""
+
+    number: Array  # −1 before the first event
+    first: Array  # site that broke first
+    at_peak: Array  # whether the contact left of it broke later than it did
+    left: Array
+    right: Array
+    breaks: Array
+    total: Array  # of breaks, in all events
+
+
+class Tally(NamedTuple):
+    """Of the event under way, break by break."""
+
+    lost: Float[Array, "3"]  # what `Contacts.gains` says of the breaks
+    broken: Array
+    relaxed: Array
+    first: Array  # −1 before the first break
+    at_peak: Array
+    left: Array
+    right: Array
+    peak: Array  # stress on the rightmost as it broke, above its threshold
+    total: Array
+    last: Int[Array, " S"]
+    log: Int[Array, "L+1 2"]
+
+
+class Now(NamedTuple):
+    """A series between two events; B blocks of M, S = BM sites. The last rows of tables are for what need not be kept."""
+
+    stresses: Stresses
+    soonest: Float[Array, " B"]  # no contact of a block breaks before this load
+    given: Float[Array, "B M"]  # stress given up by each contact so far
+    born: Float[Array, "B M"] | None  # where contacts age: load at the last break; −inf if never
+    last: Int[Array, " S"]  # event of the last break; −1 if never
+    numbers: Numbers  # of the last event
+    counts: Counts
+    ending: Int[Array, ""]  # a `SeriesStatus`, or −1
+    number_table: Float[Array, "E+1 9"]
+    count_table: Int[Array, "E+1 7"]
+    log: Int[Array, "L+1 2"]  # site and event of every break
+
+
+class Loading(NamedTuple):
+    """What is done to the chain."""
+
+    response: Response
+    contacts: Contacts
+    ageing: Ageing | None
+    velocity: Array
+    step: Array | None  # whole steps of load; None: exactly to the next break
+    delay: int  # breaks for which a contact stays detached
+    sites: int  # of the chain, the driver's among them
+    ahead: int  # sites before the chain's own: the driver's
+    events: int
+    max_breaks: int
+    recorded: int
+    stop_when_spanning: bool
+    until: Array | None  # load with which the series ends; None: after all events
+
+
+def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
+    """The relaxed chain."""
+    zero, none = jnp.zeros((), prestress.dtype), jnp.zeros((), jnp.int32)
+    return Now(
+        stresses=whole(prestress, by.contacts.threshold),
+        soonest=jnp.full_like(prestress[:, 0], -jnp.inf),
+        given=jnp.zeros_like(prestress),
+        born=jnp.full_like(prestress, -jnp.inf) if by.ageing is not None else None,
+        last=jnp.full(prestress.size, -1, jnp.int32),
+        numbers=Numbers(*(zero,) * len(Numbers._fields)),
+        counts=Counts(*(none,) * 7)._replace(number=none - 1),
+        ending=jnp.where(valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
+        number_table=jnp.full((by.events + 1, len(Numbers._fields)), jnp.nan, prestress.dtype),
+        count_table=jnp.tile(jnp.array([-1, by.ahead - 1, 0, by.ahead - 1, by.ahead - 1, 0, 0], jnp.int32), (by.events + 1, 1)),
+        log=jnp.full((by.recorded + 1, 2), -1, jnp.int32),
+    )
+
+
+def load_through(by: Loading, now: Now) -> Now:
+    """Event after event."""
+    return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, by), now)
+
+
+def _next_event(by: Loading, now: Now) -> Now:
+    """Raise the load to the next break, let the rupture run, and write it down."""
+    tables, before = by.contacts, now.numbers
+    found = _next_crossing(by, now)
+    rise, trigger = _raised(by, found)
+    load, number = before.load + rise, now.counts.number + 1
+    stresses = found.stresses._replace(inbox=found.stresses.inbox + by.response.at_load * rise)
+    broken = _rupture(by, now, stresses, load, trigger)
+    tally, begins = broken.book, jnp.isfinite(found.rise)
+    force_before = before.force_before - before.force_lost  # the force now
+    force = force_before + tables.edge_stiffness * rise
+    work = (force_before + force) / 2 * rise
+    force_lost, slip, stress_drop = tally.lost
+    length = _length(by, now, broken, load)
+    numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed, length)
+    counts = Counts(number, tally.first, tally.at_peak, tally.left, tally.right, broken.breaks, tally.total)
+    over = (broken.breaks >= by.max_breaks) & (broken.overload >= 0)
+    last = number == by.events - 1
+    if by.until is not None:
+        last = last | (load >= by.until)
+    endings = [~begins, over, by.stop_when_spanning & (counts.right == by.sites - 1), last]
+    reasons = [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED, SeriesStatus.DONE]
+    row = jnp.where(begins, number, by.events)
+    anew = jnp.isinf(broken.arrived[:, 0])
+    sooner = (jnp.where(anew[:, None], 0, broken.arrived) * tables.hastened).sum(-1) * slack(rise)
+    return Now(
+        stresses=broken.stresses,
+        soonest=jnp.where(anew, -jnp.inf, found.soonest - sooner),
+        given=broken.given,
+        born=None if now.born is None else jnp.where(broken.given > now.given, load, now.born),
+        last=tally.last,
+        numbers=numbers,
+        counts=counts,
+        ending=jnp.select(endings, reasons, -1).astype(jnp.int32),
+        number_table=lax.dynamic_update_slice_in_dim(now.number_table, jnp.stack(numbers)[None], row, 0),
+        count_table=lax.dynamic_update_slice_in_dim(now.count_table, jnp.stack(counts)[None], row, 0),
+        log=tally.log,
+    )
+
+
+class Crossing(NamedTuple):
+    """The search for the next contact to reach its threshold."""
+
+    stresses: Stresses
+    soonest: Float[Array, " B"]
+    looked: Array  # whether a block has been opened, shape (B,)
+    rise: Float[Array, ""]  # smallest increase of load found
+    site: Int[Array, ""]  # which contact it brings to its threshold
+
+
+def _next_crossing(by: Loading, now: Now) -> Crossing:
+    """By how much to raise the load to the next break, and of which contact; inf if there is none."""
+    tables, size, load = by.contacts, now.given.shape[1], now.numbers.load
+
+    def going(c: Crossing) -> Array:
+        lowest = jnp.where(c.looked, jnp.inf, c.soonest).min()
+        return (lowest < jnp.inf) & (lowest <= (load + c.rise) * slack(load))
+
+    def look(c: Crossing) -> Crossing:
+        block = most(jnp.where(c.looked, -jnp.inf, -c.soonest))[0]
+        stress, per_load = opened(by.response, c.stresses, block), tables.per_load[block]
+        limit, _ = _limits(by, now, now.given, load, block, now.given[block])
+        pulled = per_load > 0
+        missing = jnp.where(pulled, (limit - stress) / jnp.where(pulled, per_load, 1), jnp.inf)
+        rises = missing
+        if now.born is not None and by.ageing is not None:
+            ages = load - now.born[block]
+            rises = next_crossing(by.ageing, stress, per_load, tables.threshold[block], ages, by.velocity)
+        place, rise = most(-rises)
+        better = -rise < c.rise
+        return Crossing(
+            stresses=looked_at(by.response, c.stresses, block, (stress - limit).max()),
+            soonest=c.soonest.at[block].set(load + missing.min()),  # thresholds only grow: a bound where they do
+            looked=c.looked.at[block].set(True),
+            rise=jnp.where(better, -rise, c.rise),
+            site=jnp.where(better, block * size + place, c.site),
+        )
+
+    never, none = jnp.full_like(load, jnp.inf), jnp.zeros((), jnp.int32)
+    return lax.while_loop(going, look, Crossing(now.stresses, now.soonest, jnp.zeros(now.soonest.shape, bool), never, none))
+
+
+def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
+    """By how much the load is raised, and the contact that breaks first even if rounding leaves it short; −1 for none."""
+    rise = jnp.maximum(found.rise, 0)
+    trigger = jnp.where(jnp.isfinite(rise), found.site, -1)
+    if by.step is not None:
+        close = 1e4 * jnp.finfo(rise.dtype).eps
+        whole_steps = jnp.maximum(jnp.ceil(rise / by.step - close), 1) * by.step
+        trigger = jnp.where(whole_steps > rise + close * by.step, -1, trigger)  # beyond it, the most overloaded
+        rise = whole_steps
+    return jnp.where(jnp.isfinite(found.rise), rise, 0), trigger
+
+
+def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
+    """Thresholds in a block at this load, and of its contacts that break at it."""
+    old = by.contacts.threshold[block]
+    if now.born is None or by.ageing is None:
+        return old, old
+    born = jnp.where(given > before[block], load, now.born[block])
+    return old * by.ageing.strength(load - born, by.velocity), old * by.ageing.newborn
+
+
+def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
+    """ℓ of the event: where the stress, on a straight line between the rightmost contact and the one ahead, is the threshold.
+
+    Of the one it is the stress as it broke, of the other as the event ends (`slippulse_jax.lattice.front`); inf where none is
+    ahead.
+    """
+    right, peak = broken.book.right, broken.book.peak
+    block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
+    limit, _ = _limits(by, now, now.given, load, block, broken.given[block])
+    ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
+    return jnp.where(right == by.sites - 1, jnp.inf, right + peak / (peak - ahead))
+
+
+def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
+    """Threshold of one contact at this load; `anew` if it broke at it before."""
+    old = by.contacts.threshold.reshape(-1)[site]
+    if now.born is None or by.ageing is None:
+        return old
+    aged = by.ageing.strength(load - now.born.reshape(-1)[site], by.velocity)
+    return old * jnp.where(anew, by.ageing.newborn, aged)
+
+
+def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Cascade:
+    """The breaks of one event, counted."""
+    energy, number = by.contacts.energy.reshape(-1), now.counts.number + 1
+    gains = by.contacts.gains.reshape(-1, 3)
+
+    def note(tally: Tally, moves: Moves, t: Array, after: Array) -> Tally:
+        site, log, lost = moves.sites[-1], tally.log, tally.lost
+        if by.recorded:
+            entry = jnp.stack([site, number])[None]
+            log = lax.dynamic_update_slice_in_dim(log, entry, jnp.minimum(tally.total, by.recorded), 0)
+        for j in range(moves.sites.shape[0]):
+            lost = lost + gains[moves.sites[j]] * moves.given[j]
+        stretch, begins = energy[site] * t, tally.first < 0
+        peak = jnp.maximum(t - _limit_of(by, now, load, site, tally.last[site] == number), 0)
+        newer = (site > by.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
+        return Tally(
+            lost=lost,
+            broken=tally.broken + stretch * t,
+            relaxed=tally.relaxed + stretch * after,
+            first=jnp.where(begins, site, tally.first),
+            at_peak=jnp.where(begins, newer.astype(jnp.int32), tally.at_peak),
+            left=jnp.minimum(tally.left, site),
+            right=jnp.maximum(tally.right, site),
+            peak=jnp.where(site >= tally.right, peak, tally.peak),
+            total=tally.total + 1,
+            last=tally.last.at[site].set(number),
+            log=log,
+        )
+
+    zero, none = jnp.zeros((), load.dtype), jnp.zeros((), jnp.int32)
+    places = none - 1, none, none + by.sites, none - 1
+    tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, zero, now.counts.total, now.last, now.log)
+    limits = partial(_limits, by, now, now.given, load)
+    return run(by.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
+
+
+def recorded(by: Loading, end: Now) -> dict[str, Array]:
+    """Columns of the catalogue."""
+    number, count = Numbers(*end.number_table[:-1].T), Counts(*end.count_table[:-1].T)
+    kinds = [count.number < 0, count.right == by.sites - 1, count.first == by.ahead, count.at_peak == 1]
+    kind = jnp.select(kinds, [-1, EventClass.SPANNING, EventClass.EDGE, EventClass.RENUCLEATED], EventClass.INTERIOR)
+    return {
+        "load": number.load,
+        "force_before": number.force_before,
+        "force_after": number.force_before - number.force_lost,
+        "site": count.first - by.ahead,
+        "leftmost": count.left - by.ahead,
+        "extent": count.right + 1 - by.ahead,
+        "length": number.length - by.ahead,
+        "breaks": count.breaks,
+        "slip": number.slip,
+        "stress_drop": number.stress_drop,
+        "work": number.work,
+        "stored": jnp.cumsum(number.work - number.broken - number.relaxed),
+        "broken": number.broken,
+        "relaxed": number.relaxed,
+        "kind": kind.astype(jnp.int32),
+        "number": (count.number >= 0).sum().astype(jnp.int32),
+        "break_site": jnp.where(end.log[:-1, 1] >= 0, end.log[:-1, 0] - by.ahead, -1),
+        "break_event": end.log[:-1, 1],
+    }

@@ -1,4 +1,4 @@
-"""The smooth stand-in for the break rule: in the fast recursion, and in a rupture of any chain.
+"""The first precursor under a smooth break rule, by the fast recursion.
 
 A contact that carries the stress t when the front reaches it gives up p(t) t instead of all or nothing: the fraction of its
 micro-junctions whose own threshold has been reached (`slippulse_jax.rules.SmoothBreak`). The front no longer stops at a
@@ -10,8 +10,7 @@ taken as linear between contacts,
 where the first term stands for the step from contact 0, which always breaks whole, to its neighbour. As w → 0 every integral
 becomes the length over which t ≥ θ, so that ℓ_w → ℓ.
 
-In a chain the same sweep needs no recursion of modes: what has been released behind the front arrives at the next site as
-two numbers, u_t and u, and travels on by the 2×2 propagators of `slippulse_jax.lattice.response`. O(1) a contact, any chain.
+In a chain of any interface the same sweep is `slippulse_jax.lattice.rupture.smooth_rupture`.
 """
 
 from typing import Any, NamedTuple
@@ -22,12 +21,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.lattice.chain import Chain, State
-from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, or_harmless
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, nucleate
 from slippulse_jax.lattice.modes import Modes, lattice_modes
-from slippulse_jax.lattice.response import propagators
-from slippulse_jax.lattice.rupture import Rupture, RuptureStatus, length_or_reason
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -110,78 +105,3 @@ def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Arr
     total = front.stress + prestress
     given_up = rule.broken(total, threshold) * total
     return advance(modes, front._replace(stress=given_up))._replace(stress_before=front.stress)
-
-
-# --- any chain -------------------------------------------------------------------------------------------------------
-
-
-@jax.jit
-def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
-    """One rupture of any chain under a smooth rule, differentiable in every field of chain, state and rule.
-
-    The front sweeps from the left edge to the right: each contact is reached once, with all that the contacts before it
-    gave up, and gives up p(t) t. The trigger breaks whole. The order of breaks is fixed, and no contact breaks twice:
-    that is what makes the sweep smooth, and what it leaves out. As w → 0 it becomes the hard rupture wherever that is one
-    front from left to right.
-
-    Returns
-    -------
-    Rupture
-        As of `rupture`; `order` lists the sites in the order of the sweep, `released` what each gave up, `broken` the
-        fraction of each contact, and `length` is ℓ_w from the left edge to where p has faded. `breaks` and `extent` count
-        the contacts of which more than half broke. RAN_THROUGH if more than half of the last contact did.
-    """
-    before = equilibrium(chain, state)
-    good = before.status == EquilibriumStatus.SOLVED
-    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    links, n = propagators(safe), chain.sites
-    attached = safe.contact > 0
-
-    def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
-        P, source, stress, threshold, contact, site = here
-        t = stress + contact * arriving[1]
-        p = jnp.where(site == trigger, 1, rule.broken(t, threshold)) * (contact > 0)
-        return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
-
-    sites = jnp.arange(n)
-    along = (links.right, links.source, before.stress, safe.threshold, safe.contact, sites)
-    _, (p, t) = lax.scan(step, jnp.zeros(2, safe.contact.dtype), along)
-    given_up = p * t
-    slip = given_up * safe.stiffness / jnp.where(attached, safe.contact, jnp.inf)
-    after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
-
-    theta = safe.threshold
-    steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
-    from_trigger = jax.vmap(rule.broken)(t[1:], theta[1:])  # which breaks whole, to its neighbour
-    reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
-    length = (
-        jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()
-    )
-
-    most = p > 0.5
-    endings = {
-        RuptureStatus.INVALID: before.status == EquilibriumStatus.INVALID,
-        RuptureStatus.SINGULAR: ~good,
-        RuptureStatus.NOTHING_BROKE: ~most.any(),
-        RuptureStatus.RAN_THROUGH: most[-1],
-    }
-    status = jnp.select(list(endings.values()), list(endings), RuptureStatus.ARRESTED).astype(jnp.int32)
-    # what the potential energy falls by: all is linear, so from the mean of the stress before and after each slip
-    energy = safe.stiffness * (slip * (before.stress + after.stress)).sum() / 2
-    return Rupture(
-        state=after_state,
-        before=before,
-        after=after,
-        order=sites,
-        released=given_up,
-        breaks=most.sum(),
-        broken=p,
-        slip=slip,
-        stress_drop=before.stress - after.stress,
-        energy=energy,
-        extent=jnp.where(most, sites + 1, 0).max(),
-        length=length_or_reason(status, length),
-        drift=jnp.zeros_like(length),
-        status=status,
-    )

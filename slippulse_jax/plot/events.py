@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 COLOURS = {
     EventClass.EDGE: "blue",
-    EventClass.CREEP: "orange",
+    EventClass.RENUCLEATED: "orange",
     EventClass.INTERIOR: "green",
     EventClass.SPANNING: "vermilion",
 }

@@ -7,7 +7,7 @@ import numpy as np
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.ageing import Ageing
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
-from slippulse_jax.lattice.chain import Chain, chain, relaxed
+from slippulse_jax.lattice.chain import Chain, chain
 from slippulse_jax.lattice.delayed import runaway_prestress
 from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.lattice.inertia import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
@@ -99,8 +99,8 @@ def _extent(one: Chain, damping: float, rule: SelfHealing | CrackLike) -> int:
 
 def _pushed_to_nucleation(one: Chain) -> tuple[int, float]:
     """Which contact breaks first, and at what load, where a chain with inertia is pushed slowly; in u_s."""
-    load, velocity = 0.99 * nucleate(one, relaxed(one))[0].load, 1e-3
-    pushed = simulate_inertial(one, relaxed(one, load), duration=float(0.02 * load / velocity), velocity=velocity)
+    load, velocity = 0.99 * nucleate(one)[0].load, 1e-3
+    pushed = simulate_inertial(one, one.relaxed(load), duration=float(0.02 * load / velocity), velocity=velocity)
     return int(pushed.first_break.argmin()), float(load + velocity * pushed.first_break.min())
 
 
@@ -183,7 +183,7 @@ def without_ageing() -> Finding:
     """Without ageing all precursors have about the same length, the stress peak creeping on between them."""
     adiabatic = series(chain(fig2(), sites=150), events=60)
     kind, breaks, load = (np.asarray(x) for x in (adiabatic.kind, adiabatic.breaks, adiabatic.load))
-    edge, creep = kind == EventClass.EDGE, kind == EventClass.CREEP
+    edge, creep = kind == EventClass.EDGE, kind == EventClass.RENUCLEATED
     steps = series(chain(fig2(), sites=300), Steps(0.5), events=8, recorded_breaks=1000)
     stepped, patches = np.asarray(steps.breaks), _patches(steps)
     text = (
@@ -237,7 +237,7 @@ def simulation() -> Finding:
     short = chain(Slider(10.0, 0.03, 0.3), sites=30)
     wait = quasi_static_break_time(short, 0.5)
     slow = simulate_inertial(short, duration=14 * wait, damping=0.5, rule=SelfHealing(wait))
-    state, site = nucleate(short, relaxed(short))
+    state, site = nucleate(short)
     apart = float(abs(slow.state.pinning - rupture(short, state, trigger=site).state.pinning).max())
     one, static = chain(fig2(), sites=200), int(first_precursor(fig2()).contacts_broken)
     damped = {g: _extent(one, g, SelfHealing()) for g in (0.3, 0.1, 0.0)}

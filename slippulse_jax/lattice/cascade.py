@@ -1,0 +1,329 @@
+"""Breaks one after another, at a fixed load: stresses of all contacts, known block by block.
+
+A break changes every stress by a known amount (`slippulse_jax.lattice.response`). Within the block of the broken contact the
+change is made at once; every other block only receives what has arrived at its edges, and bounds its largest overload by
+
+    overload ≤ (largest overload when the block was last opened) + (arrived) · (largest reading of a contact).
+
+To open a block is to read off its stresses as they are now. So the most overloaded contact of the chain is found by opening few
+blocks, and the contacts of one block break one after another, in a *burst*, for as long as no other block can hold a more
+overloaded one. The order of breaks is exactly that of looking at all contacts after every break, at O(√N) per break or less.
+
+A contact may repin a while after it broke. Until then it is detached and carries nothing: its pinning point follows the layer.
+So as a contact breaks, the pinning points of all detached ones move such that no stress is left there.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from slippulse_jax.lattice.response import Response, carried
+
+SLACK_DIGITS = 4096
+"""Units in the last place by which a bound is raised: more than thousands of positive terms can lose."""
+
+
+class Stresses(NamedTuple):
+    """B blocks of M contacts; in σ_s."""
+
+    held: Float[Array, "B M"]  # stress as of when the block was last opened
+    inbox: Float[Array, "B 4"]  # arrived at the block's edges since
+    worst: Float[Array, " B"]  # largest overload of the block when it was last opened
+
+
+class Burst(NamedTuple):
+    """Breaks of one block under way."""
+
+    stress: Float[Array, " M"]
+    threshold: Float[Array, " M"]
+    given: Float[Array, " M"]  # stress each contact has given up so far
+    site: Array  # most overloaded contact of the block
+    overload: Array  # its overload
+    left: Float[Array, "4"]  # what has left the block, to the right and to the left
+    breaks: Array
+    book: Any  # what the caller keeps of every break
+
+
+def slack(like: Array) -> float:
+    """Factor by which a bound is raised."""
+    return 1 + SLACK_DIGITS * float(jnp.finfo(like.dtype).eps)
+
+
+def bounds(resp: Response, now: Stresses) -> Float[Array, " B"]:
+    """No contact of a block is more overloaded than this."""
+    return now.worst + (now.inbox * resp.reach).sum(-1) * slack(now.worst)
+
+
+def opened(resp: Response, now: Stresses, block: Array) -> Float[Array, " M"]:
+    """Stresses of one block."""
+    return now.held[block] + (now.inbox[block][:, None] * resp.read[block]).sum(0)
+
+
+def all_opened(resp: Response, now: Stresses) -> Float[Array, "B M"]:
+    """Stresses of all blocks."""
+    return now.held + sum(
+        now.inbox[:, k, None] * resp.read[:, k] for k in range(4)
+    )  # written out: compiles to arithmetic on rows
+
+
+def closed(now: Stresses, block: Array, stress: Array, worst: Array, arrivals: Float[Array, "B 4"]) -> Stresses:
+    """One block put back, and the arrivals that come with it."""
+    return Stresses(
+        held=now.held.at[block].set(stress),
+        inbox=now.inbox.at[block].set(0) + arrivals,
+        worst=now.worst.at[block].set(worst),
+    )
+
+
+def looked_at(resp: Response, now: Stresses, block: Array, worst: Array) -> Stresses:
+    """One block opened and left as it was, but for its bound: `worst` is its largest overload now."""
+    since = (now.inbox[block] * resp.reach[block]).sum()
+    return now._replace(worst=now.worst.at[block].set(worst - since))
+
+
+def most(x: Array) -> tuple[Array, Array]:
+    """Index and value of the largest entry; the first of equals."""
+    value = x.max()
+    return jnp.argmax(x == value).astype(jnp.int32), value
+
+
+class Moves(NamedTuple):
+    """Contacts whose pinning points move at a break, the one that breaks last; and the stress each gives up by that."""
+
+    sites: Int[Array, " n"]  # −1 for none
+    given: Float[Array, " n"]
+
+
+Note = Callable[[Any, Moves, Array, Array], Any]
+"""What a caller keeps of a break: ``book = note(book, moves, stress the contact carried, stress after)``."""
+
+
+def burst(
+    resp: Response,
+    block: Array,
+    start: Burst,
+    renewed: Float[Array, " M"],
+    others: Array,
+    forced: Array,
+    room: Array,
+    note: Note,
+) -> Burst:
+    """Break contacts of an opened block, the most overloaded first, while none elsewhere can be more overloaded.
+
+    Parameters
+    ----------
+    start : Burst
+        As `begun` has it.
+    renewed : array, shape (M,)
+        Thresholds of contacts that have broken and repinned.
+    others : array, shape ()
+        Bound on the overload of every other block.
+    forced : array, shape ()
+        Contact that breaks first whatever its overload; −1 for none.
+    room : array, shape ()
+        Breaks at most.
+    """
+    size = start.stress.shape[0]
+    spill = resp.spill[block] * slack(start.stress)
+    sites = jnp.arange(size)
+    start = start._replace(site=jnp.where(forced >= 0, forced, start.site))
+
+    def going(b: Burst) -> Array:
+        sure = (b.overload >= 0) & (b.overload >= others + (b.left * spill).sum())
+        return (sure | ((forced >= 0) & (b.breaks == 0))) & (b.breaks < room)
+
+    def step(b: Burst) -> Burst:
+        t, here = b.stress[b.site], sites == b.site
+        after = jnp.where(here, 0, b.stress) + resp.near[block, b.site] * t
+        threshold = jnp.where(here, renewed, b.threshold)
+        site, overload = most(after - threshold)
+        return Burst(
+            stress=after,
+            threshold=threshold,
+            given=b.given.at[b.site].add(t),
+            site=site,
+            overload=overload,
+            left=b.left + resp.leave[block, b.site] * t,
+            breaks=b.breaks + 1,
+            book=note(b.book, Moves((block * size + b.site)[None], t[None]), t, after[b.site]),
+        )
+
+    return lax.while_loop(going, step, start)
+
+
+def fold(op: Callable[[Array, Array], Array], x: Float[Array, "... M"]) -> Float[Array, "..."]:
+    """`op` over the last axis, M a power of two, half by half: arithmetic that compiles to vector instructions."""
+    while x.shape[-1] > 1:
+        half = x.shape[-1] // 2
+        x = op(x[..., :half], x[..., half:])
+    return x[..., 0]
+
+
+def whole(stress: Float[Array, "B M"], threshold: Float[Array, "B M"]) -> Stresses:
+    """All blocks open."""
+    return Stresses(stress, jnp.zeros((stress.shape[0], 4), stress.dtype), fold(jnp.maximum, stress - threshold))
+
+
+def largest(x: Float[Array, "B M"]) -> tuple[Int[Array, ""], Array]:
+    """Site and value of the largest entry; the first of equals."""
+    block, value = most(fold(jnp.maximum, x))
+    return block * x.shape[1] + most(x[block])[0], value
+
+
+def begun(stress: Float[Array, " M"], threshold: Float[Array, " M"], given: Float[Array, " M"], book: Any) -> Burst:
+    """An opened block, of which nothing has broken yet."""
+    site, overload = most(stress - threshold)
+    return Burst(stress, threshold, given, site, overload, jnp.zeros(4, stress.dtype), jnp.zeros((), jnp.int32), book)
+
+
+Limits = Callable[[Array, Float[Array, " M"]], tuple[Float[Array, " M"], Float[Array, " M"]]]
+"""Thresholds in a block, by its number and what its contacts have given up: now, and once broken; inf where there is none."""
+
+
+class Cascade(NamedTuple):
+    """A rupture under way, and what is left when it is over. B blocks of M contacts."""
+
+    stresses: Stresses
+    given: Float[Array, "B M"]  # stress given up by each contact so far: how far its pinning point moved, in σ_s
+    arrived: Float[Array, "B 4"]  # at the edges of every block; inf where contacts of the block broke
+    breaks: Int[Array, ""]
+    overload: Float[Array, ""]  # not negative if contacts were still over threshold after the most breaks allowed
+    book: Any  # what the caller kept of every break
+
+
+def check_delay(delay: object) -> None:
+    """Refuse anything that is not a number of breaks."""
+    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
+        raise ValueError(f"repin_delay = {delay!r}: must be a whole number of breaks, 0 or more")
+
+
+def run(
+    max_breaks: int,
+    delay: int,
+    resp: Response,
+    stresses: Stresses,
+    given: Float[Array, "B M"],
+    limits: Limits,
+    trigger: Int[Array, ""],
+    book: Any,
+    note: Note,
+) -> Cascade:
+    """Break contacts until none is over threshold, or `max_breaks` have broken; `trigger` first unless negative.
+
+    Cascade contacts repin at once, or `delay` breaks later; then all stresses are brought up to date at every break, in O(N).
+    """
+    nothing, none = jnp.full((), -jnp.inf, given.dtype), jnp.zeros((), jnp.int32)
+    start = Cascade(stresses, given, jnp.zeros_like(stresses.inbox), none, nothing, book)
+    if delay:
+        return _one_by_one(delay, max_breaks, resp, start, limits, trigger, note)
+    return _in_bursts(max_breaks, resp, start, limits, trigger, note)
+
+
+def _in_bursts(max_breaks: int, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note) -> Cascade:
+    size = start.given.shape[1]
+
+    def triggered(now: Cascade) -> Array:
+        return (now.breaks == 0) & (trigger >= 0) & (max_breaks > 0)
+
+    def going(carry: tuple[Cascade, Array]) -> Array:
+        now, bound = carry
+        given_up = (now.breaks >= max_breaks) & (now.overload >= 0)
+        return ((bound.max() >= 0) | triggered(now)) & ~given_up
+
+    def turn(carry: tuple[Cascade, Array]) -> tuple[Cascade, Array]:
+        now, bound = carry
+        first = triggered(now)
+        block = jnp.where(first, trigger // size, most(bound)[0])
+        others = jnp.where(jnp.arange(bound.shape[0]) == block, -jnp.inf, bound).max()
+        limit, renewed = limits(block, now.given[block])
+        opens = begun(opened(resp, now.stresses, block), limit, now.given[block], now.book)
+        forced = jnp.where(first, trigger % size, -1)
+        end = burst(resp, block, opens, renewed, others, forced, max_breaks - now.breaks, note)
+        arrivals = carried(resp, block, end.left)
+        after = Cascade(
+            stresses=closed(now.stresses, block, end.stress, end.overload, arrivals),
+            given=now.given.at[block].set(end.given),
+            arrived=(now.arrived + arrivals).at[block].set(jnp.inf),
+            breaks=now.breaks + end.breaks,
+            overload=end.overload,
+            book=end.book,
+        )
+        return after, bounds(resp, after.stresses)
+
+    return lax.while_loop(going, turn, (start, bounds(resp, start.stresses)))[0]
+
+
+class Delayed(NamedTuple):
+    """A rupture under way whose broken contacts stay detached for n breaks."""
+
+    stress: Float[Array, "B M"]
+    given: Float[Array, "B M"]
+    detached: Int[Array, " n"]  # sites that have not repinned yet, the last broken last; −1 for none
+    site: Array  # most overloaded contact
+    overload: Array
+    breaks: Array
+    book: Any
+
+
+def _one_by_one(
+    delay: int, max_breaks: int, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note
+) -> Cascade:
+    all_blocks = jnp.arange(start.given.shape[0])
+
+    def overloads(stress: Array, given: Array) -> Array:
+        return stress - jax.vmap(limits)(all_blocks, given)[0]
+
+    def going(now: Delayed) -> Array:
+        return ((now.overload >= 0) | ((now.breaks == 0) & (trigger >= 0))) & (now.breaks < max_breaks)
+
+    def turn(now: Delayed) -> Delayed:
+        t = now.stress.reshape(-1)[now.site]
+        # the one that has been detached longest repins first, where it is
+        moving = jnp.append(now.detached, now.site)[1:]
+        moves = _given_up(resp, moving, t)
+        stress, given = _moved(resp, now.stress, now.given, moving, moves)
+        site, overload = largest(overloads(stress, given))
+        # by what the site of the broken contact moved, as a stress
+        book = note(now.book, Moves(moving, moves), t, moves[-1] - t)
+        return Delayed(stress, given, moving, site, overload, now.breaks + 1, book)
+
+    stress = all_opened(resp, start.stresses)
+    site, overload = largest(overloads(stress, start.given))
+    site = jnp.where(trigger >= 0, trigger, site)
+    begin = Delayed(stress, start.given, jnp.full(delay, -1, jnp.int32), site, overload, start.breaks, start.book)
+    end = lax.while_loop(going, turn, begin)
+    worst = fold(jnp.maximum, overloads(end.stress, end.given))
+    stresses = Stresses(end.stress, jnp.zeros_like(start.stresses.inbox), worst)
+    return Cascade(stresses, end.given, jnp.full_like(start.arrived, jnp.inf), end.breaks, end.overload, end.book)
+
+
+def _given_up(resp: Response, moving: Int[Array, " n"], t: Array) -> Float[Array, " n"]:
+    """Stress that detached contacts give up, by their pinning points, as the last of them breaks and gives up t."""
+    size, n = resp.near.shape[1], moving.shape[0]
+    there = moving >= 0
+    block, place = jnp.maximum(moving, 0) // size, jnp.maximum(moving, 0) % size
+    arrived = jax.vmap(partial(carried, resp))(block, resp.leave[block, place])[:, block]  # source, target, edge value
+    far = (arrived * resp.read[block, :, place][None]).sum(-1)
+    near = resp.near[block[:, None], place[:, None], place[None, :]]
+    green = jnp.where(block[:, None] == block[None, :], near, far) * there[:, None] * there[None, :]
+    return jnp.linalg.solve(jnp.eye(n) - green.T, jnp.zeros(n, t.dtype).at[-1].set(t))
+
+
+def _moved(
+    resp: Response, stress: Array, given: Array, moving: Int[Array, " n"], moves: Float[Array, " n"]
+) -> tuple[Array, Array]:
+    """Stresses, and what contacts have given up, after pinning points have moved."""
+    size, n = resp.near.shape[1], moving.shape[0]
+    block, place = jnp.maximum(moving, 0) // size, jnp.maximum(moving, 0) % size
+    arrived = jax.vmap(partial(carried, resp))(block, resp.leave[block, place] * moves[:, None]).sum(0)
+    stress = stress + (arrived[:, :, None] * resp.read).sum(1)
+    for j in range(n):  # several may lie in one block
+        stress = stress.at[block[j]].add(resp.near[block[j], place[j]] * moves[j])
+        stress = stress.at[block[j], place[j]].add(-moves[j])
+        given = given.at[block[j], place[j]].add(moves[j])
+    return stress, given
