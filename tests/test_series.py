@@ -133,14 +133,14 @@ def test_how_far_fronts_have_come_hardly_depends_on_the_step():
 
 
 def test_the_protocol_decides_what_the_precursors_look_like():
-    """C13. Adiabatically the peak creeps, and the second pulse breaks 3 contacts at U = 3.90; in steps of 0.5 u_s every event
-    breaks some 20 to 40 contacts at first."""
-    creeping = long_series(CHAIN)
-    kinds, edge = np.asarray(creeping.kind), np.nonzero(np.asarray(creeping.kind) == EventClass.EDGE)[0]
+    """C13. Adiabatically events renucleate at the stress peak, and the second pulse breaks 3 contacts at U = 3.90; in steps of
+    0.5 u_s every event breaks some 20 to 40 contacts at first."""
+    adiabatic = long_series(CHAIN)
+    kinds, edge = np.asarray(adiabatic.kind), np.nonzero(np.asarray(adiabatic.kind) == EventClass.EDGE)[0]
     assert (kinds[1 : edge[1]] == EventClass.RENUCLEATED).all()
-    assert (creeping.breaks[1 : edge[1]] == 1).all()
-    assert int(creeping.breaks[edge[1]]) == 3
-    assert round(float(creeping.load[edge[1]]), 2) == 3.90
+    assert (adiabatic.breaks[1 : edge[1]] == 1).all()
+    assert int(adiabatic.breaks[edge[1]]) == 3
+    assert round(float(adiabatic.load[edge[1]]), 2) == 3.90
     stepped = long_series(CHAIN, sp.Steps(0.5))
     assert list(stepped.extent[1:6]) == [39, 46, 54, 60, 67]
 

@@ -10,9 +10,9 @@ from jax.custom_batching import custom_vmap
 
 
 def lane_by_lane(f: Callable, *given: Any) -> Any:
-    """f(*given), under ``jax.vmap`` for each lane in turn, as if alone: so the bits cannot depend on the batch.
+    """f(*given), evaluated under ``jax.vmap`` lane by lane, so that no bit depends on the batch.
 
-    On a CPU, where a lane that is done costs nothing this way, and lanes in step cost more. An accelerator runs them in step.
+    On a CPU a lane that is done then costs nothing. An accelerator runs the lanes in step.
     """
     return lax.platform_dependent(*given, cpu=_one_by_one(f), default=f)
 

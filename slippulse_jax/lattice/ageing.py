@@ -57,7 +57,7 @@ class Ageing(eqx.Module):
                 raise ValueError(f"Ageing.{name} = {value}: {requirement}")
 
     def strength(self, age: Array, velocity: Array | float = 1.0) -> Array:
-        """Threshold over that of an old contact, at an age in load; ages of inf are those of contacts never broken."""
+        """Threshold over that of an old contact; an age of inf is that of a contact never broken."""
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
@@ -69,7 +69,7 @@ class Ageing(eqx.Module):
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
     def growth(self, age: Array, velocity: Array | float = 1.0) -> Array:
-        """D strength / d age, per load."""
+        """Rate at which the strength grows, per load."""
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
@@ -77,7 +77,7 @@ class Ageing(eqx.Module):
         return jnp.where(old, 0, (1 - nu) * rate / tau)
 
     def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
-        """The age at which strength grows at a given positive rate; negative where it never grows so fast."""
+        """Age at which the strength grows at a given rate; negative if it never grows so fast."""
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         ratio = growth * tau / (1 - nu)
         if self.law == "exponential":
@@ -91,7 +91,7 @@ MAX_NEWTON_STEPS = 60
 def next_crossing(
     ageing: Ageing, stress: Array, per_load: Array, threshold: Array, age: Array, velocity: Array | float = 1.0
 ) -> Float[Array, " N"]:
-    """Increase of load at which each contact reaches its growing threshold; inf where it never does.
+    """Find the increase of load that brings each contact to its growing threshold; inf if none.
 
     Parameters
     ----------

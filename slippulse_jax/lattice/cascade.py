@@ -29,7 +29,7 @@ SLACK_DIGITS = 4096
 
 
 class Stresses(NamedTuple):
-    """B blocks of M contacts; in σ_s."""
+    """Stresses of B blocks of M contacts, in σ_s."""
 
     held: Float[Array, "B M"]  # stress as of when the block was last opened
     inbox: Float[Array, "B 4"]  # arrived at the block's edges since
@@ -55,7 +55,7 @@ def slack(like: Array) -> float:
 
 
 def bounds(resp: Response, now: Stresses) -> Float[Array, " B"]:
-    """No contact of a block is more overloaded than this."""
+    """Upper bound on the overload in each block."""
     return now.worst + (now.inbox * resp.reach).sum(-1) * slack(now.worst)
 
 
@@ -72,7 +72,7 @@ def all_opened(resp: Response, now: Stresses) -> Float[Array, "B M"]:
 
 
 def closed(now: Stresses, block: Array, stress: Array, worst: Array, arrivals: Float[Array, "B 4"]) -> Stresses:
-    """One block put back, and the arrivals that come with it."""
+    """Close one block and send out what left it."""
     return Stresses(
         held=now.held.at[block].set(stress),
         inbox=now.inbox.at[block].set(0) + arrivals,
@@ -81,7 +81,7 @@ def closed(now: Stresses, block: Array, stress: Array, worst: Array, arrivals: F
 
 
 def looked_at(resp: Response, now: Stresses, block: Array, worst: Array) -> Stresses:
-    """One block opened and left as it was, but for its bound: `worst` is its largest overload now."""
+    """Renew the bound of one block, whose largest overload is now `worst`."""
     since = (now.inbox[block] * resp.reach[block]).sum()
     return now._replace(worst=now.worst.at[block].set(worst - since))
 
@@ -93,14 +93,14 @@ def most(x: Array) -> tuple[Array, Array]:
 
 
 class Moves(NamedTuple):
-    """Contacts whose pinning points move at a break, the one that breaks last; and the stress each gives up by that."""
+    """Contacts whose pinning points move at a break, the breaking one last."""
 
     sites: Int[Array, " n"]  # −1 for none
     given: Float[Array, " n"]
 
 
 Note = Callable[[Any, Moves, Array, Array], Any]
-"""What a caller keeps of a break: ``book = note(book, moves, stress the contact carried, stress after)``."""
+"""Record of a break: ``book = note(book, moves, stress the contact carried, stress after)``."""
 
 
 def burst(
@@ -157,7 +157,7 @@ def burst(
 
 
 def fold(op: Callable[[Array, Array], Array], x: Float[Array, "... M"]) -> Float[Array, "..."]:
-    """`op` over the last axis, M a power of two, half by half: arithmetic that compiles to vector instructions."""
+    """Reduce the last axis, of length 2ⁿ, half by half: this compiles to vector instructions."""
     while x.shape[-1] > 1:
         half = x.shape[-1] // 2
         x = op(x[..., :half], x[..., half:])
@@ -165,7 +165,7 @@ def fold(op: Callable[[Array, Array], Array], x: Float[Array, "... M"]) -> Float
 
 
 def whole(stress: Float[Array, "B M"], threshold: Float[Array, "B M"]) -> Stresses:
-    """All blocks open."""
+    """Stresses with all blocks open."""
     return Stresses(stress, jnp.zeros((stress.shape[0], 4), stress.dtype), fold(jnp.maximum, stress - threshold))
 
 
@@ -176,7 +176,7 @@ def largest(x: Float[Array, "B M"]) -> tuple[Int[Array, ""], Array]:
 
 
 def begun(stress: Float[Array, " M"], threshold: Float[Array, " M"], given: Float[Array, " M"], book: Any) -> Burst:
-    """An opened block, of which nothing has broken yet."""
+    """Burst of an opened block before its first break."""
     site, overload = most(stress - threshold)
     return Burst(stress, threshold, given, site, overload, jnp.zeros(4, stress.dtype), jnp.zeros((), jnp.int32), book)
 
@@ -186,7 +186,7 @@ Limits = Callable[[Array, Float[Array, " M"]], tuple[Float[Array, " M"], Float[A
 
 
 class Cascade(NamedTuple):
-    """A rupture under way, and what is left when it is over. B blocks of M contacts."""
+    """State of a cascade, during and after it; B blocks of M contacts."""
 
     stresses: Stresses
     given: Float[Array, "B M"]  # stress given up by each contact so far: how far its pinning point moved, in σ_s
@@ -197,7 +197,7 @@ class Cascade(NamedTuple):
 
 
 def check_delay(delay: object) -> None:
-    """Refuse anything that is not a number of breaks."""
+    """Check that a repinning delay is a number of breaks."""
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise ValueError(f"repin_delay = {delay!r}: must be a whole number of breaks, 0 or more")
 
@@ -213,7 +213,7 @@ def run(
     book: Any,
     note: Note,
 ) -> Cascade:
-    """Break contacts until none is over threshold, or `max_breaks` have broken; `trigger` first unless negative.
+    """Break contacts until none is overloaded, or `max_breaks` have broken.
 
     Cascade contacts repin at once, or `delay` breaks later; then all stresses are brought up to date at every break, in O(N).
     """
@@ -259,7 +259,7 @@ def _in_bursts(max_breaks: int, resp: Response, start: Cascade, limits: Limits, 
 
 
 class Delayed(NamedTuple):
-    """A rupture under way whose broken contacts stay detached for n breaks."""
+    """State of a cascade whose broken contacts stay detached for n breaks."""
 
     stress: Float[Array, "B M"]
     given: Float[Array, "B M"]
@@ -303,7 +303,7 @@ def _one_by_one(
 
 
 def _given_up(resp: Response, moving: Int[Array, " n"], t: Array) -> Float[Array, " n"]:
-    """Stress that detached contacts give up, by their pinning points, as the last of them breaks and gives up t."""
+    """Stress released by each detached contact as the last of them breaks."""
     size, n = resp.near.shape[1], moving.shape[0]
     there = moving >= 0
     block, place = jnp.maximum(moving, 0) // size, jnp.maximum(moving, 0) % size
@@ -317,7 +317,7 @@ def _given_up(resp: Response, moving: Int[Array, " n"], t: Array) -> Float[Array
 def _moved(
     resp: Response, stress: Array, given: Array, moving: Int[Array, " n"], moves: Float[Array, " n"]
 ) -> tuple[Array, Array]:
-    """Stresses, and what contacts have given up, after pinning points have moved."""
+    """Update stresses and pinning points."""
     size, n = resp.near.shape[1], moving.shape[0]
     block, place = jnp.maximum(moving, 0) // size, jnp.maximum(moving, 0) % size
     arrived = jax.vmap(partial(carried, resp))(block, resp.leave[block, place] * moves[:, None]).sum(0)

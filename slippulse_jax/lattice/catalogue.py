@@ -1,4 +1,4 @@
-"""What is known of a series: the events as a record, and as a table with units in CSV and NetCDF."""
+"""Catalogue of the events of a series, and its tables with units in CSV and NetCDF."""
 
 import csv
 import io
@@ -16,7 +16,7 @@ from slippulse_jax.status import Status
 class SeriesStatus(Status):
     """How a series ended."""
 
-    DONE = 0, "done: as many events, or as much load, as was asked for"
+    DONE = 0, "done: reached the requested number of events or load"
     SPANNED = 1, "ended by an event that broke the last contact of the chain"
     NOTHING_LEFT = 2, "ended early: no load brings a further contact to its threshold"
     LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks of one event"
@@ -24,12 +24,12 @@ class SeriesStatus(Status):
 
 
 class EventClass(Status):
-    """What kind of event it was; the first that fits."""
+    """Class of an event; the first that applies."""
 
     SPANNING = 0, "broke the last contact of the chain"
     EDGE = 1, "nucleated at the left edge"
     RENUCLEATED = 2, "nucleated at the stress peak just ahead of where an earlier event had been arrested"
-    INTERIOR = 3, "nucleated anywhere else"
+    INTERIOR = 3, "nucleated elsewhere"
 
 
 class Catalogue(NamedTuple):
@@ -62,11 +62,11 @@ class Catalogue(NamedTuple):
     status: Int[Array, ""]  # a SeriesStatus
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns of the events that took place, without the empty rows."""
+        """Columns of the catalogue, without its empty rows."""
         return table(self)
 
     def reach(self, load: ArrayLike) -> np.ndarray:
-        """How far from the left edge fronts have come by a load, in λc.
+        """Distance from the left edge that fronts have reached by a load, in λc.
 
         Straight lines join the events that came farther than all before them; after the last of these the front stands where it
         stopped, up to the load at which the series ends. How many events it takes depends on how finely the edge is moved; how
@@ -121,7 +121,7 @@ COLUMNS = {
 
 
 def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
-    """Columns of the events that took place, as NumPy arrays.
+    """Columns of a catalogue as NumPy arrays, without its empty rows.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
 
 
 def to_csv(catalogue: Catalogue) -> str:
-    """CSV with a line of names and a line of units; numbers to the last digit."""
+    """Format a catalogue as CSV: names, units, then numbers to the last digit."""
     columns = table(catalogue)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -148,7 +148,7 @@ def to_csv(catalogue: Catalogue) -> str:
 
 
 def to_dataset(catalogue: Catalogue) -> Any:
-    """``xarray.Dataset`` with units and descriptions."""
+    """Convert a catalogue to an ``xarray.Dataset`` with units and descriptions."""
     import xarray
 
     variables = {

@@ -18,6 +18,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import quantity_field
@@ -34,7 +35,7 @@ class Springs(NamedTuple):
 
 
 class State(NamedTuple):
-    """What may change while the springs stay: where the contacts are pinned, and the load."""
+    """Pinning points and load of a chain."""
 
     pinning: Float[Array, " N"]  # u_b, in u_s
     load: Float[Array, ""]  # U, displacement of the left edge of the upper layer, in u_s
@@ -66,11 +67,11 @@ class Chain(eqx.Module):
         return self.contact.shape[-1]
 
     def relaxed(self, load: AnyArrayLike = 0.0) -> State:
-        """Every contact pinned where it was made, at a given load U (in u_s)."""
+        """State with every contact pinned where it was made, under a load U (in u_s)."""
         return State(jnp.zeros_like(self.contact), jnp.asarray(load, dtype=self.contact.dtype))
 
     def contact_force(self, stretch: Array) -> Array:
-        """Force of each contact on the interfacial layer, beyond that of the prestress, in K u_s."""
+        """Force of each contact beyond its prestress, in K u_s."""
         return self.contact * (stretch if self.law is None else self.law(stretch))
 
     def stress(self, layer: Array, pinning: Array) -> Float[Array, " N"]:
@@ -83,15 +84,16 @@ def chain(
     slider: Slider,
     *,
     sites: int,
+    interface: Interface | Profile | None = None,
     right: RightEnd = "semi-infinite",
     contact: AnyArrayLike | None = None,
-    threshold: AnyArrayLike = 1.0,
-    prestress: AnyArrayLike = 0.0,
+    threshold: AnyArrayLike | None = None,
+    prestress: AnyArrayLike | None = None,
     upper: AnyArrayLike | None = None,
     layer: AnyArrayLike = 1.0,
     law: ForceLaw | None = None,
 ) -> Chain:
-    """Chain of `sites` sites on the interface of one slider, every field of which may vary along it.
+    """Make a chain of `sites` sites, whose fields may vary along it.
 
     Parameters
     ----------
@@ -99,15 +101,18 @@ def chain(
         One slider (fields of shape ()); use ``jax.vmap`` for a batch.
     sites : int
         N ≥ 2.
+    interface : Interface or Profile, optional
+        Thresholds and prestress of the contacts; uniform and relaxed by default.
     right : {"semi-infinite", "free", "clamped"}
         What the chain does beyond its last site: goes on for ever, uniform, relaxed and unbroken; nothing; is tied to a
         wall one bond further.
     contact : array_like, shape () or (N,), optional
         k_i/K; 0 for a detached contact. The slider's k/K by default.
-    threshold : array_like, shape () or (N,)
-        θ_i > 0, the stress at which contact i breaks, in σ_s.
-    prestress : array_like, shape () or (N,)
-        φ_i, the stress contact i carries when u_i = u_b,i = 0, balanced by a traction held fixed (top shear), in σ_s.
+    threshold : array_like, shape () or (N,), optional
+        θ_i > 0, the stress at which contact i breaks, in σ_s; instead of the interface's.
+    prestress : array_like, shape () or (N,), optional
+        φ_i, the stress contact i carries when u_i = u_b,i = 0, balanced by a traction held fixed (top shear), in σ_s;
+        instead of the interface's.
     upper, layer : array_like, shape () or (N−1,), optional
         Stiffness of each bond of the two layers, in K. K_L = H/λc and 1 by default.
     law : callable, optional
@@ -118,7 +123,8 @@ def chain(
     Raises
     ------
     ValueError
-        If a value lies outside its domain or a shape does not fit, naming both. Traced values cannot be looked at.
+        If a value lies outside its domain or a shape does not fit, naming both (traced values are not checked); or if the
+        interface has a repinning delay, which is an argument of `rupture` and `series`.
     """
     if right not in get_args(RightEnd):
         raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
@@ -126,6 +132,16 @@ def chain(
         raise ValueError(f"slider has shape {slider.shape}: a chain is made of one slider; use jax.vmap for a batch")
     if sites < 2:
         raise ValueError(f"sites = {sites}: must be at least 2")
+    if interface is not None:
+        if interface.shape != ():
+            raise ValueError(f"interface has shape {interface.shape}: a chain has one interface; use jax.vmap for a batch")
+        if interface.repin_delay:
+            raise ValueError("chain takes no repin_delay: give it to rupture or series; prestress and thresholds are taken")
+        numbers = jnp.arange(sites)
+        threshold = interface.threshold_at(numbers) if threshold is None else threshold
+        prestress = interface.prestress_at(numbers) if prestress is None else prestress
+    threshold = 1.0 if threshold is None else threshold
+    prestress = 0.0 if prestress is None else prestress
     contact = slider.stiffness if contact is None else contact
     upper = slider.K_L if upper is None else upper
 
@@ -162,7 +178,7 @@ def chain(
 
 
 def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Float[Array, ""]:
-    """Elastic energy of a chain with linear contacts, and that of the tractions that balance the prestress, in K u_s²."""
+    """Potential energy of a chain with linear contacts, prestress included, in K u_s²."""
     upper, layer = x
     bonds = (chain.upper * jnp.diff(upper) ** 2).sum() + (chain.layer * jnp.diff(layer) ** 2).sum()
     sites = (chain.across * (upper - layer) ** 2).sum() + (chain.contact * (layer - pinning) ** 2).sum()
@@ -172,7 +188,7 @@ def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Fl
 
 
 def endless(bonds: Springs, contact: Array) -> Springs:
-    """The three springs that an endless uniform half-line of bonds and contacts amounts to, seen through its first bond.
+    """Reduce an endless uniform half-line, seen through its first bond, to three springs.
 
     Parameters
     ----------
@@ -209,7 +225,7 @@ def endless(bonds: Springs, contact: Array) -> Springs:
 
 
 def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
-    """`chain` with one more site before its first: the driver, tied to the upper layer alone by a spring (in K)."""
+    """Put a driver before the first site, tied to the upper layer by a spring (in K)."""
     dtype = chain.contact.dtype
 
     def before(first: AnyArrayLike, rest: Array) -> Array:
@@ -236,14 +252,14 @@ Pair = tuple[Array, Array]
 
 
 class Elimination(NamedTuple):
-    """A chain seen from its left edge, site by site, whatever the displacements and pinning points."""
+    """A chain as each site sees it, looking right."""
 
     beyond: Springs  # (N,): everything right of site i, through bond i; the last is the chain's end
     floating: Bool[Array, ""]  # whether a part of the chain is held by nothing
 
 
 def beside(far: Springs, across: Array, contact: Array) -> Springs:
-    """`far` with the springs of one site put beside it."""
+    """Put the springs of one site beside `far`."""
     return Springs(far.upper, far.layer + contact, far.across + across)
 
 
@@ -253,7 +269,7 @@ def determinant(springs: Springs) -> Array:
 
 
 def solve_pair(springs: Springs, force: Pair) -> Pair:
-    """Displacements of the two terminals under given forces; zero where something floats."""
+    """Displace the two terminals by given forces; zero where something floats."""
     det = determinant(springs)
     det = jnp.where(det > 0, det, jnp.inf)
     f, g = force
@@ -264,7 +280,7 @@ def solve_pair(springs: Springs, force: Pair) -> Pair:
 
 
 def through(bond: Pair, far: Springs) -> Springs:
-    """`far` seen through a bond of each layer."""
+    """Reduce `far` and a bond of each layer to three springs."""
     B, K = bond
     held = Springs(B + far.upper, K + far.layer, far.across)
     upper, layer = solve_pair(held, (far.upper, far.layer))
@@ -291,7 +307,7 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Elimination:
 
 
 def respond(chain: Chain, contact: Array, force: Pair) -> Pair:
-    """Displacements under forces on every site, with u_t[0] held; zero for a part that floats.
+    """Displace the sites by forces on them, with u_t[0] held; zero where something floats.
 
     Forces travel from the right end to the left edge through the springs, displacements back.
     """

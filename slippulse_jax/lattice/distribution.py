@@ -1,4 +1,4 @@
-r"""A λ-contact of many micro-junctions with different thresholds, and when that removes the elastic instability.
+r"""λ-contacts of many micro-junctions, and the condition for smooth sliding.
 
 Each junction breaks as its stretch reaches its threshold, and repins at once with zero stretch and a new threshold drawn from
 P_c. Pulled by X, a contact of many junctions carries the mean stretch, in units of its stiffness,
@@ -36,7 +36,7 @@ Kind = Literal["normal", "uniform", "weibull"]
 
 
 class ThresholdDistribution(eqx.Module):
-    """P_c(f_s) of the junctions of a contact, as thresholds of stretch in units of their mean u_s.
+    """Distribution P_c(f_s) of the thresholds of a contact's junctions, in u_s.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class ThresholdDistribution(eqx.Module):
 
 
 class ForceLaw(eqx.Module):
-    """F(X) on a grid, between whose points it is a straight line; to be used as the `law` of a `chain`."""
+    """Force law F(X), linear between grid points; to be used as the `law` of a `chain`."""
 
     spacing: Float[Array, ""]
     force: Float[Array, " G"]  # F at 0, spacing, 2 spacing …
@@ -110,7 +110,7 @@ class ForceLaw(eqx.Module):
 
 @functools.partial(jax.jit, static_argnames="points")
 def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: int = 801) -> ForceLaw:
-    """The force law of infinitely many junctions, from the master equation.
+    """Solve the master equation for the force law of infinitely many junctions.
 
     Parameters
     ----------
@@ -143,7 +143,9 @@ def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: 
 
 @functools.partial(jax.jit, static_argnames="junctions")
 def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: Array, key: Array) -> Float[Array, " G"]:
-    """Mean stretch of `junctions` explicit junctions at increasing X, every break at exactly its threshold.
+    """Simulate explicit junctions pulled by X; returns their mean stretch.
+
+    Every junction breaks at exactly its threshold.
 
     Parameters
     ----------
@@ -175,7 +177,7 @@ def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: A
 
 
 class Stability(NamedTuple):
-    """Whether contacts with a distribution of thresholds slide smoothly on a slider."""
+    """Stability of contacts with a distribution of thresholds on a slider."""
 
     steepest_fall: Array  # smallest F'
     surroundings: Array  # K_s/k of a contact in the bulk
@@ -184,7 +186,7 @@ class Stability(NamedTuple):
 
 
 def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int = 801) -> Stability:
-    """The analytic criterion: slope of the force law against the stiffness of the surroundings of one contact."""
+    """Compare the slope of the force law with the stiffness around one contact."""
     modes = lattice_modes(slider)
     bulk = modes.weight.sum()
     edge = bulk + modes.reflection.sum()
@@ -194,7 +196,7 @@ def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int 
 
 
 def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array, " L"]:
-    """Load at which the contact at the left edge has each of these stretches, of a chain whose contacts have a force law.
+    """Load at which the first contact of a chain with a force law has each stretch.
 
     The relaxed chain is followed by the stretch of its first contact, which goes on growing where the load would have to come
     down. So the whole chain slides smoothly if and only if the load increases all along; where it falls, a chain under
@@ -238,7 +240,9 @@ def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array,
 
 
 def smooth_width(slider: Slider, kind: Kind, *, points: int = 801) -> float:
-    """The smallest width at which `stability` calls sliding smooth; inf if none of a hundred over the domain is.
+    """Smallest width of the distribution at which sliding is smooth; inf if none is.
+
+    A hundred widths over the domain are tried.
 
     Not every wider law slides smoothly: a normal one, cut off at zero and at two, falls least steeply at a width near 0.5, and
     becomes a uniform one, which falls more steeply, as it grows wider.

@@ -23,7 +23,7 @@ DAMPING = tuple(0.5**n for n in range(12))
 
 
 class EquilibriumStatus(Status):
-    """How the solution of an equilibrium ended."""
+    """How the search for an equilibrium ended."""
 
     SOLVED = 0, "solved: every site is in balance"
     SINGULAR = (
@@ -35,7 +35,7 @@ class EquilibriumStatus(Status):
 
 
 class Equilibrium(NamedTuple):
-    """Displacements in u_s, stresses in σ_s, forces in K u_s."""
+    """A chain in balance: displacements in u_s, stresses in σ_s, forces in K u_s."""
 
     upper: Float[Array, " N"]  # u_t
     layer: Float[Array, " N"]  # u
@@ -47,7 +47,7 @@ class Equilibrium(NamedTuple):
 
 @jax.jit
 def equilibrium(chain: Chain, state: State) -> Equilibrium:
-    """Equilibrium of a chain in a given state.
+    """Solve for the equilibrium of a chain in a given state.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     -------
     Equilibrium
         With a status (`EquilibriumStatus`) instead of an exception: one bad lane of ``jax.vmap`` leaves the others
-        alone. Where something floats or a value is not a number the fields are finite, and mean nothing there.
+        alone. Where something floats or a value is not a number the fields are finite but meaningless.
 
     Notes
     -----
@@ -91,7 +91,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
 
 @jax.custom_jvp
 def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
-    """Displacements in equilibrium, and whether Newton's method got there."""
+    """Displacements in equilibrium, and whether Newton's method converged."""
     start = (jnp.zeros_like(chain.contact).at[0].set(state.load), jnp.zeros_like(chain.contact))
     if chain.law is not None:
         return _newton(chain, state, start)
@@ -134,7 +134,7 @@ def _springs(chain: Chain, x: Pair) -> Pair:
 
 
 def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
-    """Displacements under forces on every site, with u_t[0] held, as a linear map JAX can differentiate and transpose."""
+    """`respond` as a linear map that JAX can differentiate and transpose."""
 
     # one array for both layers: a pair of them with a symbolic zero for one tangent trips custom_linear_solve
     def stiffness(x: Array) -> Array:
@@ -160,7 +160,7 @@ def _tangent(chain: Chain, stretch: Array) -> Array:
 
 
 def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
-    """Newton's method, each step cut until it helps; stops where a full step no longer does."""
+    """Newton's method with damped steps, until none lowers the imbalance."""
     parts = jnp.asarray(DAMPING, start[0].dtype)
 
     def size(x: Pair) -> Array:
@@ -191,7 +191,7 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
 
 
 def all_numbers(chain: Chain, state: State) -> Array:
-    """Whether the values, traced ones included, are those of a chain and its state."""
+    """Whether all values are finite and all stiffnesses in their domains."""
     leaves = [x for x in jax.tree.leaves((chain, state)) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.inexact)]
     finite = jnp.stack([jnp.isfinite(x).all() for x in leaves]).all()
     positive = [(x >= 0).all() for x in (chain.upper, chain.layer, chain.across, chain.contact, *chain.end)]
@@ -199,5 +199,5 @@ def all_numbers(chain: Chain, state: State) -> Array:
 
 
 def or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
-    """The chain and state, or ones instead where they are not valid: no NaN goes into a loop or a derivative."""
+    """Replace an invalid chain and state by ones, to keep NaN out of loops and derivatives."""
     return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), (chain, state))

@@ -37,7 +37,7 @@ MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Out
 
 
 class SelfHealing(eqx.Module):
-    """A contact at its threshold breaks and repins at once with zero stretch: the paper's rule.
+    """The paper's rule: a contact at its threshold breaks and repins with zero stretch.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class SelfHealing(eqx.Module):
 
 
 class CrackLike(eqx.Module):
-    """A contact at its threshold slides, under a constant friction, and repins when its slip rate vanishes (Amontons–Coulomb).
+    """Amontons–Coulomb: a contact at its threshold slides, and repins when its slip rate vanishes.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class CrackLike(eqx.Module):
 
 
 class Motion(NamedTuple):
-    """A simulation at its end; displacements in u_s, times in √(m/K), energies in K u_s²."""
+    """End of a simulation: displacements in u_s, times in √(m/K), energies in K u_s²."""
 
     state: State
     upper: Float[Array, " N"]
@@ -86,7 +86,7 @@ class Motion(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """All that a simulation is asked for but the state it starts from."""
+    """Arguments of a simulation, but for its initial state."""
 
     chain: Chain
     rule: SelfHealing | CrackLike
@@ -99,7 +99,7 @@ class Asked(NamedTuple):
 
 
 def domains(asked: Asked) -> dict[str, tuple[Any, Callable[[Any], Any], str]]:
-    """Every number that is asked for, whether it will do (traced or not), and what a user is told otherwise."""
+    """Value, domain and requirement of every number among the arguments."""
     always: dict[str, tuple[Any, Callable[[Any], Any], str]] = {
         "duration": (asked.duration, lambda x: x > 0, "must be positive, in √(m/K)"),
         "damping": (asked.damping, lambda x: x >= 0, "must be 0 or more, per √(m/K)"),
@@ -133,7 +133,10 @@ class _Now(NamedTuple):
 
 
 def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
-    """`safety` times the largest stable step 2/ω_max of velocity Verlet, ω_max² bounded by Gershgorin's discs."""
+    """`safety` times the largest stable step of velocity Verlet.
+
+    That is 2/ω_max, with ω_max² bounded by Gershgorin's discs.
+    """
 
     def bonds(inner: Array, beyond: Array) -> Array:
         """Diagonal and off-diagonal of a row, of two bonds or of one and what lies beyond the end."""
@@ -157,7 +160,7 @@ def simulate_inertial(
     safety: AnyArrayLike = 0.2,
     rest: AnyArrayLike = 1e-12,
 ) -> Motion:
-    """Motion of a chain from rest.
+    """Simulate the motion of a chain from rest.
 
     Parameters
     ----------
@@ -210,7 +213,7 @@ def simulate_inertial(
 
 
 def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
-    """Force of springs and contacts on every block, in K u_s; the contact carries k_i(u − u_b) beyond its prestress."""
+    """Force of springs and contacts on every block beyond the prestress, in K u_s."""
     upper, layer = x
     bond_upper, bond_layer = chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer)
     across = chain.across * (upper - layer)
@@ -367,9 +370,9 @@ _undifferentiated = without_derivative(
 
 
 def quasi_static_break_time(chain: Chain, damping: float) -> float:
-    """A break time after which even the slowest motion of a chain has decayed by e^{−30}, from the chain's spectrum.
+    """Break time in which the slowest motion of a chain decays by e^{−30}.
 
-    Dense, O(N³): for checks on short chains.
+    From the dense spectrum, O(N³): for checks on short chains.
     """
     n = chain.sites
     flat = jax.jacfwd(lambda x: jnp.concatenate(_forces(chain, (x[:n], x[n:]), jnp.zeros(n))))(jnp.zeros(2 * n))

@@ -1,4 +1,4 @@
-r"""What one break does to the stress on every other contact, ready to be applied in a few operations.
+r"""Load transfer: the stress that one break adds to every other contact.
 
 A contact that gives up the stress t_j adds q_i G_ij t_j to the stress on contact i (q_i = k_i/K, G_ij the displacement of
 the interfacial layer at i per force at j). Displacements travel from site to site by 2×2 propagators with non-negative
@@ -6,8 +6,8 @@ entries, to the right by P_i and to the left by Q_i, so that beyond the source G
 block-semiseparable. The sites are cut into blocks of about √N:
 
 * within the block of the source G is held as it is (`near`);
-* elsewhere a block receives two numbers from the left and two from the right, u_t and u at its edge (`Inbox`), whatever
-  happened in the source's block, and a contact's stress is read off when it is needed (`read`).
+* elsewhere a block receives two displacements per edge, u_t and u, whatever happened in the source's block, and a contact's
+  stress is read off when it is needed (`read`).
 
 So a break costs O(√N), or O(N) where every stress is wanted, without ever solving the chain anew. Nothing is subtracted.
 """
@@ -24,7 +24,7 @@ from slippulse_jax.lattice.chain import Chain, Pair, Springs, beside, eliminate,
 
 
 class Response(NamedTuple):
-    """B blocks of M sites (the last filled up with sites that have no contact and hold nothing)."""
+    """Response of B blocks of M sites, the last padded with sites without contact."""
 
     near: Float[Array, "B M M"]  # q_i G_ij within a block; the middle axis is the source j
     read: Float[Array, "B 4 M"]  # stress at i per u_t, u at the block's left edge and per u_t, u at its right edge
@@ -38,7 +38,7 @@ class Response(NamedTuple):
 
 
 class Propagators(NamedTuple):
-    """How the displacements (u_t, u) at one site follow from those next to it; shapes (N, 2, 2) and (N, 2)."""
+    """Maps of the displacements (u_t, u) from site to site; shapes (N, 2, 2) and (N, 2)."""
 
     right: Array  # P_i: from site i to i + 1; zero for the last
     left: Array  # Q_i: from site i to i − 1; zero for the first
@@ -49,7 +49,10 @@ class Propagators(NamedTuple):
 
 
 def block_size(sites: int) -> int:
-    """Power of two between √N and 2√N, at least 8: work inside a block is cheaper than work on all blocks."""
+    """Number of sites per block: a power of two between √N and 2√N, at least 8.
+
+    Work inside a block is cheaper than work on all blocks.
+    """
     size = 8
     while size * size < sites:
         size *= 2
@@ -57,7 +60,7 @@ def block_size(sites: int) -> int:
 
 
 def propagators(chain: Chain) -> Propagators:
-    """One elimination from each end."""
+    """Propagators of a chain, from one elimination per end."""
     right = eliminate(chain, chain.contact)
     site = beside(right.beyond, chain.across, chain.contact)
 
@@ -106,14 +109,14 @@ def propagators(chain: Chain) -> Propagators:
 
 
 def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
-    """(N, …) as (B, M, …)."""
+    """Cut (N, …) into blocks (B, M, …)."""
     missing = -x.shape[0] % size
     padding = jnp.full((missing, *x.shape[1:]), fill, x.dtype)
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
 def response(chain: Chain) -> Response:
-    """The response of a chain with linear contacts; thresholds and prestress do not enter."""
+    """Response of a chain with linear contacts, whatever its thresholds and prestress."""
     links = propagators(chain)
     size = block_size(chain.sites)
     P, Q, v = (into_blocks(x, size) for x in links[:3])
@@ -148,7 +151,7 @@ def response(chain: Chain) -> Response:
 
 
 def shared_response(chain: Chain) -> Response:
-    """`response`, each lane of ``jax.vmap`` by itself; worked out once where lanes differ in thresholds or prestress only."""
+    """`response`, computed once for lanes that differ in thresholds or prestress only."""
     none = jnp.ones(chain.sites, chain.contact.dtype)
     springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
     return lane_by_lane(response, springs)
@@ -193,7 +196,7 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
 
 
 def dense(resp: Response) -> Float[Array, "S S"]:
-    """q_i G_ij of all sites, source first: for tests and for looking at."""
+    """q_i G_ij as a dense matrix, source first; for tests and inspection."""
     blocks, size = resp.near.shape[:2]
     arriving = jnp.einsum("abxy,ajxy->ajbx", resp.pass_on.reshape(blocks, blocks, 4, 2), _sent(resp.leave))
     far = jnp.einsum("ajbx,bxi->ajbi", arriving, resp.read)
@@ -208,10 +211,10 @@ def _sent(leave: Float[Array, "... 4"]) -> Float[Array, "... 4 2"]:
 
 
 def arriving(resp: Response, block: Array, site: Array) -> Float[Array, "B 4"]:
-    """What every block receives per stress given up at one site: (u_t, u) at its left edge, and at its right edge."""
+    """(u_t, u) at the left and right edges of every block, per stress released at one site."""
     return carried(resp, block, resp.leave[block, site])
 
 
 def carried(resp: Response, block: Array, left: Float[Array, "4"]) -> Float[Array, "B 4"]:
-    """What every block receives of what left one of them, to the right (first two) and to the left (last two)."""
+    """Displacements at the edges of every block due to those that left one of them."""
     return (resp.pass_on[block] * _sent(left)[None]).sum(-1)

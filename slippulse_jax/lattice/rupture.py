@@ -45,7 +45,7 @@ RUPTURE_OUTCOMES = (
 
 
 class Rupture(NamedTuple):
-    """What one rupture did; displacements in u_s, stresses in σ_s, energy in K u_s²."""
+    """Record of one rupture: displacements in u_s, stresses in σ_s, energy in K u_s²."""
 
     state: State  # after the rupture
     before: Equilibrium
@@ -72,7 +72,7 @@ def rupture(
     max_breaks: int | None = None,
     repin_delay: int = 0,
 ) -> Rupture:
-    """One rupture at a fixed load.
+    """Follow one rupture at a fixed load.
 
     The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with zero stretch, stresses
     adjust, and so on until no contact is at or above its threshold. Contacts may break many times.
@@ -169,7 +169,7 @@ def _check(chain: Chain, state: State) -> None:
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """ℓ, or 0, inf or NaN as the status has it; where there is no length the derivative is NaN, never a silent zero."""
+    """ℓ, or 0, inf or NaN according to the outcome; without a length the derivative is NaN."""
     arrested = status == Outcome.ARRESTED
     reasons = [status == Outcome.NOTHING_BROKE, status == Outcome.RAN_THROUGH]
     return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
@@ -179,7 +179,7 @@ def length_or_reason(status: Array, length: Array) -> Array:
 
 
 class Record(NamedTuple):
-    """What is kept of every break."""
+    """Record of the breaks, under way."""
 
     order: Int[Array, " L"]  # sites in order of breaking, −1 where none
     released: Float[Array, " L"]  # stress each break gave up
@@ -190,7 +190,7 @@ class Record(NamedTuple):
 
 
 def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Cascade:
-    """Break after break, each recorded."""
+    """Run the cascade and record every break."""
     max_breaks, delay = limits
     size = resp.near.shape[1]
     soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
@@ -262,7 +262,7 @@ def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: 
 _undifferentiated = without_derivative(
     jax.jit(_hard_rupture, static_argnums=0),
     "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
-    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor, "
+    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can; for the length of a first precursor use "
     "precursor_length, which has an exact derivative.",
     nondiff_argnums=(0,),
 )
@@ -273,7 +273,7 @@ _undifferentiated = without_derivative(
 
 @jax.jit
 def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
-    """One rupture of any chain under a smooth rule, differentiable in every field of chain, state and rule.
+    """Follow one rupture under a smooth rule; differentiable in every field.
 
     The front sweeps from the left edge to the right: each contact is reached once, with all that the contacts before it
     gave up, and gives up p(t) t. The trigger breaks whole. The order of breaks is fixed, and no contact breaks twice:

@@ -50,20 +50,20 @@ from slippulse_jax.lattice.response import Response, into_blocks, shared_respons
 
 
 class Adiabatic(eqx.Module):
-    """The left edge is pushed exactly to the next break, and waits while the event runs."""
+    """Push the left edge exactly to the next break, and hold it while the event runs."""
 
     velocity: Float[AnyArrayLike, ""] = 1.0  # of the left edge, for ageing in time only; u_s per time
 
 
 class Steps(eqx.Module):
-    """The left edge is pushed by whole steps of `size` u_s; each event starts with all that a step has overloaded."""
+    """Push the left edge in steps of `size` u_s, which may overload several contacts at once."""
 
     size: Float[AnyArrayLike, ""]
     velocity: Float[AnyArrayLike, ""] = 1.0
 
 
 class Spring(eqx.Module):
-    """A driver moves the left edge through a spring of `stiffness` (in K); the load is the driver's displacement."""
+    """Pull the left edge through a spring of `stiffness` K; the load is the driver's displacement."""
 
     stiffness: Float[AnyArrayLike, ""]
     velocity: Float[AnyArrayLike, ""] = 1.0
@@ -94,7 +94,7 @@ def series(
     events : int
         Number of events, and of rows.
     ageing : Ageing, optional
-        Contacts that never broke have the chain's thresholds; those that did start anew, weak. None: immediate recovery.
+        Contacts that never broke have the chain's thresholds; those that did are reborn weak. None: immediate recovery.
     repin_delay : int
         n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
         or when the event ends. For a front that breaks one contact after another, the delay in sites of `Interface`.
@@ -117,7 +117,7 @@ def series(
     ValueError
         If a size is not positive or the chain has nonlinear contacts.
     TypeError
-        If `protocol` is none, or the series is differentiated: which contact breaks next is a comparison.
+        If `protocol` is not a protocol, or the series is differentiated: which contact breaks next is a comparison.
     """
     if chain.law is not None:
         raise ValueError("a series needs linear contacts: this chain has a force law")
@@ -195,7 +195,7 @@ _hard_series = without_derivative(
 
 
 class Contacts(NamedTuple):
-    """B blocks of M contacts."""
+    """Tables of B blocks of M contacts."""
 
     threshold: Float[Array, "B M"]  # of a contact never broken; inf where there is none
     per_load: Float[Array, "B M"]  # stress per load
@@ -206,7 +206,7 @@ class Contacts(NamedTuple):
 
 
 def contacts_of(chain: Chain, resp: Response) -> Contacts:
-    """Tables of a chain's contacts."""
+    """Tabulate the effect of loading and breaking each contact."""
     size = resp.near.shape[1]
     q, k = into_blocks(chain.contact, size), chain.stiffness
     per_load = (resp.at_load[:, :, None] * resp.read).sum(1)
@@ -230,7 +230,7 @@ def contacts_of(chain: Chain, resp: Response) -> Contacts:
 
 
 class Numbers(NamedTuple):
-    """Of an event; recorded as one vector."""
+    """Quantities of an event, recorded as one vector."""
 
     load: Array
     force_before: Array  # on the left edge, as it began
@@ -244,7 +244,7 @@ class Numbers(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Likewise, as whole numbers."""
+    """Counts and sites of an event, recorded as one vector."""
 
     number: Array  # −1 before the first event
     first: Array  # site that broke first
@@ -256,7 +256,7 @@ class Counts(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Of the event under way, break by break."""
+    """Sums over the breaks of the event under way."""
 
     lost: Float[Array, "3"]  # what `Contacts.gains` says of the breaks
     broken: Array
@@ -272,7 +272,7 @@ class Tally(NamedTuple):
 
 
 class Now(NamedTuple):
-    """A series between two events; B blocks of M, S = BM sites. The last rows of tables are for what need not be kept."""
+    """State between two events; B blocks of M, S = BM sites. The last row of a table is scratch."""
 
     stresses: Stresses
     soonest: Float[Array, " B"]  # no contact of a block breaks before this load
@@ -288,7 +288,7 @@ class Now(NamedTuple):
 
 
 class Loading(NamedTuple):
-    """What is done to the chain."""
+    """Everything that is constant during a series."""
 
     response: Response
     contacts: Contacts
@@ -306,7 +306,7 @@ class Loading(NamedTuple):
 
 
 def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
-    """The relaxed chain."""
+    """State of the relaxed chain, before the first event."""
     zero, none = jnp.zeros((), prestress.dtype), jnp.zeros((), jnp.int32)
     return Now(
         stresses=whole(prestress, by.contacts.threshold),
@@ -324,12 +324,12 @@ def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
 
 
 def load_through(by: Loading, now: Now) -> Now:
-    """Event after event."""
+    """Run event after event."""
     return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, by), now)
 
 
 def _next_event(by: Loading, now: Now) -> Now:
-    """Raise the load to the next break, let the rupture run, and write it down."""
+    """Raise the load to the next break, run the rupture, and record it."""
     tables, before = by.contacts, now.numbers
     found = _next_crossing(by, now)
     rise, trigger = _raised(by, found)
@@ -379,7 +379,7 @@ class Crossing(NamedTuple):
 
 
 def _next_crossing(by: Loading, now: Now) -> Crossing:
-    """By how much to raise the load to the next break, and of which contact; inf if there is none."""
+    """Find the smallest increase of load that brings a contact to its threshold; inf if none."""
     tables, size, load = by.contacts, now.given.shape[1], now.numbers.load
 
     def going(c: Crossing) -> Array:
@@ -411,7 +411,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
 
 
 def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
-    """By how much the load is raised, and the contact that breaks first even if rounding leaves it short; −1 for none."""
+    """Increase of load, and the contact that breaks first whatever rounding does; −1 for none."""
     rise = jnp.maximum(found.rise, 0)
     trigger = jnp.where(jnp.isfinite(rise), found.site, -1)
     if by.step is not None:
@@ -423,7 +423,7 @@ def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
 
 
 def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
-    """Thresholds in a block at this load, and of its contacts that break at it."""
+    """Thresholds in a block at this load, now and once broken."""
     old = by.contacts.threshold[block]
     if now.born is None or by.ageing is None:
         return old, old
@@ -432,7 +432,7 @@ def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, giv
 
 
 def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
-    """ℓ of the event: where the stress, on a straight line between the rightmost contact and the one ahead, is the threshold.
+    """ℓ of the event: where the stress falls to the threshold, on a straight line.
 
     Of the one it is the stress as it broke, of the other as the event ends (`slippulse_jax.lattice.front`); inf where none is
     ahead.
@@ -445,7 +445,7 @@ def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
 
 
 def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
-    """Threshold of one contact at this load; `anew` if it broke at it before."""
+    """Threshold of one contact at this load; `anew` if it already broke in this event."""
     old = by.contacts.threshold.reshape(-1)[site]
     if now.born is None or by.ageing is None:
         return old
@@ -454,7 +454,7 @@ def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> A
 
 
 def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Cascade:
-    """The breaks of one event, counted."""
+    """Run the rupture of one event and sum over its breaks."""
     energy, number = by.contacts.energy.reshape(-1), now.counts.number + 1
     gains = by.contacts.gains.reshape(-1, 3)
 

@@ -176,24 +176,24 @@ def _whole_chain_smooth(kind: Kind) -> float:
 @claim(
     "C13",
     holds=f"the largest precursor breaks at most {SAME} times as many contacts as the smallest, under quasi-static loading, and the "
-    "other events are creep of a stress peak",
+    "other events nucleate at a stress peak",
     limits="so in steps of 0.5 u_s, each of which breaks one patch of contacts",
 )
 def without_ageing() -> Finding:
-    """Without ageing all precursors have about the same length, the stress peak creeping on between them."""
+    """Without ageing all precursors have about the same length, the stress peak moving on between them."""
     adiabatic = series(chain(fig2(), sites=150), events=60)
     kind, breaks, load = (np.asarray(x) for x in (adiabatic.kind, adiabatic.breaks, adiabatic.load))
-    edge, creep = kind == EventClass.EDGE, kind == EventClass.RENUCLEATED
+    edge, peak = kind == EventClass.EDGE, kind == EventClass.RENUCLEATED
     steps = series(chain(fig2(), sites=300), Steps(0.5), events=8, recorded_breaks=1000)
     stepped, patches = np.asarray(steps.breaks), _patches(steps)
     text = (
         f"adiabatically: the pulses from the edge break {', '.join(map(str, breaks[edge]))} contacts, the second at U = "
-        f"{load[edge][1]:.2f} u_s; the other {int(creep.sum())} of {len(kind)} events are creep of a peak, mostly by one contact: a second "
+        f"{load[edge][1]:.2f} u_s; the other {int(peak.sum())} of {len(kind)} events nucleate at a stress peak, mostly of one contact: a second "
         f"pulse meets contacts still unloaded by the first. In steps of 0.5 u_s: {', '.join(map(str, stepped))} breaks each, extents "
         f"{', '.join(map(str, np.asarray(steps.extent)))}, in {', '.join(map(str, patches))} separate patches"
     )
-    creeps = bool((edge | creep).all())
-    return Finding(text, judge(_alike(breaks[edge]) and creeps, _alike(stepped) and max(patches) == 1))
+    of_two_kinds = bool((edge | peak).all())
+    return Finding(text, judge(_alike(breaks[edge]) and of_two_kinds, _alike(stepped) and max(patches) == 1))
 
 
 def _patches(events: Catalogue) -> list[int]:
