@@ -25,18 +25,14 @@ formulas written a second time, for speed: number by number, without Python obje
     `bulk`, `exact_lanes`                   what users call: ℓ and ℓ* by the million
 
 Any chain: springs, contacts and thresholds may differ from site to site.
-    `chain`             the chain and its state
-    `contacts`          what loading a contact and breaking it do to the chain
-    `elimination`       O(N) solution, site after site
+    `chain`             the chain, its state, and its O(N) elimination, site after site
     `equilibrium`       forces in balance, with derivatives
     `distribution`      contacts of many junctions, their force law and stability
-    `response`          what one break does to every other contact
-    `blocks`, `breaks`  stresses while contacts break, block by block; break after break at a fixed load
-    `one_by_one`        batches whose lanes cannot tell that they are in one
-    `cascade`           one rupture
+    `response`          the load that one break transfers to every other contact
+    `cascade`           break after break at a fixed load, stresses known block by block
+    `rupture`           nucleation and one rupture, under the hard rule or a smooth one
     `ageing`            thresholds that grow with age
-    `loading`           from event to event
     `catalogue`         the record of the events, and its files
-    `events`            what users call: a series
-    `motion`, `dynamics`                    the chain with inertia: what is asked and given, and how it is worked out
+    `series`            one event after another, as the load grows
+    `inertia`           the chain with masses
 """

@@ -215,7 +215,8 @@ def run(
 ) -> Cascade:
     """Break contacts until none is overloaded, or `max_breaks` have broken.
 
-    Cascade contacts repin at once, or `delay` breaks later; then all stresses are brought up to date at every break, in O(N).
+    The contact `trigger` breaks first, unless it is negative. Broken contacts repin at once, or `delay` breaks later; then all
+    stresses are updated at every break, in O(N).
     """
     nothing, none = jnp.full((), -jnp.inf, given.dtype), jnp.zeros((), jnp.int32)
     start = Cascade(stresses, given, jnp.zeros_like(stresses.inbox), none, nothing, book)
