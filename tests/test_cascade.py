@@ -323,3 +323,16 @@ def test_float32():
     assert found.breaks == 26
     np.testing.assert_allclose(found.length, 25.789811275, atol=2e-3)
     assert found.drift < 1e-5
+
+
+def test_a_chain_takes_an_interface():
+    """The same thresholds and prestress as the fast recursion; what a chain cannot take is named."""
+    sloped = chain(FIG2, sites=5, interface=sp.Interface(prestress=0.1, threshold_slope=0.01))
+    np.testing.assert_allclose(sloped.threshold, 1 + 0.01 * np.arange(5), rtol=1e-15)
+    np.testing.assert_allclose(sloped.prestress, 0.1)
+    given = chain(FIG2, sites=4, interface=sp.Profile(threshold=[1.0, 2.0], prestress=0.3))
+    np.testing.assert_array_equal(given.threshold, [1.0, 2.0, 2.0, 2.0])
+    with pytest.raises(ValueError, match="chain takes no repin_delay"):
+        chain(FIG2, sites=5, interface=sp.Interface(repin_delay=2))
+    with pytest.raises(ValueError, match=r"interface has shape \(2,\)"):
+        chain(FIG2, sites=5, interface=sp.Interface(prestress=[0.1, 0.2]))

@@ -132,16 +132,9 @@ def chain(
         raise ValueError(f"slider has shape {slider.shape}: a chain is made of one slider; use jax.vmap for a batch")
     if sites < 2:
         raise ValueError(f"sites = {sites}: must be at least 2")
-    if interface is not None:
-        if interface.shape != ():
-            raise ValueError(f"interface has shape {interface.shape}: a chain has one interface; use jax.vmap for a batch")
-        if interface.repin_delay:
-            raise ValueError("chain takes no repin_delay: give it to rupture or series; prestress and thresholds are taken")
-        numbers = jnp.arange(sites)
-        threshold = interface.threshold_at(numbers) if threshold is None else threshold
-        prestress = interface.prestress_at(numbers) if prestress is None else prestress
-    threshold = 1.0 if threshold is None else threshold
-    prestress = 0.0 if prestress is None else prestress
+    of_interface = _of_interface(interface, sites)
+    threshold = of_interface[0] if threshold is None else threshold
+    prestress = of_interface[1] if prestress is None else prestress
     contact = slider.stiffness if contact is None else contact
     upper = slider.K_L if upper is None else upper
 
@@ -175,6 +168,18 @@ def chain(
         end=ends[right](),
         law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
     )
+
+
+def _of_interface(interface: Interface | Profile | None, sites: int) -> tuple[AnyArrayLike, AnyArrayLike]:
+    """Thresholds and prestress of the first sites of an interface."""
+    if interface is None:
+        return 1.0, 0.0
+    if interface.shape != ():
+        raise ValueError(f"interface has shape {interface.shape}: a chain has one interface; use jax.vmap for a batch")
+    if interface.repin_delay:
+        raise ValueError("chain takes no repin_delay: give it to rupture or series; prestress and thresholds are taken")
+    numbers = jnp.arange(sites)
+    return interface.threshold_at(numbers), interface.prestress_at(numbers)
 
 
 def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Float[Array, ""]:
