@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import rivals
 from benchmarks.timing import in_turns, side_by_side
-from slippulse_jax import Slider, precursor_length, precursor_length_gradients, precursor_lengths
+from slippulse_jax import Slider, precursor_length, precursor_lengths
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.lattice import lanes
 from slippulse_jax.lattice.lengths import LENGTHS
@@ -50,7 +50,7 @@ def points() -> dict:
             "this package": lambda: precursor_lengths(slider),
             "numba, all cores": lambda: rivals.parallel(*given, out),
             "numba, one core": lambda: rivals.serial(*given, out),
-            GRADIENTS: lambda: precursor_length_gradients(slider),
+            GRADIENTS: lambda: precursor_lengths(slider, derivatives=1),
         },
         12,
     )

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.precursor import arrest
 from slippulse_jax.lattice.smooth import smooth_length
 
 jax.config.update("jax_enable_x64", True)
@@ -36,7 +36,7 @@ def picture(figure, name):
     plt.close(figure)
 
 
-hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), "semi-infinite", None, 100_000).length))
+hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), max_contacts=100_000).length))
 smooth = jax.jit(lambda h, q, w: smooth_length(sp.Slider(h, q, 0.3), sp.SmoothBreak(width=w))[0])
 
 

@@ -20,7 +20,6 @@ from slippulse_jax.lattice.exact import exact_length as exact_length
 from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
 from slippulse_jax.lattice.inertia import CrackLike as CrackLike
 from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
-from slippulse_jax.lattice.lengths import precursor_length_gradients as precursor_length_gradients
 from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor as first_precursor
 from slippulse_jax.lattice.precursor import precursor_length as precursor_length

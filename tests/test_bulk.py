@@ -1,13 +1,15 @@
 """Lengths in bulk: three kernels, each against the one-front functions, and no lane touched by its company."""
 
+import jax
 import numpy as np
 import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.bulk import chunks as batch
-from slippulse_jax.lattice import compiled, lanes, long_fronts
+from slippulse_jax.lattice import lanes, long_fronts
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
+from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 
 MOST = 10_000_000
@@ -31,11 +33,16 @@ def test_many_chunks_in_one_call_are_the_chunks_one_by_one(monkeypatch):
     np.testing.assert_array_equal(by_recursion(points[:, 3:4]), whole[3:4])
 
 
+def kind(numbers):
+    """What puts so many numbers of a lane together to slider, interface and rule."""
+    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak()))
+
+
 @pytest.fixture(scope="module")
 def general():
     """Length and derivatives in five numbers a lane by the general recursion; compiled once."""
-    statics = 0, ("semi-infinite", None, 5000)
-    return lambda five: batch.over_lanes(compiled.gradient_kernel(*statics), five, bulk.ANY)
+    kernel = bulk.general_kernel(kind(5), ("semi-infinite", None, 5000), 1)
+    return lambda five: batch.over_lanes(kernel, five, bulk.ANY)[0]
 
 
 def test_interfaces_equal_the_general_recursion(general):
@@ -57,7 +64,7 @@ def test_interfaces_equal_the_general_recursion(general):
 
 def test_gradients_equal_those_of_one_front(general):
     points = random_lanes(300, 4, 2.0)
-    got = sp.precursor_length_gradients(sp.Slider(*points))
+    got = sp.precursor_lengths(sp.Slider(*points), derivatives=1)
     exact = general(np.concatenate([points, np.zeros((2, 300))]))
     # two programs round differently, and the last digit of a stress moves the crossing by itself over the fall of a contact
     np.testing.assert_allclose(got.length, by_recursion(points), rtol=1e-12)
@@ -75,7 +82,9 @@ def test_arrests_equal_the_general_recursion(numbers):
     five = np.concatenate([random_lanes(n, 7, 2.3), rng.uniform(0, 0.8, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     five[0, :20], five[1, :20] = 8.0, 0.5  # short enough to run away before they are given up
     endings = set(FRONT_OUTCOMES) - {Outcome.INVALID, Outcome.RAN_THROUGH}
-    general = batch.over_lanes(compiled.arrest_kernel(0, ("semi-infinite", None, most)), five[:numbers], bulk.ANY)
+    general = batch.over_lanes(
+        bulk.general_arrest_kernel(kind(numbers), ("semi-infinite", None, most)), five[:numbers], bulk.ANY
+    )
     got = batch.over_lanes(lanes.arrest_kernel(most), five[:numbers], bulk.WITH_MORE)
     np.testing.assert_array_equal(got[0], general[0])
     np.testing.assert_array_equal(got[2], general[2])
@@ -87,7 +96,7 @@ def test_arrests_equal_the_general_recursion(numbers):
     np.testing.assert_allclose(alone, got[1], rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.parametrize("lengths", [sp.precursor_lengths, lambda *a, **k: sp.precursor_length_gradients(*a, **k).length])
+@pytest.mark.parametrize("lengths", [sp.precursor_lengths, lambda *a, **k: sp.precursor_lengths(*a, derivatives=1, **k).length])
 def test_a_missing_length_says_why(lengths):
     """Given up; or numbers that leave double precision, which no number of breaks would mend."""
     for tall, why in ((1000.0, "given up"), (1e170, "too large for the precision")):

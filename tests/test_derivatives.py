@@ -7,7 +7,7 @@ import pytest
 from oracles import dense_chain
 
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.lattice.lengths import precursor_arrests
+from slippulse_jax.lattice.lengths import arrests
 
 STEP = 1e-30
 
@@ -36,7 +36,7 @@ def points():
     """200 random sliders with a domino, away from kinks."""
     rng = np.random.default_rng(11)
     theta = np.stack([rng.uniform(3, 60, 400), 10 ** rng.uniform(-4, 0, 400), rng.uniform(0, 0.49, 400)], axis=1)
-    ended = precursor_arrests(Slider(*theta.T))
+    ended = arrests(Slider(*theta.T))
     fraction = ended.length - np.floor(ended.length)
     chosen = np.nonzero((ended.length > 0) & (fraction > 1e-3) & (fraction < 1 - 1e-3))[0][:200]
     assert len(chosen) == 200

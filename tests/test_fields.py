@@ -14,7 +14,7 @@ from slippulse_jax.inference.recover.inversion import LEVEL, Smoothness, conditi
 from slippulse_jax.inference.recover.model import profile_model
 from slippulse_jax.inference.recover.recovery import Determination
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.delayed import front_stress
+from slippulse_jax.lattice.front import front_stress
 from slippulse_jax.lattice.modes import lattice_modes
 
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 64
@@ -94,7 +94,7 @@ def test_reverse_mode_of_the_front_over_a_profile():
     modes = lattice_modes(sp.Slider(25.0, STIFFNESS, POISSON))
 
     def stress(theta, phi):
-        return front_stress(modes, Profile(theta, phi), SITES)[0][last]
+        return front_stress(modes, SITES, Profile(theta, phi))[last]
 
     by_theta, by_phi = jax.jit(jax.grad(stress, (0, 1)))(theta, phi)
     assert np.flatnonzero(by_theta).tolist() == [0], "thresholds on the way do not matter"
@@ -104,11 +104,11 @@ def test_reverse_mode_of_the_front_over_a_profile():
         # linear in both, so that the difference is exact but for rounding
         assert abs(by_phi[i] - (run(theta, phi + h) - run(theta, phi - h)) / 2e-5) < 1e-9
         assert abs(by_theta[i] - (run(theta + h, phi) - run(theta - h, phi)) / 2e-5) < 1e-9
-    found = sp.sensitivity(sp.Slider(25.0, STIFFNESS, POISSON), sites=SITES, threshold=theta, prestress=phi)
+    found = sp.sensitivity(sp.Slider(25.0, STIFFNESS, POISSON), interface=Profile(theta, phi), sites=SITES)
     count = int(np.ceil(found.length))
 
     def crossing(phi):
-        over = front_stress(modes, Profile(theta, phi), SITES)[0] - theta
+        over = front_stress(modes, SITES, Profile(theta, phi)) - theta
         return count - 1 + over[count - 1] / (over[count - 1] - over[count])
 
     np.testing.assert_allclose(jax.jit(jax.grad(crossing))(phi), found.prestress, rtol=1e-9, atol=1e-10)
@@ -155,7 +155,7 @@ def test_one_length_is_never_a_profile(kind):
     phi = field if kind == "prestress" else 0.0
     g = getattr(
         sp.sensitivity(
-            sp.Slider(25.0, STIFFNESS, POISSON), sites=SITES, threshold=field if kind == "threshold" else 1.0, prestress=phi
+            sp.Slider(25.0, STIFFNESS, POISSON), Profile(field if kind == "threshold" else np.ones(SITES), phi), sites=SITES
         ),
         kind,
     )  # fmt: skip
@@ -207,7 +207,7 @@ def coverage(kind, trials, seed, longest):
     x = np.arange(sites, dtype=float)
     lengths = jax.jit(
         jax.vmap(
-            lambda h, theta, phi: sp.sensitivity(sp.Slider(h, STIFFNESS, POISSON), sites=sites, threshold=theta, prestress=phi).length,
+            lambda h, theta, phi: sp.sensitivity(sp.Slider(h, STIFFNESS, POISSON), interface=Profile(theta, phi), sites=sites).length,
             in_axes=(0, None, None),
         )
     )  # fmt: skip

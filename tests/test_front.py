@@ -1,6 +1,9 @@
 """The recursion against programs that solve the chain as a matrix, in float64 and in many more digits."""
 
+from typing import Any, NamedTuple
+
 import jax
+import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
@@ -10,9 +13,9 @@ from problems import REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.front import arrest
-from slippulse_jax.lattice.lengths import precursor_arrests
-from slippulse_jax.lattice.precursor import FrontNotArrested
+from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
+from slippulse_jax.lattice.lengths import arrests
+from slippulse_jax.lattice.precursor import FrontNotArrested, arrest
 from slippulse_jax.status import Outcome
 
 
@@ -39,7 +42,7 @@ def test_against_dense_chain(right, number):
     """Random sliders on chains of 400 sites and on the endless one: same count, length, edge stress and status."""
     sliders = random_sliders(number, seed=number)
     sites = 140 if right == "semi-infinite" else 400  # what lies beyond the matrix of an endless chain is eliminated exactly
-    got = precursor_arrests(sliders, right=right, sites=None if right == "semi-infinite" else sites)
+    got = arrests(sliders, right=right, sites=None if right == "semi-infinite" else sites)
     for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
         count, length, _, behind = dense_chain.first_precursor(*slider, sites, right)
         assert got.contacts_broken[i] == count, slider
@@ -147,7 +150,7 @@ def by_series(chain):
 
 def test_tall_slider_in_extended_precision():
     """H/λc = 75 000, b = 1: value and gradient in k/K to eleven digits."""
-    ended = arrest(Slider(*TALL), "semi-infinite", None, 10**6)
+    ended = arrest(Slider(*TALL), max_contacts=10**6)
     assert int(ended.contacts_broken) == 54195
     value, slope = jax.value_and_grad(lambda k: precursor_length(Slider(TALL[0], k, TALL[2])))(TALL[1])
     expected, expected_slope = digits_of_tall_slider(by_series)
@@ -165,7 +168,7 @@ def test_that_reference_break_by_break():
 def test_float32(float32):
     """Single precision keeps its dtype and its stated error, and says once where that error is large."""
     sliders = random_sliders(64, seed=5)
-    exact = precursor_arrests(sliders).length
+    exact = arrests(sliders).length
     single = precursor_length(sliders)
     assert single.dtype == np.float32
     assert np.abs(np.asarray(single, np.float64) - exact).max() < 0.01
@@ -174,5 +177,49 @@ def test_float32(float32):
     precursor._warn_once.cache_clear()
     with pytest.warns(RuntimeWarning, match="single precision"):
         jax.grad(lambda height: precursor_length(Slider(height, 0.03, 0.3)))(2000.0)
-    exact = precursor_arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
+    exact = arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
     assert abs(float(tall) / float(exact) - 1) < 1e-3
+
+
+class Guide(NamedTuple):
+    gap: Any
+    weight: Any
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_step_over_the_modes_of_any_waveguide(dtype):
+    """Four modes, two of them a complex pair, against the sum over all earlier breaks."""
+    rng, count = np.random.default_rng(3), 40
+    pair = np.array([0.7 + 0.4j, 0.7 - 0.4j])
+    r = np.concatenate([[0.9, 0.5], pair])
+    w = np.concatenate([[0.05, 0.1], [0.03 + 0.02j, 0.03 - 0.02j]])
+    drive = np.concatenate([[0.6, 0.1], [0.15 + 0.3j, 0.15 - 0.3j]])
+    half = rng.uniform(-0.05, 0.05, (4, 4)) + 1j * rng.uniform(-0.05, 0.05, (4, 4))
+    half = half + half.T
+    conjugated = half[[0, 1, 3, 2]][:, [0, 1, 3, 2]].conj()  # the response of a pair is real
+    reflection = (half + conjugated) / 2
+
+    prestress, t = rng.uniform(-0.2, 0.2, count), np.zeros(count)
+    for s in range(count):
+        j = np.arange(s)
+        response = (w * r ** (s - j)[:, None]).sum(1) + (r**s) @ reflection @ (r[:, None] ** j)
+        t[s] = (prestress[s] + (drive * r**s).sum() + response @ t[:s]).real
+        assert abs((response @ t[:s]).imag) < 1e-12
+
+    kind = np.complex64 if dtype == np.float32 else np.complex128
+    with jax.enable_x64(dtype == np.float64):
+        guide = Guide(jnp.asarray(1 - r, kind), jnp.asarray(w, kind))
+        front = Front(jnp.asarray(drive, kind), jnp.asarray(reflection, kind), None, 0, 0, None)
+        for s in range(count):
+            ahead = prestress[s] + stress_ahead(front)
+            assert ahead.dtype == dtype
+            np.testing.assert_allclose(ahead, t[s : s + 1], rtol=0, atol=1e3 * np.finfo(dtype).eps)
+            front = advance(guide, front, ahead)
+
+
+def test_straight_line_between_the_recorded_stresses():
+    """ℓ of a front from its stresses, as the record has them."""
+    record = first_precursor(Slider(25, 0.03, 0.3))
+    s0 = int(record.contacts_broken)
+    behind, ahead = (np.asarray(record.front_stress)[s0 - 1 : s0 + 1] - 1).tolist()
+    assert abs(straight_line(s0 - 1, behind, ahead) - float(record.length)) < 1e-12

@@ -1,5 +1,9 @@
 """Prestress, threshold profiles and delayed repinning against a program that takes detached contacts out of the matrix."""
 
+import functools
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -8,7 +12,7 @@ from oracles.dense_chain import DenseChain, chain_matrix
 
 import slippulse_jax as sp
 from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice.lengths import precursor_arrests
+from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.status import Outcome
 
@@ -63,7 +67,7 @@ def test_negative_prestress_in_bulk_and_in_the_cascade():
     rng = np.random.default_rng(11)
     sites, cases = 70, [(rng.uniform(4, 20), 10 ** rng.uniform(-2, -0.5), rng.uniform(0, 0.45)) for _ in range(4)]
     phi, site = np.linspace(-0.95, -0.05, len(cases)), np.arange(sites)
-    found = precursor_arrests(Slider(*np.transpose(cases)), interface=Interface(phi))
+    found = arrests(Slider(*np.transpose(cases)), interface=Interface(phi))
     for i, (height, stiffness, poisson) in enumerate(cases):
         even, carried = np.ones(sites), np.full(sites, phi[i])
         count, excess, _, stress = dense_chain.front(height, stiffness, poisson, even, carried, 0, sites)
@@ -254,14 +258,21 @@ def test_errors_of_a_profile_name_the_field(wrong, message):
         Profile(**wrong)
 
 
-def test_sensitivity_takes_what_a_profile_takes():
-    for wrong, message in (({"threshold": 0.0}, "^threshold = 0"), ({"prestress": np.full(30, -1.0)}, "^prestress = -1")):
+def test_sensitivity_takes_any_interface_that_repins_at_once():
+    rising = sp.sensitivity(FIG2, Interface(0.1, 0.002), sites=60)
+    given = sp.sensitivity(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1), sites=60)
+    np.testing.assert_allclose(rising.threshold, given.threshold, rtol=1e-12)
+    assert abs(rising.length - precursor_length(FIG2, Interface(0.1, 0.002))) < 1e-11
+    for wrong, message in (
+        (Profile(np.ones(30), 0.1, 2), "repin_delay = 2"),
+        (Interface([0.1, 0.2]), r"batch of shape \(2,\)"),
+    ):
         with pytest.raises(ValueError, match=message):
-            sp.sensitivity(FIG2, sites=30, **wrong)
+            sp.sensitivity(FIG2, wrong, sites=30)
 
 
 def test_lengths_in_bulk_refuse_a_profile_by_name():
-    for bulk in (precursor_lengths, precursor_arrests, sp.precursor_length_gradients):
+    for bulk in (precursor_lengths, arrests, functools.partial(precursor_lengths, derivatives=1)):
         with pytest.raises(TypeError, match="Profile.*precursor_length"):
             bulk(FIG2, interface=Profile(np.ones(3)))
 
@@ -286,3 +297,19 @@ def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
     """A threshold below zero holds nothing, though the prestress is lower still."""
     record = first_precursor(FIG2, interface=Interface(-0.2, -0.05), recorded_sites=80)
     assert (int(record.status), int(record.contacts_broken)) == (Outcome.RUN_AWAY, 20)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_long_delays_in_bulk_end(threads):
+    """Once such a program waited for its own threads for ever: in a process of its own, under a time limit."""
+    code = (
+        "import numpy as np, slippulse_jax as sp\n"
+        "from slippulse_jax.bulk import threads\n"
+        f"threads.workers = lambda: {threads}\n"
+        "slider = sp.Slider(np.linspace(20.0, 30.0, 600), 0.03, 0.3)\n"
+        "for delay in (10, 25):\n"
+        "    found = sp.precursor_lengths(slider, sp.Interface(repin_delay=delay))\n"
+        "    one = sp.precursor_length(sp.Slider(20.0, 0.03, 0.3), sp.Interface(repin_delay=delay))\n"
+        "    assert abs(found[0] - one) < 1e-3, (found[0], one)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], timeout=300, check=True)

@@ -85,7 +85,7 @@ def test_derivatives_in_its_own_numbers():
     assert isinstance(found, EvenBreak)
     np.testing.assert_allclose(found.width, by_width, rtol=1e-5)
     np.testing.assert_allclose(found.lean, by_lean, rtol=1e-5)
-    bulk = sp.precursor_length_gradients(FIG2, rule=batch)
+    bulk = sp.precursor_lengths(FIG2, rule=batch, derivatives=1)
     assert isinstance(bulk.rule, EvenBreak)
     np.testing.assert_allclose(bulk.rule.width, found.width, rtol=1e-10)
     np.testing.assert_allclose(bulk.rule.lean.sum(), found.lean, rtol=1e-10)
@@ -131,7 +131,7 @@ CHAIN = sp.chain(FIG2, sites=10)
 TAKERS = [
     lambda rule: sp.precursor_length(FIG2, rule=rule),
     lambda rule: sp.precursor_lengths(FIG2, rule=rule),
-    lambda rule: sp.precursor_length_gradients(FIG2, rule=rule),
+    lambda rule: sp.precursor_lengths(FIG2, rule=rule, derivatives=1),
     lambda rule: sp.sensitivity(FIG2, sites=SITES, rule=rule),
     lambda rule: sp.rupture(CHAIN, CHAIN.relaxed(), rule=rule),
 ]

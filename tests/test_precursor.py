@@ -8,7 +8,6 @@ from oracles import dense_chain
 from slippulse_jax import Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.bulk.chunks import over_lanes
-from slippulse_jax.lattice import compiled
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import Arrest
 from slippulse_jax.rules import HardBreak
@@ -130,7 +129,8 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     n = 3000
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
     columns = [sliders.height, sliders.stiffness, sliders.poisson]
-    general = over_lanes(compiled.arrest_kernel(0, ("semi-infinite", None, 10_000_000)), columns, bulk.ANY)
+    kind = jax.tree.structure((Slider(25.0, 0.03, 0.3), None, HardBreak()))
+    general = over_lanes(bulk.general_arrest_kernel(kind, ("semi-infinite", None, 10_000_000)), columns, bulk.ANY)
     together, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == Outcome.NO_DOMINO).any()
     assert arrests.length.max() > 1000

@@ -7,7 +7,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import chain
-from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.precursor import arrest
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
 from slippulse_jax.lattice.smooth import smooth_length
@@ -26,7 +26,7 @@ def fields(seed):
 @pytest.mark.parametrize("rule", RULES, ids=repr)
 def test_every_contact_against_differences(rule):
     theta, phi = fields(1)
-    run = jax.jit(lambda theta, phi: sensitivity(FIG2, sites=SITES, rule=rule, threshold=theta, prestress=phi))
+    run = jax.jit(lambda theta, phi: sensitivity(FIG2, sp.Profile(theta, phi), sites=SITES, rule=rule))
     found = run(theta, phi)
     lengths = jax.jit(jax.vmap(lambda theta, phi: run(theta, phi).length))
     assert found.complete
@@ -41,9 +41,7 @@ def test_every_contact_against_differences(rule):
 
 
 def test_length_is_that_of_recursion_surrogate_and_cascade():
-    np.testing.assert_allclose(
-        sensitivity(FIG2, sites=SITES).length, arrest(FIG2, "semi-infinite", None, 1000).length, rtol=1e-12
-    )
+    np.testing.assert_allclose(sensitivity(FIG2, sites=SITES).length, arrest(FIG2, max_contacts=1000).length, rtol=1e-12)
     rule = SmoothBreak(width=0.02)
     found = sensitivity(FIG2, sites=SITES, rule=rule)
     np.testing.assert_allclose(found.length, smooth_length(FIG2, rule)[0], rtol=1e-12)
@@ -55,7 +53,7 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     assert site == 0
     n = int(event.breaks)
     np.testing.assert_array_equal(event.order[:n], np.arange(n))
-    found = sensitivity(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    found = sensitivity(FIG2, sp.Profile(theta, phi), sites=SITES)
     np.testing.assert_allclose(found.length, event.length, rtol=1e-10)
     np.testing.assert_allclose(np.asarray(found.stress)[:n], event.released[:n], rtol=1e-10)
 
@@ -71,7 +69,7 @@ def test_backward_recursion_is_the_reverse_mode_of_the_surrogate_in_a_chain():
         return rupture(c, state, trigger=site, rule=rule).length
 
     by_theta, by_phi = jax.jit(jax.grad(length, (0, 1)))(theta, phi)
-    found = sensitivity(FIG2, sites=SITES, rule=rule, threshold=theta, prestress=phi)
+    found = sensitivity(FIG2, sp.Profile(theta, phi), sites=SITES, rule=rule)
     np.testing.assert_allclose(found.threshold, by_theta, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(found.prestress, by_phi, rtol=1e-7, atol=1e-9)
 
@@ -79,7 +77,7 @@ def test_backward_recursion_is_the_reverse_mode_of_the_surrogate_in_a_chain():
 def test_stress_scale_does_not_matter():
     """Λ is independent of σ_s: raising every threshold and prestress by the same factor changes nothing (claim C6)."""
     theta, phi = fields(4)
-    found = sensitivity(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    found = sensitivity(FIG2, sp.Profile(theta, phi), sites=SITES)
     np.testing.assert_allclose(found.threshold @ theta + found.prestress @ phi, 0, atol=1e-9 * np.abs(found.threshold).max())
 
 

@@ -9,7 +9,7 @@ from scipy.special import expit
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import chain
-from slippulse_jax.lattice.front import arrest
+from slippulse_jax.lattice.precursor import arrest
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import SmoothBreak
@@ -24,7 +24,7 @@ def length(height, stiffness, poisson, width):
 
 @jax.jit
 def hard(height, stiffness, poisson):
-    return jax.vmap(lambda *x: arrest(sp.Slider(*x), "semi-infinite", None, 10_000).length)(height, stiffness, poisson)
+    return jax.vmap(lambda *x: arrest(sp.Slider(*x), max_contacts=10_000).length)(height, stiffness, poisson)
 
 
 @jax.jit

@@ -18,10 +18,8 @@ X = np.arange(SITES)
 
 def measured(seed, threshold=1.0, prestress=0.0):
     """Lengths with errors, from profiles of shape (SITES,)."""
-    length = [
-        float(sp.sensitivity(sp.Slider(h, STIFFNESS, 0.3), sites=SITES, threshold=threshold, prestress=prestress).length)
-        for h in HEIGHTS
-    ]
+    profile = sp.Profile(np.broadcast_to(threshold, SITES), prestress)
+    length = [float(sp.sensitivity(sp.Slider(h, STIFFNESS, 0.3), profile, sites=SITES).length) for h in HEIGHTS]
     noise = SIGMA * np.random.default_rng(seed).normal(size=len(HEIGHTS))
     return sp.Measurements(height=HEIGHTS, poisson=0.3, length=np.array(length) + noise, length_sigma=SIGMA)
 

@@ -59,8 +59,9 @@ def _form(given: dict[str, float | None]) -> dict[str, float]:
 def _length(form: dict[str, float], poisson: float, right: Any, sites: int | None) -> dict[str, Any]:
     import jax
 
-    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, arrest
+    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
     from slippulse_jax.lattice.modes import check_right_end, lattice_modes
+    from slippulse_jax.lattice.precursor import arrest
     from slippulse_jax.slider import Slider
     from slippulse_jax.status import NotConverged, Outcome
     from slippulse_jax.units import split_unit
@@ -75,7 +76,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     except ValueError as error:
         refuse(error)
     ended, load = jax.jit(  # one program: step by step JAX would compile sixty
-        lambda slider: (arrest(slider, right, sites, DEFAULT_MAX_CONTACTS), lattice_modes(slider, right, sites).load)
+        lambda slider: (arrest(slider, None, right, sites), lattice_modes(slider, right, sites).load)
     )(slider)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:

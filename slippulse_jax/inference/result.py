@@ -18,7 +18,7 @@ from slippulse_jax.inference.record import to_dict
 from slippulse_jax.inference.report import notes, report
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.lengths import precursor_arrests
+from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -281,4 +281,4 @@ def recursion_status(inputs: Inputs) -> np.ndarray:
     distinct, own = np.unique(Inputs(*inputs[:5]).table(), axis=0, return_inverse=True)
     slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
     interface = None if not distinct[:, 3:].any() else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
-    return np.asarray(precursor_arrests(slider, interface=interface).status)[own.ravel()]
+    return np.asarray(arrests(slider, interface=interface).status)[own.ravel()]

@@ -1,23 +1,44 @@
-"""The first precursor of a uniform, relaxed interface, by a recursion of fixed-size state: O(1) per break.
+r"""The first precursor by a recursion of fixed-size state: O(1) per break, over the modes of any waveguide.
 
-Load the left edge until contact 0 carries σ_s. It breaks, repins at zero stretch and overloads contact 1, and so on: with
-all contacts before s broken in turn, the stress on contact s is (in σ_s, before it breaks)
+Load the left edge until contact 0 carries its threshold θ_0. It breaks, repins at zero stretch and overloads contact 1, and so
+on. With all contacts before s broken in turn, contact s carries, in σ_s and before it breaks,
 
-    t(s) = Σ_m e_m(s) [ w_m S_m + r_m^s (C_m + Σ_n R_mn T_n) ],   S_m = Σ_{j<s} r_m^{s−j} t(j),   T_n = Σ_{j<s} y_n(j) t(j),
+    t(s) = φ_s + Σ_m e_m(s) Z_m,    Z_m = w_m S_m + r_m^s (A C_m + Σ_n R_mn T_n),    A = θ_0 − φ_0,
 
-with the modes of `slippulse_jax.lattice.modes`. Four sums are the whole memory of the past. The front goes on while
-t(s) ≥ 1; Λ = s0 λc, where s0 is the first s with t(s) < 1.
+with the modes of `slippulse_jax.lattice.modes`, the prestress φ_s, and two sums over what the contacts behind gave up,
+S_m = Σ_{j<s} r_m^{s−j} t(j) and T_n = Σ_{j<s} e_n(j) r_n^j t(j). Only the n numbers Z_m are carried: breaking contact s maps
+
+    Z_m → r_m [Z_m + v_m t],    v_m = w_m + Σ_n Q_mn e_n(s),    Q_mn = r_m^s R_mn r_n^s → r_m r_n Q_mn.
+
+The front goes on while t(s) ≥ θ_s; Λ = s0 λc, where s0 is the first s with t(s) < θ_s.
+
+Run-away. Far from the edge every contact behind the front gave up the same stress t, and t = φ + t Σ_{j≥1} G_0j with
+Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
+φ ≥ φ_c = (1 + G_00)/2. Below φ_c (or with rising thresholds) every front stops. Above it the front never stops, unless it
+stops on its way to that state: far from the edge t approaches its limit as ρ_2^s, and on a soft, short slider it does so from
+below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that approach is over to rounding; on a profile, as long
+after its last site.
+
+Notes
+-----
+`advance` and `stress_ahead` use only sums and products and the leading axis of the modes, two for the slider and n, partly
+complex, for a block. So they also take the NumPy arrays of single numbers of the loop over lanes
+(`slippulse_jax.lattice.lanes`). Q is carried, rather than r_m^s, because its tangent costs two products per number.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
-from slippulse_jax.lattice.modes import Modes, RightEnd, lattice_modes
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice.modes import Modes
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -27,7 +48,12 @@ DEFAULT_MAX_CONTACTS = 10_000_000
 FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
 """How a front can end."""
 
+APPROACH = 45.0
+"""Decay lengths after which e^{−s/length} is nothing in float64."""
+
 AnyArray = Array | np.ndarray
+Contacts = Interface | Profile | None
+"""Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""
 
 
 class LengthDerivatives(NamedTuple):
@@ -46,17 +72,6 @@ class LengthDerivatives(NamedTuple):
     hessian: np.ndarray | None = None  # (..., n, n), second derivatives in the order of the fields above
 
 
-class Front(NamedTuple):
-    """State of a front that has broken contacts 0 … position − 1; every pair is one number per mode."""
-
-    position: Int[Array, ""]
-    stress: Float[Array, ""]  # t(s), on the next contact
-    stress_before: Float[Array, ""]  # t(s−1), on the contact broken last
-    near: tuple[Array, Array]  # S_m
-    edge: tuple[Array, Array]  # T_m
-    decay: tuple[Array, Array]  # r_m^s
-
-
 class Arrest(NamedTuple):
     """Where and how the front ended, or many fronts; of NumPy arrays where computed in bulk."""
 
@@ -66,74 +81,172 @@ class Arrest(NamedTuple):
     edge_stress: Float[AnyArray, "..."]  # stress on contact 0 behind the front, in σ_s
 
 
-def nucleate(modes: Modes) -> Front:
-    """The front about to break contact 0, which carries σ_s exactly."""
-    one, zero = jnp.ones_like(modes.load), jnp.zeros_like(modes.load)
-    return Front(jnp.zeros((), jnp.int32), one, one, (zero, zero), (zero, zero), (one, one))
+# --- one step ----------------------------------------------------------------------------------------------------------
 
 
-def advance(modes: Modes, front: Front) -> Front:
-    """Break the contact ahead, whatever stress it carries.
+class Waveguide(Protocol):
+    """What a break depends on: the decay of each mode, and the response of an endless waveguide."""
+
+    @property
+    def gap(self) -> Any:
+        """1 − r_m."""
+        ...
+
+    @property
+    def weight(self) -> Any:
+        """w_m."""
+        ...
+
+
+class Front(NamedTuple):
+    """State of a front that has broken contacts 0 … position − 1; the leading axis of the first three runs over the modes."""
+
+    stress: Any  # Z_m, in σ_s
+    reflected: Any  # Q_mn
+    reach: Any  # (w_n + Σ_m e_m(0) R_mn) r_n^s, what the next break adds to the stress on contact 0; None where not wanted
+    position: Any  # s
+    behind: Any  # excess over the threshold on contact s − 1 as it broke
+    edge: Any  # stress on contact 0; None where not wanted
+
+
+def stress_ahead(front: Front, echo: Any = None) -> Any:
+    """Σ_m e_m(s) Z_m, with the leading axis kept; the prestress comes on top."""
+    return (front.stress if echo is None else echo * front.stress).sum(0, keepdims=True).real
+
+
+def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None) -> Front:
+    """Break the contact ahead, which gives up the stress `released`.
 
     Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶.
+
+    Parameters
+    ----------
+    guide : Waveguide
+    front : Front
+    released : array, shape () or (1,)
+        t(s), or a part of it.
+    echo : array, optional
+        e_m(s), of a finite waveguide.
     """
-    s, t = front.position, front.stress
-    (r1_gap, r2_gap), (w1, w2), (c1, c2), R = modes.gap, modes.weight, modes.drive, modes.reflection
-    (S1, S2), (T1, T2), (E1, E2) = front.near, front.edge, front.decay
-    y1, y2 = E1, E2
-    if modes.echo is not None:
-        e1, e2 = modes.echo_factor(s)
-        y1, y2 = e1 * E1, e2 * E2
-    S1, S2 = S1 + t, S2 + t
-    S1, S2 = S1 - r1_gap * S1, S2 - r2_gap * S2
-    T1, T2 = T1 + y1 * t, T2 + y2 * t
-    E1, E2 = E1 - r1_gap * E1, E2 - r2_gap * E2
-    u1 = w1 * S1 + E1 * (c1 + R[0, 0] * T1 + R[0, 1] * T2)
-    u2 = w2 * S2 + E2 * (c2 + R[1, 0] * T1 + R[1, 1] * T2)
-    if modes.echo is not None:
-        e1, e2 = modes.echo_factor(s + 1)
-        u1, u2 = e1 * u1, e2 * u2
-    return Front(s + 1, u1 + u2, t, (S1, S2), (T1, T2), (E1, E2))
+    gap, Q, reach, edge = guide.gap, front.reflected, front.reach, front.edge
+    both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
+    stress = front.stress + (guide.weight + (Q if echo is None else Q * echo[None]).sum(1)) * released
+    if reach is not None:
+        edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True).real * released
+        reach = reach - gap * reach
+    return Front(stress - gap * stress, Q - both * Q, reach, front.position + 1, front.behind, edge)
 
 
-def edge_stress(modes: Modes, front: Front) -> Array:
-    """Stress on contact 0 behind the front: Σ_n (w_n + Σ_m e_m(0) R_mn) T_n, in σ_s.
+def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
+    """ℓ, where the excess over the threshold, linear between contacts `last` and last + 1, falls to zero.
 
-    It grows with every break and is the largest stress behind the front, so that contact 0 is the first to break again.
+    Parameters
+    ----------
+    last : array
+        Index of the last contact that broke.
+    behind, ahead : array
+        Excess of the stress over the threshold on contacts last and last + 1.
     """
-    e = modes.echo_factor(jnp.zeros_like(modes.load))
-    return jnp.dot(modes.weight + e @ modes.reflection, jnp.stack(front.edge))
+    return last + behind / (behind - ahead)
 
 
-def run(modes: Modes, max_contacts: int) -> Front:
-    """Let the front go until the contact ahead stays below threshold, the chain ends, or `max_contacts` have broken."""
-    limit = max_contacts if modes.echo is None else jnp.minimum(max_contacts, modes.echo.last + 1)
+def outcome(
+    broken: Array, ahead: Array, edge: Array, *, valid: Any = True, through: Any = False, endless: Any = False
+) -> Int[Array, "..."]:
+    """`Outcome` of fronts from the contacts broken, the excess ahead, and the excess on contact 0 behind the front."""
+    endings = {
+        Outcome.INVALID: ~(valid & jnp.isfinite(ahead)),
+        Outcome.RAN_THROUGH: through,
+        Outcome.RUN_AWAY: (ahead >= 0) & endless,
+        Outcome.LIMIT: ahead >= 0,
+        Outcome.NO_DOMINO: broken == 1,
+        Outcome.REBREAK: edge >= 0,
+    }
+    conditions = [jnp.broadcast_to(condition, ahead.shape) for condition in endings.values()]
+    return jnp.select(conditions, list(endings), Outcome.ARRESTED).astype(jnp.int32)
 
-    def over_threshold(front: Front) -> Array:
-        return (front.stress >= 1) & (front.position < limit)
 
-    return lax.while_loop(over_threshold, lambda front: advance(modes, front), nucleate(modes))
+def length_or_reason(status: Array, length: Array) -> Array:
+    """`length` where there is one; else inf or NaN, with a derivative that is not finite either."""
+    infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
+    undefined = jnp.where(infinite, jnp.inf, jnp.nan)
+    return jnp.where(status <= Outcome.REBREAK, length, undefined * (1 + jnp.abs(length)))
 
 
-def arrest(slider: Slider, right: RightEnd, sites: int | None, max_contacts: int) -> Arrest:
-    """Length and status of the first precursor of one slider; differentiable forward."""
-    modes = lattice_modes(slider, right, sites)
-    front = run(modes, max_contacts)
-    s0, behind, ahead = front.position, front.stress_before, front.stress
-    at_edge = edge_stress(modes, front)
-    through = (s0 == sites) if sites is not None else jnp.zeros((), bool)
-    stopped = ahead < 1
-    status = jnp.select(
-        [~jnp.isfinite(ahead) | ~in_domain(slider), through, ~stopped, s0 == 1, at_edge >= 1],
-        [Outcome.INVALID, Outcome.RAN_THROUGH, Outcome.LIMIT, Outcome.NO_DOMINO, Outcome.REBREAK],
-        Outcome.ARRESTED,
-    ).astype(jnp.int32)
-    # t(ℓ) = 1 on the straight line between t(s0−1) and t(s0)
-    length = s0 - 1 + (behind - 1) / (behind - ahead)
-    # never a number, nor the derivative of one, where there is no length: both come out non-finite together
-    undefined = jnp.where(status == Outcome.RAN_THROUGH, jnp.inf, jnp.nan)
-    has_length = status <= Outcome.REBREAK
-    return Arrest(s0, jnp.where(has_length, length, undefined * (1 + jnp.abs(length))), status, at_edge)
+# --- one slider --------------------------------------------------------------------------------------------------------
+
+
+class Passage(NamedTuple):
+    """How a front passes over the contacts of one slider; its states have a `position` and a `behind`."""
+
+    start: Any  # contact 0 has broken, at its threshold exactly
+    advance: Callable[[Any], Any]  # break the contact ahead
+    stress: Callable[[Any], Array]  # on the contact ahead, in σ_s
+    threshold: Callable[[Array], Array]  # of a contact
+    edge: Callable[[Any], Array]  # stress on contact 0
+
+
+def nucleate(modes: Modes, drive: Any = 1) -> Front:
+    """The front before contact 0 breaks; `drive` is the stress by which it is loaded."""
+    one = jnp.ones_like(modes.load)
+    reach = modes.weight + (modes.echo_factor(0 * one)[:, None] * modes.reflection).sum(0)
+    return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), 0 * one, 0 * reach[:1].real)
+
+
+def echo_at(modes: Modes, site: Array) -> Array | None:
+    """e_m of a finite chain."""
+    return None if modes.echo is None else modes.echo_factor(site)
+
+
+def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Array]:
+    """θ and φ of a contact, in σ_s."""
+    site = jnp.asarray(site).astype(modes.gap.real.dtype)
+    if contacts is None:
+        return jnp.ones_like(site), jnp.zeros_like(site)
+    return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
+
+
+def passage(modes: Modes, contacts: Contacts = None) -> Passage:
+    """Passage over contacts that repin at once."""
+
+    def stress(front: Front) -> Array:
+        return stress_ahead(front, echo_at(modes, front.position))[0] + contact_at(modes, contacts, front.position)[1]
+
+    def step(front: Front) -> Front:
+        t = stress(front)
+        after = advance(modes, front, t, echo_at(modes, front.position))
+        return after._replace(behind=t - contact_at(modes, contacts, front.position)[0])
+
+    threshold, prestress = contact_at(modes, contacts, 0)
+    at_0 = nucleate(modes, threshold - prestress)
+    start = advance(modes, at_0, threshold, echo_at(modes, at_0.position))
+    return Passage(start, step, stress, lambda site: contact_at(modes, contacts, site)[0], lambda front: front.edge[0])
+
+
+def let_run(over: Passage, valid: Array, end: Array, sites: int | None, max_contacts: int) -> Arrest:
+    """Let the front go until the contact ahead holds, the chain ends, or it is given up; differentiable forward.
+
+    Parameters
+    ----------
+    over : Passage
+    valid : bool array
+        Whether slider and contacts lie in their domains.
+    end : array
+        Breaks after which a front never stops.
+    sites, max_contacts : int
+    """
+    chain_end = 2**31 - 1 if sites is None else sites
+    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), min(max_contacts, chain_end))
+
+    def excess(front: Any) -> Array:
+        return over.stress(front) - over.threshold(front.position)
+
+    front = lax.while_loop(lambda f: (excess(f) >= 0) & (f.position < limit), over.advance, over.start)
+    s0, ahead, edge = front.position, excess(front), over.edge(front)
+    through = s0 == (-1 if sites is None else sites)
+    status = outcome(s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0 >= end)
+    length = straight_line((s0 - 1).astype(ahead.dtype), front.behind, ahead)
+    return Arrest(s0, length_or_reason(status, length), status, edge)
 
 
 def in_domain(slider: Slider) -> Array:
@@ -142,10 +255,49 @@ def in_domain(slider: Slider) -> Array:
     return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
 
 
-def front_stress(modes: Modes, count: int) -> Float[Array, " count"]:
+def stresses(over: Passage, count: int) -> Float[Array, " count"]:
     """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too."""
 
-    def step(front: Front, _: None) -> tuple[Front, Array]:
-        return advance(modes, front), front.stress
+    def step(front: Any, _: None) -> tuple[Any, Array]:
+        return over.advance(front), over.stress(front)
 
-    return lax.scan(step, nucleate(modes), length=count)[1]
+    first = over.threshold(jnp.int32(0))
+    return jnp.concatenate([first[None], lax.scan(step, over.start, length=count - 1)[1]])
+
+
+@partial(jax.jit, static_argnames="count")
+def front_stress(modes: Modes, count: int, contacts: Contacts = None) -> Float[Array, " count"]:
+    """`stresses` on contacts that repin at once."""
+    return stresses(passage(modes, contacts), count)
+
+
+# --- run-away ----------------------------------------------------------------------------------------------------------
+
+
+def runaway_prestress(modes: Modes) -> Array:
+    """φ_c = (1 + G_00)/2, in σ_s, of a semi-infinite chain."""
+    return (1 + modes.weight.sum(axis=0)) / 2
+
+
+def slowest_approach(modes: Modes) -> Array:
+    """1 − ρ_2 for the slow decay of the front stress: ρ solves (ρ − r_1)(ρ − r_2) = w_1 r_1 (ρ − r_2) + w_2 r_2 (ρ − r_1)."""
+    (r1, r2), (w1, w2), (g1, g2) = modes.ratio, modes.weight, modes.gap
+    # with x = 1 − μ: (g1 − x)(g2 − x) − w1 r1 (g2 − x) − w2 r2 (g1 − x) = 0
+    total = g1 + g2 - w1 * r1 - w2 * r2
+    product = g1 * g2 - w1 * r1 * g2 - w2 * r2 * g1
+    return 2 * product / (total + jnp.sqrt(jnp.maximum(total**2 - 4 * product, 0)))
+
+
+def never_stops_after(modes: Modes, contacts: Contacts) -> Array:
+    """Breaks after which a front that is still running never stops; inf where every front stops. Lanes last."""
+    if contacts is None:
+        return jnp.full_like(modes.load, jnp.inf)
+    if isinstance(contacts, Interface):
+        uniform, since, prestress = jnp.asarray(contacts.threshold_slope) == 0, 0, jnp.asarray(contacts.prestress)
+    else:
+        since = np.shape(contacts.threshold)[0]
+        threshold, prestress = contact_at(modes, contacts, since - 1)
+        uniform, prestress = jnp.ones((), bool), prestress / threshold
+    settled = since + APPROACH / slowest_approach(modes) + 10 + contacts.repin_delay
+    endless = uniform & (prestress >= runaway_prestress(modes)) if modes.echo is None else jnp.zeros((), bool)
+    return jnp.ceil(jnp.minimum(jnp.where(endless, settled, jnp.inf), contacts.last_site()))

@@ -1,93 +1,63 @@
-r"""Lengths of many sliders at once, at the speed of the arithmetic: a chunk of lanes advances in step.
+r"""Fronts of many sliders at once, at the speed of the arithmetic: a chunk of lanes advances in step.
 
-The sums of `slippulse_jax.lattice.front` fold into two numbers a lane. With Z_m = w_m S_m + r_m^s (A C_m + Σ_n R_mn T_n), the
-stress ahead is t = φ + Z_1 + Z_2, and breaking contact s is
-
-    Z_m → r_m [Z_m + v_m t],        v_m = w_m + Σ_n R_mn r_m^s r_n^s,
-
-where R is symmetric (a pinning point at i moves site j as one at j moves site i); A = 1 − φ. Along a parameter (a dot),
-
-    Ż_m → r_m [Ż_m + v_m ṫ + v̇_m t] + (ln r_m)˙ Z_m',    v̇_m = ẇ_m + Σ_n [Ṙ_mn + s (ln r_m r_n)˙ R_mn] r_m^s r_n^s,
-
-where Z_m' is the new Z_m. What else a loop over lanes costs was read off the compiled program:
+The step is `slippulse_jax.lattice.front.advance`, given NumPy arrays of single numbers, one array per quantity with the
+modes as its leading axis. What else a loop over lanes costs was read off the compiled program:
 
 - A turn is one loop over the lanes that computes every number once (`slippulse_jax.bulk.compiler.in_one_loop`).
 - A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS` are taken in a turn and two turns between two
   looks, the second writing where the first has read.
-- What the edge adds, R_mn r_m^s r_n^s, is three geometric sequences, begun anew from r_m^s in each turn; their coefficients
-  along a parameter grow by the same amount at every break.
+- R is symmetric (a pinning point at i moves site j as one at j moves site i), so half of it is handed on.
 - A front that has arrested stays as it is: nothing has to be recorded elsewhere.
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
+
+Derivatives are tangents of the same step, by ``jax.jvp``, along what depends on the parameter.
 """
 
 import functools
-from typing import NamedTuple
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.delayed import APPROACH, runaway_prestress, slowest_approach
-from slippulse_jax.lattice.lane_modes import LaneRates, Number, Pair, lane_modes, lane_rates
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
+from slippulse_jax.lattice.modes import Number, lattice_modes, mode_numbers
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
-
-Three = tuple[Number, Number, Number]  # one number for mn = 11, 12, 22
 
 BREAKS = 6
-"""Breaks of a turn."""
+"""Breaks per turn."""
 
 
 class Lane(NamedTuple):
-    """What stays as it is."""
+    """What stays as it is: a waveguide, and the contacts on it."""
 
-    gap: Pair  # 1 − r_m
-    weight: Pair  # w_m
-    reflection: Three  # R_mn
-    at_edge: Pair | None  # w_n + Σ_m R_mn, for the stress on contact 0; None where it is not asked for
-    prestress: Number | None  # φ; None on a relaxed, uniform interface
-    slope: Number | None  # ε, threshold 1 + ε s
-    end: Number | None  # breaks after which a front that is still running never stops; mostly inf
-    most: Number | None  # breaks after which it is given up, if it must not go on for a few more
+    gap: Any  # 1 − r_m
+    weight: Any  # w_m
+    prestress: Any  # φ; None on a relaxed, uniform interface
+    slope: Any  # ε, threshold 1 + ε s; likewise
+    end: Any  # breaks after which a front that is still running never stops; mostly inf
+    most: Any  # breaks after which it is given up, if it must not go on for a few more
 
 
-class Along(NamedTuple):
-    """Derivatives of what stays, along a parameter of the slider."""
-
-    log_decay: Pair  # of ln r_m
-    weight: Pair
-    reflection: Three
-
-
-class Rate(NamedTuple):
-    """Derivatives of a front, along any parameter."""
-
-    stress: Pair
-    behind: Number
-
-
-class Front(NamedTuple):
-    """A front that has broken contacts 0 … broken − 1."""
-
-    stress: Pair  # Z_m
-    decay: Pair  # r_m^s; goes on when the front has arrested
-    broken: Number  # s, a whole number
-    behind: Number  # load on the contact that broke last
-    edge: Number | None  # stress on contact 0
-    rates: tuple[Rate, ...]  # along height, stiffness, poisson[, prestress, slope]
-
-
-class Now(NamedTuple):
-    """What a look at the lanes sees."""
+class State(NamedTuple):
+    """A front on its lane, or the tangent of one, whose fields are None where it does not move."""
 
     front: Front
     lane: Lane
-    along: tuple[Along, ...]
+
+
+class Now(NamedTuple):
+    """A chunk of lanes, and its tangents along height, stiffness, poisson[, prestress, slope]."""
+
+    state: State
+    rates: tuple[State, ...]
 
 
 @functools.cache
@@ -96,11 +66,7 @@ def length_kernel(max_contacts: int) -> Kernel:
 
     Of uniform, semi-infinite interfaces without repinning delay. inf where it never stops, NaN after `max_contacts` breaks.
     """
-
-    def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        return (_length(_until_all_arrest(parameters, max_contacts), max_contacts),)
-
-    return lengths
+    return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts).state, max_contacts),)
 
 
 @functools.cache
@@ -108,18 +74,10 @@ def arrest_kernel(max_contacts: int) -> Kernel:
     """Contacts broken, ℓ, status and stress on contact 0 of lanes as for `length_kernel`."""
 
     def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        now = _until_all_arrest(parameters, max_contacts, with_edge=True)
-        front, length = now.front, _length(now, max_contacts)
-        assert front.edge is not None
-        endings = {
-            Outcome.INVALID: ~jnp.isfinite(_ahead(now.lane, front)[1]),
-            Outcome.RUN_AWAY: jnp.isposinf(length),
-            Outcome.LIMIT: jnp.isnan(length),
-            Outcome.NO_DOMINO: front.broken == 1,
-            Outcome.REBREAK: front.edge >= 1,
-        }
-        status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
-        return front.broken.astype(jnp.int32), length, status, front.edge
+        state = _until_all_arrest(parameters, max_contacts, with_edge=True).state
+        length, (broken,), (edge,) = _length(state, max_contacts), state.front.position, state.front.edge
+        status = outcome(broken, _stress_and_excess(_opened(state))[1][0], edge - 1, endless=jnp.isposinf(length))
+        return broken.astype(jnp.int32), length, status, edge
 
     return arrests
 
@@ -129,18 +87,12 @@ def gradient_kernel(max_contacts: int) -> Kernel:
     """ℓ of lanes as by `length_kernel`, to rounding, and its derivative in every field: rows of one array."""
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        now = _until_all_arrest(parameters, max_contacts, with_rates=True)
-        front, length = now.front, _length(now, max_contacts)
-        over_fall = 1 / (front.behind - _ahead(now.lane, front)[1])
-        part = (front.behind - _level(now.lane)) * over_fall
+        state, rates = _until_all_arrest(parameters, max_contacts, with_rates=True)
+        length = _length(state, max_contacts)
         # ℓ = 0 is flat, and what is no number has no derivative
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
-
-        def derivative(which: int) -> Array:
-            behind, ahead = front.rates[which].behind, _ahead_rate(front, which)[1]
-            return jnp.where(jnp.isfinite(length) & (length > 0), (behind - part * (behind - ahead)) * over_fall, flat)
-
-        return (jnp.stack([length, *(derivative(which) for which in range(len(front.rates)))]),)
+        slopes = [_tangent(_crossing, state, rate) for rate in rates]
+        return (jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, flat) for x in slopes)]),)
 
     return lengths
 
@@ -148,7 +100,7 @@ def gradient_kernel(max_contacts: int) -> Kernel:
 def _until_all_arrest(
     parameters: Float[Array, "fields lanes"], max_contacts: int, with_rates: bool = False, with_edge: bool = False
 ) -> Now:
-    def start(*fields: Number) -> tuple[Front, Lane, tuple[Along, ...]]:
+    def start(*fields: Number) -> Now:
         return _nucleate(fields, with_rates, max_contacts if with_edge else None)
 
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
@@ -157,138 +109,144 @@ def _until_all_arrest(
         return Now(*in_one_loop(_turn, *in_one_loop(_turn, *now)))
 
     def some_go(now: Now) -> Bool[Array, ""]:
-        return jnp.any(_goes(now.lane, now.front) & (now.front.broken < max_contacts))
+        return jnp.any(_goes(_opened(now.state))[0] & (now.state.front.position[0] < max_contacts))
 
-    return lax.while_loop(some_go, two_turns, Now(*in_one_loop(start, *parameters, *ends)))
-
-
-def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) -> tuple[Front, Lane, tuple[Along, ...]]:
-    """A lane whose contact 0 has broken (at its threshold, which rounding must not spoil); with `most`, the edge too."""
-    height, stiffness, poisson = fields[:3]
-    prestress, slope, end = fields[3:] or (None, None, None)
-    modes, common = lane_modes(height, stiffness, poisson)
-    (w1, w2), (R11, R12, R22), (C1, C2) = modes.weight, modes.reflection, modes.drive
-    v, drive = (w1 + (R11 + R12), w2 + (R22 + R12)), 1 if prestress is None else 1 - prestress
-    one, none = jnp.ones_like(height), jnp.zeros_like(height)
-    at_edge, edge, last = (None, None, None) if most is None else (v, v[0] + v[1], most * one)
-    lane = Lane(modes.gap, modes.weight, modes.reflection, at_edge, prestress, slope, end, last)
-    Z = _shrink(lane, (drive * C1 + v[0], drive * C2 + v[1]))
-    rates, along = (), ()
-    if with_rates:
-        slider_rates = lane_rates(height, stiffness, modes, common)
-        rates = tuple(Rate(_nucleate_rate(lane, drive, Z, rate), none) for rate in slider_rates)
-        along = tuple(Along(rate.log_decay, rate.weight, rate.reflection) for rate in slider_rates)
-        if prestress is not None:
-            rates += Rate(_shrink(lane, (-C1, -C2)), none), Rate((none, none), none)
-    return Front(Z, _shrink(lane, (one, one)), one, _level(lane) * one, edge, rates), lane, along
-
-
-def _nucleate_rate(lane: Lane, drive: Number | int, Z: Pair, rate: LaneRates) -> Pair:
-    (dw1, dw2), (dR11, dR12, dR22), (dC1, dC2), (l1, l2) = rate.weight, rate.reflection, rate.drive, rate.log_decay
-    Y = _shrink(lane, (drive * dC1 + (dw1 + (dR11 + dR12)), drive * dC2 + (dw2 + (dR22 + dR12))))
-    return Y[0] + l1 * Z[0], Y[1] + l2 * Z[1]
+    return lax.while_loop(some_go, two_turns, in_one_loop(start, *parameters, *ends))
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
-    """Breaks after which a front that is still running never stops (`slippulse_jax.lattice.delayed`)."""
-    interface = Interface(parameters[3], parameters[4])
     with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
         modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
-    never_stops = (parameters[4] == 0) & (parameters[3] >= runaway_prestress(modes))
-    enough = jnp.where(never_stops, APPROACH / slowest_approach(modes) + 10, jnp.inf)
-    return jnp.ceil(jnp.minimum(enough, interface.last_site()))
+        return never_stops_after(modes, Interface(parameters[3], parameters[4]))
 
 
-def _shrink(lane: Lane, x: Pair) -> Pair:
-    """R x, mode by mode, as x − (1 − r) x."""
-    return x[0] - lane.gap[0] * x[0], x[1] - lane.gap[1] * x[1]
+# --- one lane ----------------------------------------------------------------------------------------------------------
+# Between breaks every quantity is a list of its numbers (lanes last in each, or single in `in_one_loop`); for the arithmetic, a
+# NumPy array of them.
+
+PAIRS = np.array([[0, 1], [1, 2]])
+"""Where mn = 11, 12, 21, 22 stand in the half of a symmetric matrix."""
+
+_where = np.frompyfunc(lax.select, 3, 1)
+_less = np.frompyfunc(operator.lt, 2, 1)
 
 
-def _level(lane: Lane) -> int:
-    """Load at which a contact breaks."""
-    return 1 if lane.prestress is None else 0
+def _array(numbers: Any) -> Any:
+    if numbers is None:
+        return None
+    found = np.empty(len(numbers), object)
+    for i, number in enumerate(numbers):
+        found[i] = number
+    return found
 
 
-def _ahead(lane: Lane, front: Front) -> tuple[Number, Number]:
-    """Stress on the contact ahead, and its load: that stress, or where thresholds vary its excess."""
-    Z1, Z2 = front.stress
-    if lane.prestress is None or lane.slope is None:
-        t = Z1 + Z2
-        return t, t
-    t = lane.prestress + (Z1 + Z2)
-    return t, t - (1 + lane.slope * front.broken)
+def _opened(state: State) -> State:
+    """As arrays, of the reflection both halves."""
+    front = Front(*map(_array, state.front))
+    return State(front._replace(reflected=front.reflected[PAIRS]), Lane(*map(_array, state.lane)))
 
 
-def _ahead_rate(front: Front, which: int) -> tuple[Number, Number]:
-    """Derivatives of `_ahead`, along height, stiffness, poisson, prestress or slope."""
-    t = front.rates[which].stress[0] + front.rates[which].stress[1]
-    if which == 3:
-        t = t + 1
-    return t, t - front.broken if which == 4 else t
+def _closed(front: Front) -> Front:
+    """As lists, of the reflection one half."""
+    half = front._replace(reflected=front.reflected[[0, 0, 1], [0, 1, 1]])
+    return Front(*(None if x is None else x.tolist() for x in half))
 
 
-def _goes(lane: Lane, front: Front) -> Array:
-    """Whether the contact ahead breaks."""
-    goes = _ahead(lane, front)[1] >= _level(lane)
-    for last in (lane.end, lane.most):
-        goes = goes if last is None else goes & (front.broken < last)
+def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) -> Now:
+    """A lane whose contact 0 has broken, at its threshold exactly; with `most`, the stress on it too."""
+    none, one = jnp.zeros_like(fields[0]), jnp.ones_like(fields[0])
+    cap, end = None if most is None else [most * one], list(fields[5:]) or None
+
+    def begun(*numbers: Number) -> State:
+        modes = mode_numbers(numbers[0], numbers[1], numbers[2])
+        prestress, slope = ([x] for x in numbers[3:]) if len(numbers) > 3 else (None, None)
+        lane = Lane(list(modes.gap), list(modes.weight), prestress, slope, end, cap)
+        half, drive = _array(modes.reflection), _array(modes.drive)
+        if prestress is not None:
+            drive = drive * _array([1 - prestress[0]])
+        reach = None if most is None else _array(modes.weight) + half[PAIRS].sum(0)
+        before = Front(drive, half[PAIRS], reach, _array([none]), _array([none]), None if most is None else _array([none]))
+        guide = lane._replace(gap=_array(modes.gap), weight=_array(modes.weight))
+        return State(_closed(advance(guide, before, _array([one]))), lane)
+
+    numbers = fields[:5]
+    state = begun(*numbers)
+
+    def along(which: int) -> State:
+        front, lane = jax.jvp(lambda x: begun(*numbers[:which], x, *numbers[which + 1 :]), (numbers[which],), (one,))[1]
+        still = Lane(*[None] * len(Lane._fields))
+        if which < 3:  # prestress and slope enter by the contacts alone
+            moves = front._replace(position=None)
+            return State(moves, still._replace(gap=lane.gap, weight=lane.weight))
+        moves = Front(front.stress, None, None, None, front.behind, None)
+        return State(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
+
+    return Now(state, tuple(along(which) for which in range(len(numbers))) if with_rates else ())
+
+
+def _stress_and_excess(state: State) -> tuple[Any, Any]:
+    """On the contact ahead, and of the former over its threshold; of arrays."""
+    front, lane = state
+    t = stress_ahead(front)
+    if lane.prestress is None:
+        return t, t - 1
+    t = lane.prestress + t
+    return t, t - (1 + lane.slope * front.position)
+
+
+def _goes(state: State) -> Any:
+    """Whether the contact ahead breaks; of arrays."""
+    (excess,) = _stress_and_excess(state)[1]
+    goes = _array([excess >= 0])
+    for last in (state.lane.end, state.lane.most):
+        goes = goes if last is None else goes & _less(state.front.position, last)
     return goes
 
 
-def _turn(front: Front, lane: Lane, along: tuple[Along, ...]) -> tuple[Front, Lane, tuple[Along, ...]]:
-    """`BREAKS` breaks, of a lane that has not arrested before."""
-    (E1, E2), (g1, g2), (R11, R12, R22) = front.decay, lane.gap, lane.reflection
-    edge: Three = (E1 * E1, E1 * E2, E2 * E2)
-    fading = g1 * (2 - g1), g1 + g2 - g1 * g2, g2 * (2 - g2)  # 1 − r_m r_n
-    growth = [(2 * l1 * R11, (l1 + l2) * R12, 2 * l2 * R22) for (l1, l2), *_ in along]
-    bent = [_grown(rate.reflection, by, front.broken) for rate, by in zip(along, growth, strict=True)]
+def _turn(state: State, rates: tuple[State, ...]) -> Now:
+    """`BREAKS` breaks."""
     for _ in range(BREAKS):
-        front = _break(front, lane, along, edge, bent)
-        edge = edge[0] - fading[0] * edge[0], edge[1] - fading[1] * edge[1], edge[2] - fading[2] * edge[2]
-        bent = [_grown(x, by, 1) for x, by in zip(bent, growth, strict=True)]
-    return front, lane, along
+        rates = tuple(State(_tangent(_break, state, rate), rate.lane) for rate in rates)
+        state = state._replace(front=_break(state))
+    return Now(state, rates)
 
 
-def _grown(x: Three, by: Three, times: Number | int) -> Three:
-    return x[0] + times * by[0], x[1] + times * by[1], x[2] + times * by[2]
+def _break(state: State) -> Front:
+    """Break the contact ahead, where it breaks."""
+    front, lane = state = _opened(state)
+    t, excess = _stress_and_excess(state)
+    goes, after = _goes(state), advance(lane, front, t)._replace(behind=excess)
+    kept = (None if new is None else _where(goes, new, old) for new, old in zip(after, front, strict=True))
+    return _closed(Front(*kept)._replace(reflected=after.reflected, reach=after.reach))  # no use where it has arrested
 
 
-def _break(front: Front, lane: Lane, along: tuple[Along, ...], edge: Three, bent: list[Three]) -> Front:
-    """Break the contact ahead, where it breaks. `edge`: r_m^s r_n^s; `bent`: their coefficients in v̇_m."""
-    goes, (t, load) = _goes(lane, front), _ahead(lane, front)
-    (Z1, Z2), (w1, w2), (R11, R12, R22) = front.stress, lane.weight, lane.reflection
-    both = R12 * edge[1]
-    v = (w1 + both) + R11 * edge[0], (w2 + both) + R22 * edge[2]
-    Z = _shrink(lane, (Z1 + v[0] * t, Z2 + v[1] * t))
+def _tangent(f: Callable[[State], Any], state: State, rate: State) -> Any:
+    """Tangent of ``f(state)`` along what moves; of a front, in the fields in which it moves."""
+    values, ways = (*state.front, *state.lane), (*rate.front, *rate.lane)
+    moving = [i for i, way in enumerate(ways) if way is not None]
 
-    def rate(which: int) -> Rate:
-        (Y1, Y2), behind = front.rates[which]
-        dt, dload = _ahead_rate(front, which)
-        Y1, Y2 = Y1 + v[0] * dt, Y2 + v[1] * dt
-        if which < len(along):
-            (dw1, dw2), (c11, c12, c22) = along[which].weight, bent[which]
-            both = c12 * edge[1]
-            Y1, Y2 = Y1 + ((dw1 + both) + c11 * edge[0]) * t, Y2 + ((dw2 + both) + c22 * edge[2]) * t
-        Y1, Y2 = _shrink(lane, (Y1, Y2))
-        if which < len(along):
-            l1, l2 = along[which].log_decay
-            Y1, Y2 = Y1 + l1 * Z[0], Y2 + l2 * Z[1]
-        return Rate((Y1, Y2), dload)
+    def of_moving(*moved: Any) -> Any:
+        everything = list(values)
+        for i, x in zip(moving, moved, strict=True):
+            everything[i] = x
+        return f(State(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
 
-    at_0 = None
-    if front.edge is not None and lane.at_edge is not None:
-        at_0 = front.edge + (lane.at_edge[0] * front.decay[0] + lane.at_edge[1] * front.decay[1]) * t
-    rates = tuple(rate(which) for which in range(len(front.rates)))
-    after = Front(Z, front.decay, front.broken + 1, load, at_0, rates)
-    kept = jax.tree.map(lambda new, old: lax.select(goes, new, old), after, front)
-    return kept._replace(decay=_shrink(lane, front.decay))
+    found = jax.jvp(of_moving, tuple(values[i] for i in moving), tuple(ways[i] for i in moving))[1]
+    if isinstance(found, Front):
+        found = Front(*(None if way is None else x for x, way in zip(found, rate.front, strict=True)))
+    return found
 
 
-def _length(now: Now, max_contacts: int) -> Float[Array, " lanes"]:
-    """ℓ: where the load on a straight line between the contact that broke last and the one ahead falls to its level."""
-    front, lane = now.front, now.lane
-    ahead, level = _ahead(lane, front)[1], _level(lane)
-    runs = ahead >= level
-    length = front.broken - 1 + (front.behind - level) / (front.behind - ahead)
-    endless = jnp.nan if lane.end is None else jnp.where(front.broken >= lane.end, jnp.inf, jnp.nan)
-    return jnp.where(front.broken <= max_contacts, jnp.where(runs, endless, length), jnp.nan)
+def _crossing(state: State) -> Float[Array, " lanes"]:
+    """ℓ, of a front that has arrested."""
+    opened = _opened(state)
+    (length,) = straight_line(opened.front.position - 1, opened.front.behind, _stress_and_excess(opened)[1])
+    return length
+
+
+def _length(state: State, max_contacts: int) -> Float[Array, " lanes"]:
+    """ℓ; inf where nothing stops the front, NaN where it was given up."""
+    broken, (ahead,) = state.front.position[0], _stress_and_excess(_opened(state))[1]
+    endless = jnp.nan if state.lane.end is None else jnp.where(broken >= state.lane.end[0], jnp.inf, jnp.nan)
+    length = jnp.where(ahead >= 0, endless, _crossing(state))
+    return jnp.where(broken <= max_contacts, length, jnp.nan)

@@ -1,4 +1,4 @@
-r"""The Green's function of the lattice: two modes, their reflection at the left edge and at the right end.
+r"""The Green's function of the lattice: two modes, and their reflection at the left edge and the right end.
 
 The two bulk equations (section "Equations to be solved") couple u_t and u through one 2×2 matrix, the same whether
 space is a lattice or a line: its eigenvalues are κ_m², its eigenvectors (u_t, u) ∝ (1, α_m). On the lattice mode m
@@ -18,9 +18,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Slider, of_one_type
 
 RightEnd = Literal["semi-infinite", "free", "clamped"]
+
+Number = Float[Array, "..."]
+Pair = tuple[Number, Number]  # one number per mode
 
 
 class Echo(NamedTuple):
@@ -49,7 +52,8 @@ class Modes(eqx.Module):
         """e_m(i) = 1 + η_m r_m^{2(N−1−i)}."""
         if self.echo is None:
             return jnp.ones_like(self.ratio)
-        return 1 + self.echo.amplitude * jnp.exp(2 * (self.echo.last - site) * jnp.log1p(-self.gap))
+        beyond = (self.echo.last - site).astype(self.gap.dtype)
+        return 1 + self.echo.amplitude * jnp.exp(2 * beyond * jnp.log1p(-self.gap))
 
     def profile(self, site: Array) -> Float[Array, "2"]:
         """y_m(i) = e_m(i) r_m^i."""
@@ -69,41 +73,114 @@ def lattice_modes(slider: Slider, right: RightEnd = "semi-infinite", sites: int 
         Number of sites N ≥ 2 of a finite chain.
     """
     check_right_end(right, sites)
-    half = jnp.stack([slider.kappa_1, slider.kappa_2]) / 2
-    root = jnp.sqrt(1 + half**2)
-    ratio = 1 / (root + half) ** 2
-    gap = 2 * half / (root + half)
-    alpha = jnp.stack([slider.alpha_1, slider.alpha_2])
-    # (0, 1) = Σ g_m (1, α_m) splits a force on the interfacial layer between the modes; share = α_m g_m, both positive
-    share = jnp.stack([-alpha[0], alpha[1]]) * slider.kappa_T**2 / slider.mode_splitting
-    weight = jnp.asarray(slider.stiffness) * share / (4 * half * root)
-    upper = 1 / alpha
+    height, stiffness, poisson = of_one_type(slider)
+    end = None if sites is None else (right, sites)
+    numbers = mode_numbers(height, stiffness, poisson, end)
+    r11, r12, r22 = numbers.reflection
+    return Modes(
+        ratio=jnp.stack(numbers.ratio),
+        gap=jnp.stack(numbers.gap),
+        weight=jnp.stack(numbers.weight),
+        upper=jnp.stack(numbers.upper),
+        reflection=jnp.stack([jnp.stack([r11, r12]), jnp.stack([r12, r22])]),
+        drive=jnp.stack(numbers.drive),
+        load=numbers.load,
+        echo=None if sites is None else Echo(jnp.stack(_echoes(numbers.ratio, right)), jnp.asarray(sites - 1)),
+    )
 
-    if sites is None:
-        echo, returned = None, jnp.zeros_like(gap)
-    else:
-        echo = Echo(ratio if right == "free" else -(ratio**2), jnp.asarray(sites - 1))
-        returned = echo.amplitude * jnp.exp(2 * echo.last * jnp.log1p(-gap))
+
+class ModeNumbers(NamedTuple):
+    """`Modes`, each number by itself, for a loop over lanes that computes each once."""
+
+    ratio: Pair
+    gap: Pair
+    weight: Pair
+    upper: Pair
+    reflection: tuple[Number, Number, Number]  # R_11, R_12 = R_21, R_22
+    drive: Pair
+    load: Number
+
+
+def mode_numbers(height: Number, stiffness: Number, poisson: Number, end: tuple[RightEnd, int] | None = None) -> ModeNumbers:
+    """Modes of one slider; `end` is the right end of a finite chain and its number of sites.
+
+    Notes
+    -----
+    With a = K_T/K_L, c = K_T/K, q = k/K, μ_m = κ_m², S = μ_1 − μ_2, X = μ_1 − a (a sum of positive terms),
+    h_m = √(1 + μ_m/4) and p_m = h_m + κ_m/2:
+
+        r_m = 1/p_m²,    1/α_1 = −a/X,    1/α_2 = X/c,    w_1 = q X/(S · 2κ_1 h_1),    w_2 = q a c/(X S · 2κ_2 h_2).
+
+    Quotients and roots take longest. Each is taken once, and `_root` and `_inverse` keep their derivatives to products.
+    """
+    q, double = stiffness, 2 * (1 + poisson)
+    c = _inverse(double * height)
+    over_height = c * double
+    a = c * over_height
+    split, over_split = _root((c + q - a) ** 2 + 4 * a * c)
+    X = (c + q - a + split) / 2
+    over_X, mu1 = _inverse(X), a + X
+    mu2 = a * q * _inverse(mu1)  # the difference of squares would cancel
+    (k1, over_k1), (k2, over_k2) = _root(mu1), _root(mu2)
+    (h1, over_h1), (h2, over_h2) = _root(1 + mu1 / 4), _root(1 + mu2 / 4)
+    p1, p2 = h1 + k1 / 2, h2 + k2 / 2
+    over_p1, over_p2 = _inverse(p1), _inverse(p2)
+    r1, r2, g1, g2 = over_p1 * over_p1, over_p2 * over_p2, k1 * over_p1, k2 * over_p2
+    w1 = q * X * over_split * (over_k1 * over_h1 / 2)
+    w2 = q * a * c * over_X * over_split * (over_k2 * over_h2 / 2)
+    U1, U2 = -a * over_X, X * double * height
 
     # At the left edge, for amplitudes B_m of y_m and a source at j:
     #   u_t[0] = U      :  Σ e_m(0) B_m/α_m = U − Σ w_n/α_n y_n(j)
     #   u[−1] = u[0]    :  Σ slope_m B_m    =     Σ w_n (1 − r_n) y_n(j)
-    e = 1 + returned
-    slope = gap / ratio - gap * returned
-    determinant = e[0] * upper[0] * slope[1] - e[1] * upper[1] * slope[0]
-    at_edge = e[0] * slope[1] - e[1] * slope[0]
-    imposed, freed = -weight * upper, weight * gap
-    reflection = jnp.stack([imposed * slope[1] - freed * e[1] * upper[1], freed * e[0] * upper[0] - imposed * slope[0]])
-    return Modes(
-        ratio=ratio,
-        gap=gap,
-        weight=weight,
-        upper=upper,
-        reflection=reflection / determinant,
-        drive=jnp.stack([slope[1], -slope[0]]) / at_edge,
-        load=determinant / at_edge,
-        echo=echo,
+    s1, s2 = k1 * p1, k2 * p2  # (1 − r_m)/r_m
+    both = s2 + g2
+    e1, e2 = 1, 1
+    if end is not None:
+        right, sites = end
+        n1, n2 = _echoes((r1, r2), right)
+        n1, n2 = n1 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g1)), n2 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g2))
+        e1, e2, s1, s2 = 1 + n1, 1 + n2, s1 - g1 * n1, s2 - g2 * n2
+    determinant, at_edge = e1 * U1 * s2 - e2 * U2 * s1, e1 * s2 - e2 * s1
+    over_determinant, over_edge = _inverse(determinant), _inverse(at_edge)
+    reflection = (
+        -w1 * (U1 * s2 + g1 * e2 * U2) * over_determinant,
+        -w2 * U2 * both * over_determinant,
+        w2 * (g2 * e1 * U1 + U2 * s1) * over_determinant,
     )
+    drive = s2 * over_edge, -s1 * over_edge
+    return ModeNumbers((r1, r2), (g1, g2), (w1, w2), (U1, U2), reflection, drive, determinant * over_edge)
+
+
+def _echoes(ratio: Pair, right: RightEnd) -> Pair:
+    """η_m of a free or clamped end."""
+    r1, r2 = ratio
+    return (r1, r2) if right == "free" else (-r1 * r1, -r2 * r2)
+
+
+@jax.custom_jvp
+def _inverse(x: Number) -> Number:
+    return 1 / x
+
+
+@_inverse.defjvp
+def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Number, Number]:  # pyright: ignore[reportUnusedFunction]
+    inverse = _inverse(*primals)
+    return inverse, -inverse * inverse * tangents[0]
+
+
+@jax.custom_jvp
+def _root(x: Number) -> Pair:
+    """√x and 1/√x, as a quotient: XLA would take an approximate reciprocal root."""
+    root = jnp.sqrt(x)
+    return root, root / x
+
+
+@_root.defjvp
+def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Pair, Pair]:  # pyright: ignore[reportUnusedFunction]
+    root, inverse = _root(*primals)
+    along = inverse * tangents[0] / 2
+    return (root, inverse), (along, -inverse * inverse * along)
 
 
 class Fields(eqx.Module):

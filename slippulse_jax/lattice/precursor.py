@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -9,26 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import delayed as interface_front
-from slippulse_jax.lattice.compiled import (
-    Configuration,
-    arrest_function,
-    length_function,
-    parameters,
-    profile_function,
-    smooth_function,
-    status_function,
-)
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, front_stress
+from slippulse_jax.lattice import delayed, front
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
 from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
+from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 
 HARD = HardBreak()
+
+Configuration = tuple[RightEnd, int | None, int]
+"""Right end, number of sites, largest number of breaks."""
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -36,6 +34,51 @@ FLOAT32_HEIGHT = 1000.0
 
 class FrontNotArrested(NotConverged):
     """The front was still running after the allowed number of breaks: there is no length to return."""
+
+
+def passage(modes: Modes, contacts: Contacts) -> Passage:
+    """How the front passes over the contacts, repinned at once or after a delay."""
+    return front.passage(modes, contacts) if contacts is None or not contacts.repin_delay else delayed.passage(modes, contacts)
+
+
+def arrest(
+    slider: Slider,
+    interface: Contacts = None,
+    right: RightEnd = "semi-infinite",
+    sites: int | None = None,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+) -> Arrest:
+    """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
+    modes = lattice_modes(slider, right, sites)
+    valid = front.in_domain(slider) if interface is None else front.in_domain(slider) & interface.in_domain()
+    end = front.never_stops_after(modes, interface)
+    return front.let_run(passage(modes, interface), valid, end, sites, max_contacts)
+
+
+def quantity(name: str, slider: Slider, interface: Contacts, configuration: Configuration) -> Array:
+    """One number of the `arrest` of one slider; the length with derivatives of every order in every mode."""
+    numbers, together = ravel_pytree((slider, interface))
+
+    def one(numbers: Array) -> Array:
+        slider, interface = together(numbers)
+        return getattr(arrest(slider, interface, *configuration), name)
+
+    return by_forward_mode(one)(numbers) if name == "length" else one(lax.stop_gradient(numbers))
+
+
+@partial(jax.jit, static_argnames=("name", "configuration"))
+def _each(name: str, slider: Slider, interface: Contacts, configuration: Configuration) -> Array:
+    """`quantity` of every slider of a batch, or of one slider on a profile."""
+    if isinstance(interface, Profile):
+        return quantity(name, slider, interface, configuration)
+    kind = jax.tree.structure((slider, interface))
+    numbers = of_one_type(slider, *jax.tree.leaves(interface))
+
+    def one(*lane: Array) -> Array:
+        slider, interface = jax.tree.unflatten(kind, lane)
+        return quantity(name, slider, interface, configuration)
+
+    return jnp.vectorize(one)(*numbers)
 
 
 class FirstPrecursor(eqx.Module):
@@ -48,20 +91,20 @@ class FirstPrecursor(eqx.Module):
     contacts_broken: Int[Array, ""]  # s0, so that Λ = s0 λc
     length: Float[Array, ""]  # ℓ, the continuous length
     load: Float[Array, ""]  # U0, displacement of the left edge at nucleation
-    status: Int[Array, ""]  # a Outcome
+    status: Int[Array, ""]  # an `Outcome`
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
     interface: Interface | Profile | None = None
 
     def fields_at(self, front_position: int | Array) -> Fields:
         """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
-        if self.interface is not None:
-            sites = self.front_stress.shape[0]
-            pinning = interface_front.pinning(self.modes, self.interface, sites, jnp.asarray(front_position))
-            prestress = self.interface.prestress_at(jnp.arange(sites, dtype=pinning.dtype))
-            return equilibrium_fields(self.modes, self.load, pinning, prestress)
-        broken = jnp.arange(self.front_stress.shape[0]) < front_position
-        return equilibrium_fields(self.modes, self.load, jnp.where(broken, self.front_stress, 0))
+        site = jnp.arange(self.front_stress.shape[0])
+        prestress = front.contact_at(self.modes, self.interface, site)[1]
+        if self.interface is not None and self.interface.repin_delay:
+            pinning = delayed.pinning(self.modes, self.interface, site.size, jnp.asarray(front_position))
+        else:
+            pinning = jnp.where(site < front_position, self.front_stress, 0)
+        return equilibrium_fields(self.modes, self.load, pinning, prestress)
 
     @property
     def edge_stress(self) -> Float[Array, ""]:
@@ -90,8 +133,8 @@ class FirstPrecursor(eqx.Module):
 
 def precursor_length(
     slider: Slider,
-    *,
     interface: Interface | Profile | None = None,
+    *,
     rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
@@ -157,18 +200,15 @@ def precursor_length(
     _warn_single_precision(slider)
     configuration = right, sites, max_contacts
     if isinstance(rule, SmoothBreak):
-        length, status = _smooth(slider, interface, rule, configuration)
-    elif isinstance(interface, Profile):
-        _check_one(slider, "a Profile belongs to one slider")
-        ended = profile_function(configuration)(slider, interface)
-        length, status = jnp.asarray(ended.length), ended.status
+        check_smooth(interface, right)
+        length, status = _smooth(slider, rule, max_contacts)
     else:
-        which = 0 if interface is None else interface.repin_delay, configuration
-        lanes = parameters(slider, interface)
-        length = length_function(*which)(lanes)
+        if isinstance(interface, Profile):
+            _check_one(slider, "a Profile belongs to one slider")
+        length = _each("length", slider, interface, configuration)
         # only looked at where a length is missing
         missing = not isinstance(length, Tracer) and np.isnan(length).any()
-        status = status_function(*which)(lanes) if missing else None
+        status = _each("status", slider, interface, configuration) if missing else None
     if not isinstance(length, Tracer) and np.isnan(length).any():
         report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
     return length
@@ -176,8 +216,8 @@ def precursor_length(
 
 def first_precursor(
     slider: Slider,
-    *,
     interface: Interface | Profile | None = None,
+    *,
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
@@ -210,7 +250,8 @@ def first_precursor(
     if interface is not None and interface.shape != ():
         raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
     _warn_single_precision(slider)
-    ended = _count(slider, interface, (right, sites, max_contacts))
+    configuration = right, sites, max_contacts
+    ended = _counted(*lax.stop_gradient((slider, interface)), configuration)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
         if sites is None and traced:
@@ -221,20 +262,11 @@ def first_precursor(
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
     modes = lattice_modes(slider, right, sites)
-    if interface is None:
-        stress, load = front_stress(modes, recorded_sites), modes.load
-    else:
-        stress, _ = interface_front.front_stress(modes, interface, recorded_sites)
-        load = modes.load * interface_front.nucleate(modes, interface)[1]
-    if isinstance(interface, Profile):
-        length = jnp.asarray(profile_function((right, sites, max_contacts))(slider, interface).length)
-    else:
-        delay = 0 if interface is None else interface.repin_delay
-        length = length_function(delay, (right, sites, max_contacts))(parameters(slider, interface))
+    load, stress = _recorded(modes, interface, recorded_sites)
     return FirstPrecursor(
         slider=slider,
         contacts_broken=jnp.asarray(ended.contacts_broken),
-        length=length,
+        length=_each("length", slider, interface, configuration),
         load=load,
         status=jnp.asarray(ended.status),
         front_stress=stress,
@@ -243,23 +275,26 @@ def first_precursor(
     )
 
 
-def _count(slider: Slider, interface: Interface | Profile | None, configuration: Configuration) -> Arrest:
-    """Count and status, which have no derivative and must not stop those of the rest."""
-    slider, interface = lax.stop_gradient((slider, interface))
-    if isinstance(interface, Profile):
-        return profile_function(configuration)(slider, interface)
-    delay = 0 if interface is None else interface.repin_delay
-    return arrest_function(delay, configuration)(parameters(slider, interface))
+@partial(jax.jit, static_argnames="configuration")
+def _counted(slider: Slider, interface: Contacts, configuration: Configuration) -> Arrest:
+    return arrest(slider, interface, *configuration)
 
 
-def _smooth(
-    slider: Slider, interface: Interface | Profile | None, rule: SmoothBreak, configuration: Configuration
-) -> tuple[Array, Array]:
-    right, _, max_contacts = configuration
+@partial(jax.jit, static_argnames="sites")
+def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
+    """Load at nucleation, and front stress."""
+    threshold, prestress = front.contact_at(modes, interface, 0)
+    return modes.load * (threshold - prestress), front.stresses(passage(modes, interface), sites)
+
+
+_smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule, max_contacts=max_contacts), static_argnums=2)
+
+
+def check_smooth(interface: Contacts, right: RightEnd) -> None:
+    """Refuse what the recursion does not have under a smooth rule."""
     if right != "semi-infinite" or interface is not None:
         given = f"right = {right!r}" if interface is None else f"interface = {interface!r}"
         raise ValueError(f"{given}: a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
-    return smooth_function(max_contacts)(slider, rule)
 
 
 def _check_one(slider: Slider, why: str) -> None:

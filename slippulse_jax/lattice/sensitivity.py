@@ -1,4 +1,4 @@
-"""Which contacts hold the front: the derivative of a first precursor's length in every contact's threshold and prestress.
+"""Derivatives of the length of a first precursor in the threshold and prestress of every contact.
 
 The stress on contact s when the front reaches it is linear in what the contacts before it gave up,
 
@@ -15,15 +15,13 @@ which needs four sums over the contacts ahead: one pass from the arrest back to 
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
-from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.interface import check_contacts
-from slippulse_jax.lattice.front import advance, nucleate
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice.front import Contacts, Front, advance, contact_at, nucleate, straight_line, stress_ahead
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
@@ -41,11 +39,10 @@ class Sensitivity(NamedTuple):
 
 def sensitivity(
     slider: Slider,
+    interface: Interface | Profile | None = None,
     *,
     sites: int,
     rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
-    threshold: AnyArrayLike = 1.0,
-    prestress: AnyArrayLike = 0.0,
 ) -> Sensitivity:
     """Length of the first precursor of a semi-infinite interface, and its derivative in every contact.
 
@@ -53,34 +50,39 @@ def sensitivity(
     ----------
     slider : Slider
         One slider (fields of shape ()).
+    interface : Interface or Profile, optional
+        Thresholds and prestress; relaxed and uniform by default. Contacts repin at once. The first is loaded to θ_0.
     sites : int
-        Contacts looked at; more than the length, and for a smooth rule as many as the front takes to fade.
+        Number of contacts; more than the length, and for a smooth rule as many as the front takes to fade.
     rule : HardBreak or SmoothBreak, or one derived from it
-    threshold, prestress : array_like, shape () or (sites,)
-        θ_i and φ_i in σ_s. The first contact is loaded to θ_0.
 
     Notes
     -----
-    Under the hard rule a contact the front has passed holds nothing: it breaks, whatever its threshold. Only the last contact
-    broken and the one that stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load. A smooth rule spreads
-    it over the contacts near their threshold. The prestress of every contact matters under either, since it is released.
-    Composes with ``jit`` and ``vmap``.
+    Under the hard rule the threshold of a contact the front has passed has no effect: the contact breaks, whatever it is.
+    Only the last contact broken and the one that stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load.
+    A smooth rule spreads it over the contacts near their threshold. The prestress of every contact matters under either,
+    since it is released. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------
     ValueError
-        If a concrete threshold is not positive, or a prestress not within it.
+        If the interface repins after a delay, or is a batch.
     """
     check_rule(rule, one=True)
-    check_contacts("", threshold, prestress)
-    return _worked_out(slider, sites, rule, threshold, prestress)
+    if interface is not None and interface.repin_delay:
+        raise ValueError(
+            f"interface.repin_delay = {interface.repin_delay}: sensitivity needs contacts that repin at once; for a delay, "
+            "differentiate precursor_length of a Profile"
+        )
+    if interface is not None and interface.shape != ():
+        raise ValueError(f"sensitivity takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
+    return _worked_out(slider, interface, sites, rule)
 
 
 @partial(jax.jit, static_argnames="sites")
-def _worked_out(slider: Slider, sites: int, rule: BreakRule, threshold: AnyArrayLike, prestress: AnyArrayLike) -> Sensitivity:
+def _worked_out(slider: Slider, interface: Contacts, sites: int, rule: BreakRule) -> Sensitivity:
     modes = lattice_modes(slider)
-    dtype = modes.load.dtype
-    theta, phi = (jnp.broadcast_to(jnp.asarray(x, dtype), (sites,)) for x in (threshold, prestress))
+    theta, phi = (jnp.broadcast_to(x, (sites,)) for x in contact_at(modes, interface, jnp.arange(sites)))
     front = _sweep(modes, rule, theta, phi)
     if isinstance(rule, SmoothBreak):
         length, direct, direct_theta, gain, gain_theta, complete = _faded(rule, front, theta)
@@ -107,16 +109,14 @@ def _given_up(rule: BreakRule, stress: Array, threshold: Array, first: Array) ->
 
 def _sweep(modes: Modes, rule: BreakRule, theta: Array, phi: Array) -> Float[Array, " sites"]:
     """t_s, past the arrest too; the drive is that which loads contact 0 to its threshold."""
-    loaded = theta[0] - phi[0]
-    driven = eqx.tree_at(lambda m: m.drive, modes, modes.drive * loaded)
-    start = nucleate(driven)._replace(stress=loaded)
+    first = jnp.arange(theta.size) == 0
 
-    def step(front, here):
+    def step(front: Front, here: tuple[Array, Array, Array]) -> tuple[Front, Array]:
         theta, phi, first = here
-        total = front.stress + phi
-        return advance(driven, front._replace(stress=_given_up(rule, total, theta, first))), total
+        total = jnp.where(first, theta, phi + stress_ahead(front)[0])
+        return advance(modes, front, _given_up(rule, total, theta, first)), total
 
-    return lax.scan(step, start, (theta, phi, jnp.arange(theta.size) == 0))[1]
+    return lax.scan(step, nucleate(modes, theta[0] - phi[0]), (theta, phi, first))[1]
 
 
 def _arrested(stress: Array, theta: Array) -> tuple:
@@ -130,7 +130,7 @@ def _arrested(stress: Array, theta: Array) -> tuple:
     def length(stress: Array, theta: Array) -> Array:
         over = stress - theta
         behind = jnp.where(s0 == 1, 0.0, over[s0 - 1])  # contact 0 breaks at its threshold exactly
-        return s0 - 1 + behind / (behind - over[s0])
+        return straight_line(s0 - 1, behind, over[s0])
 
     direct, direct_theta = jax.grad(length, (0, 1))(stress, theta)
     gain = (jnp.arange(n) < s0).astype(stress.dtype)

@@ -21,8 +21,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, nucleate
-from slippulse_jax.lattice.modes import Modes, lattice_modes
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, passage
+from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -77,17 +77,18 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     slider, rule = jax.tree.unflatten(kind, list(theta))
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
-    first = advance(modes, nucleate(modes))  # contact 0 breaks whole
-    start = Fading(first, rule.broken(first.stress, one))
+    over = passage(modes)  # contact 0 breaks whole
+    start = Fading(over.start, rule.broken(over.stress(over.start), one))
     # what is left beyond: at most its broken fraction times the sum of a decay no slower than ρ_2 < 1
     negligible = 1e-4 * jnp.finfo(one.dtype).eps
 
     def fading(now: Fading) -> Array:
-        return rule.broken(now.front.stress, one) > negligible
+        return rule.broken(over.stress(now.front), one) > negligible
 
     def step(now: Fading) -> Fading:
-        after = smooth_advance(modes, rule, now.front, one, 0 * one)
-        return Fading(after, now.length + rule.overloaded_length(now.front.stress, after.stress, one, one))
+        before = over.stress(now.front)
+        front = advance(modes, now.front, rule.broken(before, one) * before)
+        return Fading(front, now.length + rule.overloaded_length(before, over.stress(front), one, one))
 
     end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
     valid = in_domain(slider) & (rule.width > 0)
@@ -95,13 +96,3 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
         [~valid | ~jnp.isfinite(end.length), fading(end)], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
     ).astype(jnp.int32)
     return jnp.where(status == Outcome.ARRESTED, end.length, jnp.nan * (1 + jnp.abs(end.length))), status
-
-
-def smooth_advance(modes: Modes, rule: SmoothBreak, front: Front, threshold: Array, prestress: Array) -> Front:
-    """Let the part of the contact ahead break that the rule says, and look at the next one.
-
-    `front.stress` is the part of the stress due to load and breaks; the prestress comes on top and is released with it.
-    """
-    total = front.stress + prestress
-    given_up = rule.broken(total, threshold) * total
-    return advance(modes, front._replace(stress=given_up))._replace(stress_before=front.stress)

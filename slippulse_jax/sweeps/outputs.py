@@ -161,14 +161,14 @@ def _length(request: Request, columns: Columns) -> Columns:
 
 
 def _front(request: Request, columns: Columns) -> Columns:
-    found = _by_delay(request, columns, lambda slider, **options: bulk.precursor_arrests(slider, **options)._asdict())
+    found = _by_delay(request, columns, lambda slider, **options: bulk.arrests(slider, **options)._asdict())
     del found["length"]  # `_length` gives it, whatever other outputs there are: the two may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
 def _gradient(request: Request, columns: Columns) -> Columns:
     def gradients(slider: Slider, **options: Any) -> Columns:
-        found = bulk.length_gradients(slider, **options)._asdict()
+        found = bulk.lengths(slider, derivatives=1, **options)._asdict()
         return {f"dlength_d{name}": values for name, values in found.items() if values is not None and name != "length"}
 
     return _by_delay(request, columns, gradients)

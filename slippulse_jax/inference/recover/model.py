@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.delayed import front_stress
+from slippulse_jax.lattice.front import front_stress
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.lattice.sensitivity import sensitivity
 from slippulse_jax.slider import Slider
@@ -112,7 +112,7 @@ def _lengths() -> Callable[..., tuple[Array, ...]]:
     def one(height: Array, stiffness: Array, poisson: Array, at: Array, theta: Array, phi: Array) -> tuple[Array, ...]:
         def length(log_factor: Array) -> tuple[Array, Any]:
             slider = Slider(height, stiffness * jnp.exp(log_factor), poisson)
-            found = sensitivity(slider, sites=theta.size, threshold=theta, prestress=phi)
+            found = sensitivity(slider, Profile(theta, phi), sites=theta.size)
             return found.length, found
 
         zero = jnp.zeros_like(stiffness)
@@ -128,7 +128,7 @@ def _excesses() -> Callable[..., tuple[Array, ...]]:
     def one(height: Array, stiffness: Array, poisson: Array, at: Array, theta: Array, phi: Array) -> tuple[Array, ...]:
         def excess(theta: Array, phi: Array, log_factor: Array) -> tuple[Array, Any]:
             modes = lattice_modes(Slider(height, stiffness * jnp.exp(log_factor), poisson))
-            stress, _ = front_stress(modes, Profile(theta, phi), theta.size)
+            stress = front_stress(modes, theta.size, Profile(theta, phi))
             value, slope = _between(stress - theta, at)
             return value, (stress, slope)
 

@@ -8,8 +8,8 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.ageing import Ageing
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, chain
-from slippulse_jax.lattice.delayed import runaway_prestress
 from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
+from slippulse_jax.lattice.front import runaway_prestress
 from slippulse_jax.lattice.inertia import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths
 from slippulse_jax.lattice.modes import lattice_modes
