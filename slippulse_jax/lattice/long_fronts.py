@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout
 from slippulse_jax.lattice.crossing import crossing_in_bulk, system_of
+from slippulse_jax.lattice.front import straight_line
 from slippulse_jax.status import Outcome
 
 LONG = 2000.0
@@ -52,7 +53,7 @@ def long_length_kernel(max_contacts: int) -> Kernel:
             exact, status = crossing_in_bulk(found, relaxed)
             last = jnp.floor(exact)  # the last contact that breaks
             behind, ahead = series.rise(found, last)[0], series.rise(found, last + 1)[0]
-        length = last + behind / (behind - ahead)
+        length = straight_line(last, behind, ahead)
         return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
 
     return lengths
