@@ -19,6 +19,9 @@ COLOURS = {
 }
 """Colour of each class of event, by its name in `slippulse_jax.plot.style.Colours`."""
 
+NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
+"""Of a class in a legend, where its own name says too little."""
+
 
 @drawn
 def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
@@ -37,7 +40,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
                 events["force_before"][chosen],
                 ".",
                 color=getattr(c, COLOURS[kind]),
-                label=kind.name.lower(),
+                label=NAMES.get(kind, kind.name.lower()),
             )
     ax.set(xlabel="load, $U/u_s$", ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
@@ -63,7 +66,7 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     for kind, colour in COLOURS.items():
         chosen = kinds == kind
         if chosen.any():
-            ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=kind.name.lower())
+            ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=NAMES.get(kind, kind.name.lower()))
     ax.set(xlabel=DISTANCE, ylabel="load, $U/u_s$")
     ax.legend(frameon=False, title="event", alignment="left", loc="lower right", markerscale=3)
     return ax
