@@ -1,4 +1,4 @@
-"""Tables and figures of docs/surrogate.md, docs/cascade.md and docs/sensitivity.md: run it, and they are up to date.
+"""Regenerate the tables and figures of docs/surrogate.md, docs/cascade.md and docs/sensitivity.md.
 
 python docs/make_cascade_pages.py
 """
@@ -24,14 +24,14 @@ WIDTHS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
 
 
 def table(name, header, rows):
-    """A Markdown table, to be included by a page."""
+    """Write a Markdown table for a page to include."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     lines += ["| " + " | ".join(map(str, row)) + " |" for row in rows]
     (HERE / "tables" / f"{name}.md").write_text("\n".join(lines) + "\n")
 
 
 def picture(figure, name):
-    """A figure as a PNG, to be shown by a page."""
+    """Save a figure as a PNG for a page to show."""
     figure.savefig(HERE / "figures" / f"{name}.png", dpi=110)
     plt.close(figure)
 
@@ -41,14 +41,17 @@ smooth = jax.jit(lambda h, q, w: smooth_length(sp.Slider(h, q, 0.3), sp.SmoothBr
 
 
 def lengths(height, stiffness, width=None):
-    """ℓ, or ℓ_w, of sliders with ν = 0.3; all shapes that broadcast."""
+    """Return ℓ or ℓ_w of sliders with ν = 0.3; the arguments broadcast."""
     given = (height, stiffness) if width is None else (height, stiffness, width)
     numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in given))
     return np.asarray((hard if width is None else smooth)(*(x.ravel() for x in numbers))).reshape(numbers[0].shape)
 
 
 def bias():
-    """Over the range of the paper's Fig. 3: H/λc from 5 to 50, k/K from 0.003 to 0.03."""
+    """Tabulate and draw the surrogate's bias over the range of the paper's Fig. 3.
+
+    H/λc runs from 5 to 50, k/K from 0.003 to 0.03.
+    """
     height = np.linspace(5, 50, 46)
     stiffness = np.geomspace(0.003, 0.03, 11)
     h, q = np.meshgrid(height, stiffness)
@@ -117,7 +120,7 @@ def bias():
 
 
 def float32_errors():
-    """First precursors in float32 against float64."""
+    """Tabulate first precursors in float32 against float64."""
     rows = []
     for height, stiffness in ((10.0, 0.03), (25.0, 0.03), (50.0, 0.03), (25.0, 0.003)):
 
@@ -149,7 +152,7 @@ def float32_errors():
 
 
 def drift():
-    """Error accumulated over many breaks of one rupture."""
+    """Tabulate the error accumulated over many breaks of one rupture."""
     rows = []
     for sites, load, most in ((300, 20.0, 10**3), (300, 2e3, 10**4), (3000, 2e5, 10**5)):
         c = sp.chain(FIG2, sites=sites, right="free")
@@ -159,13 +162,13 @@ def drift():
         rows.append((sites, n, int(found.broken.max()), f"{float(found.drift):.1e}", f"{n * 16 * eps:.1e}", f"{u * eps:.1e}"))
     table(
         "drift",
-        ("N", "breaks", "of one contact, at most", "drift found, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"),
+        ("N", "breaks", "most breaks of one contact", "drift, σ_s", "bound 16 n ε, relative", "one digit of u, σ_s"),
         rows,
     )
 
 
 def pictures():
-    """A rupture and the sensitivity of its length."""
+    """Draw a rupture and the sensitivity of its length."""
     c = sp.chain(FIG2, sites=200)
     state, site = sp.nucleate(c)
     event = sp.rupture(c, state, trigger=site)

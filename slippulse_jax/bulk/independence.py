@@ -1,4 +1,4 @@
-"""Batches whose lanes cannot tell that they are in one."""
+"""Batches in which no bit of a lane depends on the others."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,9 +10,10 @@ from jax.custom_batching import custom_vmap
 
 
 def lane_by_lane(f: Callable, *given: Any) -> Any:
-    """f(*given), evaluated under ``jax.vmap`` lane by lane, so that no bit depends on the batch.
+    """Evaluate f(*given) lane by lane under ``jax.vmap``.
 
-    On a CPU a lane that is done then costs nothing. An accelerator runs the lanes in step.
+    On a CPU no bit of a result then depends on the batch, and a finished lane costs nothing. An accelerator runs the lanes
+    in step.
     """
     return lax.platform_dependent(*given, cpu=_one_by_one(f), default=f)
 
@@ -24,7 +25,7 @@ def _one_by_one(f: Callable) -> Callable:
     def _rule(axis_size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
         leaves, tree = jax.tree.flatten(args)
         batched = jax.tree.leaves(in_batched)
-        # a loop over one lane would be compiled as no loop, and might round otherwise: never fewer than two
+        # XLA would unroll a loop over a single lane, which might then round differently: run at least two
         twice = [jnp.concatenate([x, x]) if b and axis_size == 1 else x for x, b in zip(leaves, batched, strict=True)]
 
         def lane(mapped: list) -> Any:

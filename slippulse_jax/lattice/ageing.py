@@ -1,12 +1,12 @@
-r"""Contacts that age: a newborn contact is weak, and its threshold grows with its age.
+r"""Ageing of contacts: thresholds that grow with the age of a contact.
 
-A contact of age a has the threshold θ_i [ν + (1 − ν) g(a)], ν the strength of a newborn, in units of an old one. Age is
-counted in load (displacement of the left edge or of the driver, in u_s), or in time where the drive has a velocity.
+A contact of age a has the threshold θ_i [ν + (1 − ν) g(a)], with ν the strength of a newborn contact relative to an old one.
+Age is measured in load (displacement of the left edge or of the driver, in u_s), or in time if the drive has a velocity.
 
-Under a growing load the stress on a contact grows linearly and its threshold, concave in age, ever more slowly. The load of
-the next break is where the first of these pairs of curves cross. It is found exactly, not by small steps: Newton's method
-started where the curves approach each other lands, by concavity, beyond the crossing and from there returns to it without
-ever passing it.
+Under an increasing load the stress on a contact grows linearly, while its threshold, concave in age, grows ever more slowly.
+The next break occurs at the load where the first of these pairs of curves crosses. It is found exactly, not by small steps:
+Newton's method starts where the curves approach each other. By concavity its first step lands beyond the crossing, and it then
+returns to the crossing without overshooting.
 """
 
 from typing import Literal, get_args
@@ -30,13 +30,13 @@ class Ageing(eqx.Module):
     Parameters
     ----------
     newborn : float
-        ν, threshold of a contact just repinned over that of one never broken; in (0, 1].
+        ν, threshold of a contact that has just repinned, relative to that of one that never broke; in (0, 1].
     scale : float
-        τ > 0, age at which a contact has recovered appreciably, in u_s of load (or in time, with ``clock="time"``).
+        τ > 0, characteristic age of recovery, in u_s of load (or in time, with ``clock="time"``).
     law : {"exponential", "logarithmic"}
-        g(a) = 1 − e^{−a/τ}, or g(a) = ln(1 + a/τ)/ln 2, which is 1 at a = τ and goes on growing.
+        g(a) = 1 − e^{−a/τ}, or g(a) = ln(1 + a/τ)/ln 2, which is 1 at a = τ and keeps growing.
     clock : {"load", "time"}
-        What ages are counted in. A protocol with velocity v turns a time into a load: τ_load = v τ.
+        Measure of age. A protocol with velocity v converts time to load: τ_load = v τ.
     """
 
     newborn: Float[AnyArrayLike, ""] = quantity_field("\\nu", "1")
@@ -57,7 +57,10 @@ class Ageing(eqx.Module):
                 raise ValueError(f"Ageing.{name} = {value}: {requirement}")
 
     def strength(self, age: Array, velocity: Array | float = 1.0) -> Array:
-        """Threshold over that of an old contact; an age of inf is that of a contact never broken."""
+        """Threshold relative to that of an old contact.
+
+        A contact that never broke has the age inf.
+        """
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
@@ -65,7 +68,7 @@ class Ageing(eqx.Module):
         return jnp.where(old, 1, nu + (1 - nu) * grown)
 
     def load_scale(self, velocity: Array | float) -> Array:
-        """τ in load."""
+        """Convert τ to load."""
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
     def growth(self, age: Array, velocity: Array | float = 1.0) -> Array:
@@ -77,7 +80,10 @@ class Ageing(eqx.Module):
         return jnp.where(old, 0, (1 - nu) * rate / tau)
 
     def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
-        """Age at which the strength grows at a given rate; negative if it never grows so fast."""
+        """Age at which the strength grows at a given rate.
+
+        Negative if it never grows that fast.
+        """
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         ratio = growth * tau / (1 - nu)
         if self.law == "exponential":
@@ -91,7 +97,9 @@ MAX_NEWTON_STEPS = 60
 def next_crossing(
     ageing: Ageing, stress: Array, per_load: Array, threshold: Array, age: Array, velocity: Array | float = 1.0
 ) -> Float[Array, " N"]:
-    """Find the increase of load that brings each contact to its growing threshold; inf if none.
+    """Find the load increase that brings each contact to its threshold.
+
+    The result is inf where no increase does.
 
     Parameters
     ----------
@@ -99,9 +107,9 @@ def next_crossing(
     stress, per_load : array, shape (N,)
         Stress now, below threshold, and its growth per load, in σ_s and σ_s/u_s.
     threshold : array, shape (N,)
-        Of contacts never broken, in σ_s.
+        Of contacts that never broke, in σ_s.
     age : array, shape (N,)
-        In load; inf for a contact never broken.
+        In load; inf for a contact that never broke.
     """
     pulled = (per_load > 0) & (threshold < jnp.inf)
     c = jnp.where(pulled, per_load, 1)
@@ -110,7 +118,7 @@ def next_crossing(
     def gap(d: Array) -> Array:
         return theta * ageing.strength(age + d, velocity) - stress - c * d
 
-    # where the threshold grows half as fast as the stress: beyond it the gap closes, and a tangent lands beyond the crossing
+    # where the threshold grows half as fast as the stress: the gap closes from there on, and a tangent overshoots the crossing
     ageless = jnp.isinf(age)
     start = ageing.age_of_growth(c / (2 * theta), velocity) - jnp.where(ageless, 0, age)
     start = jnp.where(ageless, 0, jnp.maximum(start, 0))
@@ -120,7 +128,7 @@ def next_crossing(
         slope = theta * ageing.growth(age + d, velocity) - c
         after = jnp.maximum(d - gap(d) / slope, 0)
         after = jnp.where(pulled, after, 0)
-        # the first step may go either way; after it the iterates only come down, until rounding stops them
+        # the first step may go either way; after it the iterates only decrease, until rounding stops them
         moved = (n == 0) | (after < d)
         return jnp.where(moved, after, d), jnp.any(moved & (after != d)), n + 1
 

@@ -1,16 +1,16 @@
-"""Breaks one after another, at a fixed load: stresses of all contacts, known block by block.
+"""Successive breaks at a fixed load, with stresses kept block by block.
 
 A break changes every stress by a known amount (`slippulse_jax.lattice.response`). Within the block of the broken contact the
-change is made at once; every other block only receives what has arrived at its edges, and bounds its largest overload by
+stresses are updated at once. Every other block only adds up what arrives at its edges, and bounds its largest overload by
 
     overload ≤ (largest overload when the block was last opened) + (arrived) · (largest reading of a contact).
 
-To open a block is to read off its stresses as they are now. So the most overloaded contact of the chain is found by opening few
-blocks, and the contacts of one block break one after another, in a *burst*, for as long as no other block can hold a more
-overloaded one. The order of breaks is exactly that of looking at all contacts after every break, at O(√N) per break or less.
+To open a block is to compute its current stresses. The most overloaded contact of the chain is found by opening a few blocks.
+The contacts of one block then break one after another, in a *burst*, until another block might hold a more overloaded contact.
+The order of breaks is exactly the same as if all contacts were checked after every break; the cost is O(√N) per break or less.
 
-A contact may repin a while after it broke. Until then it is detached and carries nothing: its pinning point follows the layer.
-So as a contact breaks, the pinning points of all detached ones move such that no stress is left there.
+A contact may repin some breaks after it broke. Until then it is detached and carries no stress: its pinning point follows the
+layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
 """
 
 from collections.abc import Callable
@@ -25,54 +25,54 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.lattice.response import Response, carried
 
 SLACK_DIGITS = 4096
-"""Units in the last place by which a bound is raised: more than thousands of positive terms can lose."""
+"""Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
 
 
 class Stresses(NamedTuple):
     """Stresses of B blocks of M contacts, in σ_s."""
 
-    held: Float[Array, "B M"]  # stress as of when the block was last opened
-    inbox: Float[Array, "B 4"]  # arrived at the block's edges since
+    held: Float[Array, "B M"]  # stress when the block was last opened
+    inbox: Float[Array, "B 4"]  # displacements that have arrived at the block's edges since then
     worst: Float[Array, " B"]  # largest overload of the block when it was last opened
 
 
 class Burst(NamedTuple):
-    """Breaks of one block under way."""
+    """State of a burst: successive breaks in one block."""
 
     stress: Float[Array, " M"]
     threshold: Float[Array, " M"]
-    given: Float[Array, " M"]  # stress each contact has given up so far
+    given: Float[Array, " M"]  # stress each contact has released so far
     site: Array  # most overloaded contact of the block
     overload: Array  # its overload
     left: Float[Array, "4"]  # what has left the block, to the right and to the left
     breaks: Array
-    book: Any  # what the caller keeps of every break
+    book: Any  # the caller's record of the breaks
 
 
 def slack(like: Array) -> float:
-    """Factor by which a bound is raised."""
+    """Factor by which a bound is raised to cover rounding."""
     return 1 + SLACK_DIGITS * float(jnp.finfo(like.dtype).eps)
 
 
 def bounds(resp: Response, now: Stresses) -> Float[Array, " B"]:
-    """Upper bound on the overload in each block."""
+    """Bound the overload in each block from above."""
     return now.worst + (now.inbox * resp.reach).sum(-1) * slack(now.worst)
 
 
 def opened(resp: Response, now: Stresses, block: Array) -> Float[Array, " M"]:
-    """Stresses of one block."""
+    """Compute the current stresses of one block."""
     return now.held[block] + (now.inbox[block][:, None] * resp.read[block]).sum(0)
 
 
 def all_opened(resp: Response, now: Stresses) -> Float[Array, "B M"]:
-    """Stresses of all blocks."""
+    """Compute the current stresses of all blocks."""
     return now.held + sum(
         now.inbox[:, k, None] * resp.read[:, k] for k in range(4)
-    )  # written out: compiles to arithmetic on rows
+    )  # written out, to compile to arithmetic on rows
 
 
 def closed(now: Stresses, block: Array, stress: Array, worst: Array, arrivals: Float[Array, "B 4"]) -> Stresses:
-    """Close one block and send out what left it."""
+    """Close one block and deliver what left it to the other blocks."""
     return Stresses(
         held=now.held.at[block].set(stress),
         inbox=now.inbox.at[block].set(0) + arrivals,
@@ -81,19 +81,19 @@ def closed(now: Stresses, block: Array, stress: Array, worst: Array, arrivals: F
 
 
 def looked_at(resp: Response, now: Stresses, block: Array, worst: Array) -> Stresses:
-    """Renew the bound of one block, whose largest overload is now `worst`."""
+    """Update the bound of one block, whose largest overload is now `worst`."""
     since = (now.inbox[block] * resp.reach[block]).sum()
     return now._replace(worst=now.worst.at[block].set(worst - since))
 
 
 def most(x: Array) -> tuple[Array, Array]:
-    """Index and value of the largest entry; the first of equals."""
+    """Return index and value of the largest entry; the first of equals."""
     value = x.max()
     return jnp.argmax(x == value).astype(jnp.int32), value
 
 
 class Moves(NamedTuple):
-    """Contacts whose pinning points move at a break, the breaking one last."""
+    """Contacts whose pinning points move in a break, the breaking contact last."""
 
     sites: Int[Array, " n"]  # −1 for none
     given: Float[Array, " n"]
@@ -113,20 +113,22 @@ def burst(
     room: Array,
     note: Note,
 ) -> Burst:
-    """Break contacts of an opened block, the most overloaded first, while none elsewhere can be more overloaded.
+    """Break contacts of one opened block, the most overloaded first.
+
+    The burst ends when a contact of another block might be more overloaded.
 
     Parameters
     ----------
     start : Burst
-        As `begun` has it.
+        From `begun`.
     renewed : array, shape (M,)
         Thresholds of contacts that have broken and repinned.
     others : array, shape ()
         Bound on the overload of every other block.
     forced : array, shape ()
-        Contact that breaks first whatever its overload; −1 for none.
+        Contact that breaks first, whatever its overload; −1 for none.
     room : array, shape ()
-        Breaks at most.
+        Largest number of breaks.
     """
     size = start.stress.shape[0]
     spill = resp.spill[block] * slack(start.stress)
@@ -157,7 +159,10 @@ def burst(
 
 
 def fold(op: Callable[[Array, Array], Array], x: Float[Array, "... M"]) -> Float[Array, "..."]:
-    """Reduce the last axis, of length 2ⁿ, half by half: this compiles to vector instructions."""
+    """Reduce the last axis, of length 2ⁿ, by halves.
+
+    Unlike a plain reduction, this compiles to vector instructions.
+    """
     while x.shape[-1] > 1:
         half = x.shape[-1] // 2
         x = op(x[..., :half], x[..., half:])
@@ -165,12 +170,12 @@ def fold(op: Callable[[Array, Array], Array], x: Float[Array, "... M"]) -> Float
 
 
 def whole(stress: Float[Array, "B M"], threshold: Float[Array, "B M"]) -> Stresses:
-    """Stresses with all blocks open."""
+    """Stresses with every block just opened."""
     return Stresses(stress, jnp.zeros((stress.shape[0], 4), stress.dtype), fold(jnp.maximum, stress - threshold))
 
 
 def largest(x: Float[Array, "B M"]) -> tuple[Int[Array, ""], Array]:
-    """Site and value of the largest entry; the first of equals."""
+    """Return site and value of the largest entry; the first of equals."""
     block, value = most(fold(jnp.maximum, x))
     return block * x.shape[1] + most(x[block])[0], value
 
@@ -182,18 +187,21 @@ def begun(stress: Float[Array, " M"], threshold: Float[Array, " M"], given: Floa
 
 
 Limits = Callable[[Array, Float[Array, " M"]], tuple[Float[Array, " M"], Float[Array, " M"]]]
-"""Thresholds in a block, by its number and what its contacts have given up: now, and once broken; inf where there is none."""
+"""Thresholds of a block, current and after a break; inf where there is no contact.
+
+The arguments are the number of the block and the stress its contacts have released.
+"""
 
 
 class Cascade(NamedTuple):
-    """State of a cascade, during and after it; B blocks of M contacts."""
+    """State of a cascade in B blocks of M contacts."""
 
     stresses: Stresses
-    given: Float[Array, "B M"]  # stress given up by each contact so far: how far its pinning point moved, in σ_s
-    arrived: Float[Array, "B 4"]  # at the edges of every block; inf where contacts of the block broke
+    given: Float[Array, "B M"]  # stress released by each contact so far: the shift of its pinning point as a stress, in σ_s
+    arrived: Float[Array, "B 4"]  # displacements at the edges of every block; inf where contacts of the block broke
     breaks: Int[Array, ""]
-    overload: Float[Array, ""]  # not negative if contacts were still over threshold after the most breaks allowed
-    book: Any  # what the caller kept of every break
+    overload: Float[Array, ""]  # not negative if contacts were still overloaded when the limit on breaks was reached
+    book: Any  # the caller's record of the breaks
 
 
 def check_delay(delay: object) -> None:
@@ -215,8 +223,8 @@ def run(
 ) -> Cascade:
     """Break contacts until none is overloaded, or `max_breaks` have broken.
 
-    The contact `trigger` breaks first, unless it is negative. Broken contacts repin at once, or `delay` breaks later; then all
-    stresses are updated at every break, in O(N).
+    Contact `trigger` breaks first, unless it is negative. Broken contacts repin at once, or `delay` breaks later; with a
+    delay every break updates all stresses, in O(N).
     """
     nothing, none = jnp.full((), -jnp.inf, given.dtype), jnp.zeros((), jnp.int32)
     start = Cascade(stresses, given, jnp.zeros_like(stresses.inbox), none, nothing, book)
@@ -284,12 +292,12 @@ def _one_by_one(
 
     def turn(now: Delayed) -> Delayed:
         t = now.stress.reshape(-1)[now.site]
-        # the one that has been detached longest repins first, where it is
+        # the contact detached longest repins first, where it is
         moving = jnp.append(now.detached, now.site)[1:]
         moves = _given_up(resp, moving, t)
         stress, given = _moved(resp, now.stress, now.given, moving, moves)
         site, overload = largest(overloads(stress, given))
-        # by what the site of the broken contact moved, as a stress
+        # the displacement of the broken contact's site, as a stress
         book = note(now.book, Moves(moving, moves), t, moves[-1] - t)
         return Delayed(stress, given, moving, site, overload, now.breaks + 1, book)
 
@@ -304,7 +312,7 @@ def _one_by_one(
 
 
 def _given_up(resp: Response, moving: Int[Array, " n"], t: Array) -> Float[Array, " n"]:
-    """Stress released by each detached contact as the last of them breaks."""
+    """Compute the stress each detached contact releases as the last one breaks."""
     size, n = resp.near.shape[1], moving.shape[0]
     there = moving >= 0
     block, place = jnp.maximum(moving, 0) // size, jnp.maximum(moving, 0) % size

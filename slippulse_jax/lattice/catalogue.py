@@ -1,4 +1,4 @@
-"""Catalogue of the events of a series, and its tables with units in CSV and NetCDF."""
+"""Catalogue of the events of a series, and its export with units."""
 
 import csv
 import io
@@ -24,7 +24,7 @@ class SeriesStatus(Status):
 
 
 class EventClass(Status):
-    """Class of an event; the first that applies."""
+    """Class of an event; the first one that applies."""
 
     SPANNING = 0, "broke the last contact of the chain"
     EDGE = 1, "nucleated at the left edge"
@@ -33,44 +33,45 @@ class EventClass(Status):
 
 
 class Catalogue(NamedTuple):
-    """Events of a series in order; displacements in u_s, stresses in σ_s, forces in K u_s, energies in K u_s².
+    """Events of a series, in order.
 
-    Rows beyond `number` are empty: kind −1, numbers NaN or 0.
+    Displacements are in u_s, stresses in σ_s, forces in K u_s and energies in K u_s². Rows beyond `number` are empty: kind −1,
+    numbers NaN or 0.
     """
 
-    load: Float[Array, " E"]  # U (of the driver, with a spring)
+    load: Float[Array, " E"]  # U (with a spring, that of the driver)
     force_before: Float[Array, " E"]  # on the left edge, as the event starts
     force_after: Float[Array, " E"]
-    site: Int[Array, " E"]  # that broke first
+    site: Int[Array, " E"]  # site that broke first
     leftmost: Int[Array, " E"]
     extent: Int[Array, " E"]  # sites from the left edge to the rightmost broken one, which is among them
-    length: Float[Array, " E"]  # the same by the straight line of `precursor_length`; inf where the last contact broke
+    length: Float[Array, " E"]  # interpolated along a straight line, as by `precursor_length`; inf where the last contact broke
     breaks: Int[Array, " E"]
-    slip: Float[Array, " E"]  # sum over contacts of how far pinning points moved
-    stress_drop: Float[Array, " E"]  # sum over contacts of stress before − after
-    work: Float[Array, " E"]  # of the drive since the event before
-    stored: Float[Array, " E"]  # potential energy after the event: all work so far less broken and relaxed
+    slip: Float[Array, " E"]  # sum over contacts of the shifts of their pinning points
+    stress_drop: Float[Array, " E"]  # sum over contacts of the stress before − after
+    work: Float[Array, " E"]  # of the drive since the previous event
+    stored: Float[Array, " E"]  # potential energy after the event: all work so far minus broken and relaxed
     broken: Float[Array, " E"]  # energy of the stretch of the contacts that broke
-    relaxed: Float[Array, " E"]  # energy given up as the chain relaxed after the breaks
+    relaxed: Float[Array, " E"]  # energy released as the chain relaxed after the breaks
     kind: Int[Array, " E"]  # an EventClass
-    number: Int[Array, ""]  # of events
-    break_site: Int[Array, " L"]  # every break in order, as far as `recorded_breaks` goes; −1 beyond
+    number: Int[Array, ""]  # number of events
+    break_site: Int[Array, " L"]  # site of every break in order, up to `recorded_breaks`; −1 beyond
     break_event: Int[Array, " L"]
     state: State  # at the end
-    drift: Float[Array, ""]  # largest error of a stress accumulated over all breaks, in σ_s
-    energy_drift: Float[Array, ""]  # `stored` at the end against the springs of the chain, solved afresh
+    drift: Float[Array, ""]  # largest error of a stress, accumulated over all breaks, in σ_s
+    energy_drift: Float[Array, ""]  # difference of `stored` at the end from the energy of the chain solved afresh
     status: Int[Array, ""]  # a SeriesStatus
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns of the catalogue, without its empty rows."""
+        """Return the columns of the catalogue, without its empty rows."""
         return table(self)
 
     def reach(self, load: ArrayLike) -> np.ndarray:
-        """Distance from the left edge that fronts have reached by a load, in λc.
+        """Interpolate the farthest position reached by fronts at a load, in λc.
 
-        Straight lines join the events that came farther than all before them; after the last of these the front stands where it
-        stopped, up to the load at which the series ends. How many events it takes depends on how finely the edge is moved; how
-        far they have come by a load hardly does (``docs/series.md``).
+        The interpolation is linear between the events that got farther than all earlier ones. After the last of these the
+        position stays constant, up to the load at which the series ends. The number of events depends on how finely the edge
+        is moved; the position reached at a load hardly does (``docs/series.md``).
 
         Parameters
         ----------
@@ -80,9 +81,9 @@ class Catalogue(NamedTuple):
         Returns
         -------
         numpy.ndarray
-            0 before the first event, inf from the load at which the last contact breaks. NaN where it is not known: beyond the
-            load of the last event (unless the series ended because no load breaks a further contact), and from the load of an
-            event that was given up.
+            0 before the first event, inf from the load at which the last contact breaks. NaN where the position is unknown:
+            beyond the load of the last event (unless the series ended because no load breaks a further contact), and from
+            the load of an event that reached `max_breaks`.
 
         Raises
         ------
@@ -121,7 +122,7 @@ COLUMNS = {
 
 
 def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
-    """Columns of a catalogue as NumPy arrays, without its empty rows.
+    """Return a catalogue's columns as NumPy arrays, without its empty rows.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
 
 
 def to_csv(catalogue: Catalogue) -> str:
-    """Format a catalogue as CSV: names, units, then numbers to the last digit."""
+    """Format a catalogue as CSV: names, units, then numbers in full precision."""
     columns = table(catalogue)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -166,12 +167,12 @@ def to_dataset(catalogue: Catalogue) -> Any:
 
 
 def write_series(path: str | Path, catalogue: Catalogue) -> None:
-    """Write a catalogue to ``.csv`` or ``.nc``, in one step.
+    """Write a catalogue to ``.csv`` or ``.nc``, atomically.
 
     Raises
     ------
     ValueError
-        If the suffix is neither, or the catalogue is a batch.
+        If the suffix is neither of these, or the catalogue is a batch.
     """
     path = Path(path)
     if path.suffix == ".csv":
@@ -180,4 +181,4 @@ def write_series(path: str | Path, catalogue: Catalogue) -> None:
         content = to_dataset(catalogue).to_netcdf(engine="h5netcdf")
         write_atomically(path, bytes(content))
     else:
-        raise ValueError(f"{path}: a series is written as .csv or .nc")
+        raise ValueError(f"{path}: the suffix of a series must be .csv or .nc")

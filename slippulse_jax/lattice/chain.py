@@ -1,9 +1,9 @@
-"""Any interface: a chain of sites whose springs, contacts, thresholds and preload may differ from site to site.
+"""Chain of sites whose springs, contacts, thresholds and prestress may vary.
 
-The rest of a chain, as one site sees it, is a network of springs with two terminals, u_t and u: however long the rest
-is, it comes down to three springs, one from each layer to the ground and one across. The right end of a chain is
-therefore three springs too (`Springs`): none for a free end, two bonds to a wall for a clamped one, and for a
-semi-infinite chain those that an endless uniform interface amounts to, which makes the end exactly absorbing.
+The part of the chain beyond a site is a network of springs with two terminals, u_t and u. However long it is, it is
+equivalent to three springs: one from each layer to the ground and one across. The right end of a chain is therefore
+three springs too (`Springs`): none for a free end, two bonds to a wall for a clamped end, and for a semi-infinite chain
+the equivalent of an endless uniform interface, which makes the end exactly absorbing.
 """
 
 from collections.abc import Callable
@@ -42,12 +42,12 @@ class State(NamedTuple):
 
 
 class Chain(eqx.Module):
-    """N sites of upper layer, interfacial layer and contacts; made by `chain`.
+    """Chain of N sites, each with two layers and a contact.
 
-    Forces are in K u_s, displacements in u_s and stresses in σ_s, where u_s, σ_s and `stiffness` are those of the
-    slider's own λ-contact. The stress on contact i is t_i = (k_i/k) f(u_i − u_b,i) + φ_i, with f(z) = z unless `law`
-    says otherwise; a detached contact (k_i = 0) carries none. `height` is that of the slider: the mass of a block of the
-    upper layer over that of one of the interfacial layer, whatever its bonds.
+    Made by `chain`. Forces are in K u_s, displacements in u_s and stresses in σ_s, where u_s, σ_s and `stiffness` are those
+    of the slider's own λ-contact. The stress on contact i is t_i = (k_i/k) f(u_i − u_b,i) + φ_i, with f(z) = z unless `law`
+    specifies another; a detached contact (k_i = 0) carries none. `height` is that of the slider: the ratio of the masses of a
+    block of the upper layer and one of the interfacial layer, whatever the stiffness of the bonds.
     """
 
     upper: Float[Array, " N-1"] = quantity_field("K_L", "K", "cra03")
@@ -58,16 +58,16 @@ class Chain(eqx.Module):
     prestress: Float[Array, " N"] = quantity_field("\\varphi_i", "\\sigma_s")
     stiffness: Float[Array, ""] = quantity_field("k", "K", "cra41")
     height: Float[Array, ""] = quantity_field("H/\\lambda_c", "1", "cra41")
-    end: Springs = eqx.field(kw_only=True)  # what lies beyond the last site
+    end: Springs = eqx.field(kw_only=True)  # equivalent of all that lies beyond the last site
     law: ForceLaw | None = None
 
     @property
     def sites(self) -> int:
-        """N."""
+        """Number of sites, N."""
         return self.contact.shape[-1]
 
     def relaxed(self, load: AnyArrayLike = 0.0) -> State:
-        """State with every contact pinned where it was made, under a load U (in u_s)."""
+        """Make the state with every pinning point at zero, under load U, in u_s."""
         return State(jnp.zeros_like(self.contact), jnp.asarray(load, dtype=self.contact.dtype))
 
     def contact_force(self, stretch: Array) -> Array:
@@ -75,7 +75,7 @@ class Chain(eqx.Module):
         return self.contact * (stretch if self.law is None else self.law(stretch))
 
     def stress(self, layer: Array, pinning: Array) -> Float[Array, " N"]:
-        """t_i, in σ_s."""
+        """Stress t_i on each contact, in σ_s."""
         attached = self.contact > 0
         return jnp.where(attached, self.contact_force(layer - pinning) / self.stiffness + self.prestress, 0)
 
@@ -93,7 +93,7 @@ def chain(
     layer: AnyArrayLike = 1.0,
     law: ForceLaw | None = None,
 ) -> Chain:
-    """Make a chain of `sites` sites, whose fields may vary along it.
+    """Make a chain of `sites` sites with uniform or varying properties.
 
     Parameters
     ----------
@@ -104,32 +104,33 @@ def chain(
     interface : Interface or Profile, optional
         Thresholds and prestress of the contacts; uniform and relaxed by default.
     right : {"semi-infinite", "free", "clamped"}
-        What the chain does beyond its last site: goes on for ever, uniform, relaxed and unbroken; nothing; is tied to a
-        wall one bond further.
+        Beyond its last site the chain continues without end, uniform, relaxed and unbroken (semi-infinite), stops (free),
+        or is tied to a wall one bond further (clamped).
     contact : array_like, shape () or (N,), optional
         k_i/K; 0 for a detached contact. The slider's k/K by default.
     threshold : array_like, shape () or (N,), optional
-        θ_i > 0, the stress at which contact i breaks, in σ_s; instead of the interface's.
+        θ_i > 0, the stress at which contact i breaks, in σ_s; replaces that of the interface.
     prestress : array_like, shape () or (N,), optional
-        φ_i, the stress contact i carries when u_i = u_b,i = 0, balanced by a traction held fixed (top shear), in σ_s;
-        instead of the interface's.
+        φ_i, the stress on contact i when u_i = u_b,i = 0, balanced by a constant traction (top shear), in σ_s; replaces
+        that of the interface.
     upper, layer : array_like, shape () or (N−1,), optional
         Stiffness of each bond of the two layers, in K. K_L = H/λc and 1 by default.
     law : callable, optional
-        f, the force law of a contact in units of its stiffness: from the stretches of all contacts in u_s, shape (N,), to
-        as many numbers; f(0) = 0 and f'(0) = 1 to keep the meaning of `contact`. Linear by default. To differentiate
-        with respect to its parameters, pass an ``equinox.Module`` or ``jax.tree_util.Partial`` that holds them.
+        f, the force law of a contact in units of its stiffness: a function of the stretches of all contacts in u_s, shape
+        (N,), that returns an array of the same shape; f(0) = 0 and f'(0) = 1 keep the meaning of `contact`. Linear by
+        default. To differentiate with respect to its parameters, pass an ``equinox.Module`` or ``jax.tree_util.Partial``
+        that holds them.
 
     Raises
     ------
     ValueError
-        If a value lies outside its domain or a shape does not fit, naming both (traced values are not checked); or if the
-        interface has a repinning delay, which is an argument of `rupture` and `series`.
+        If a value lies outside its domain or a shape does not fit (the message names both; traced values are not checked),
+        or if the interface has a repinning delay, which is an argument of `rupture` and `series`.
     """
     if right not in get_args(RightEnd):
         raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
     if slider.shape != ():
-        raise ValueError(f"slider has shape {slider.shape}: a chain is made of one slider; use jax.vmap for a batch")
+        raise ValueError(f"slider has shape {slider.shape}: a chain takes one slider; use jax.vmap for a batch")
     if sites < 2:
         raise ValueError(f"sites = {sites}: must be at least 2")
     of_interface = _of_interface(interface, sites)
@@ -145,7 +146,7 @@ def chain(
             bad = ~(np.isfinite(value) & inside(np.asarray(value)))
             if bad.any():
                 raise ValueError(f"{name} = {np.asarray(value)[bad].flat[0]:g}: must be {domain}")
-        array = jnp.asarray(value)  # a Python number takes the slider's precision: left weak, it would be a program of its own
+        array = jnp.asarray(value)  # a Python number takes the slider's precision: a weak type would compile another program
         given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
         return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
 
@@ -175,15 +176,18 @@ def _of_interface(interface: Interface | Profile | None, sites: int) -> tuple[An
     if interface is None:
         return 1.0, 0.0
     if interface.shape != ():
-        raise ValueError(f"interface has shape {interface.shape}: a chain has one interface; use jax.vmap for a batch")
+        raise ValueError(f"interface has shape {interface.shape}: a chain takes one interface; use jax.vmap for a batch")
     if interface.repin_delay:
-        raise ValueError("chain takes no repin_delay: give it to rupture or series; prestress and thresholds are taken")
+        raise ValueError("chain takes no repin_delay, only prestress and thresholds: pass the delay to rupture or series")
     numbers = jnp.arange(sites)
     return interface.threshold_at(numbers), interface.prestress_at(numbers)
 
 
 def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Float[Array, ""]:
-    """Potential energy of a chain with linear contacts, prestress included, in K u_s²."""
+    """Potential energy of a chain with linear contacts, in K u_s².
+
+    Prestress is included.
+    """
     upper, layer = x
     bonds = (chain.upper * jnp.diff(upper) ** 2).sum() + (chain.layer * jnp.diff(layer) ** 2).sum()
     sites = (chain.across * (upper - layer) ** 2).sum() + (chain.contact * (layer - pinning) ** 2).sum()
@@ -193,7 +197,9 @@ def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Fl
 
 
 def endless(bonds: Springs, contact: Array) -> Springs:
-    """Reduce an endless uniform half-line, seen through its first bond, to three springs.
+    """Reduce an endless uniform half-line to three equivalent springs.
+
+    The half-line begins with its first bond.
 
     Parameters
     ----------
@@ -204,9 +210,9 @@ def endless(bonds: Springs, contact: Array) -> Springs:
 
     Notes
     -----
-    In mode m the displacement falls by r_m per site, so a bond pulls back with its stiffness times (1 − r_m): the
+    In mode m the displacement falls by a factor r_m per site, so a bond pulls back with its stiffness times (1 − r_m): the
     end is B g(M), with B = diag(K_L, K), M the 2×2 matrix of the bulk equations with eigenvalues κ_m², and
-    g(κ²) = 1 − r. Of a 2×2 matrix, g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).
+    g(κ²) = 1 − r. For a 2×2 matrix g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).
     """
     K_L, K, K_T = bonds
     kT2, b, q = K_T / K_L, K_T / K, contact / K
@@ -230,7 +236,10 @@ def endless(bonds: Springs, contact: Array) -> Springs:
 
 
 def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
-    """Put a driver before the first site, tied to the upper layer by a spring (in K)."""
+    """Put a driver before the first site, tied by a spring.
+
+    The spring joins it to the upper layer; `stiffness` is in K.
+    """
     dtype = chain.contact.dtype
 
     def before(first: AnyArrayLike, rest: Array) -> Array:
@@ -242,7 +251,7 @@ def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
         (
             before(stiffness, chain.upper),
             before(0.0, chain.layer),
-            before(1.0, chain.across),  # the driver's idle layer site follows it, and carries nothing
+            before(1.0, chain.across),  # the driver's idle interfacial site follows it and carries no force
             before(0.0, chain.contact),
             before(1.0, chain.threshold),
             before(0.0, chain.prestress),
@@ -250,31 +259,31 @@ def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
     )
 
 
-# --- elimination, site after site ---
+# --- elimination, site by site ---
 
 Pair = tuple[Array, Array]
-"""One number for each layer: (upper, interfacial)."""
+"""One number per layer: (upper, interfacial)."""
 
 
 class Elimination(NamedTuple):
-    """A chain as each site sees it, looking right."""
+    """Equivalent springs of all that lies to the right of each site."""
 
-    beyond: Springs  # (N,): everything right of site i, through bond i; the last is the chain's end
-    floating: Bool[Array, ""]  # whether a part of the chain is held by nothing
+    beyond: Springs  # (N,): of everything right of site i, including bond i; the last is the chain's end
+    floating: Bool[Array, ""]  # whether a part of the chain is unattached
 
 
 def beside(far: Springs, across: Array, contact: Array) -> Springs:
-    """Put the springs of one site beside `far`."""
+    """Add the springs of one site to `far`, in parallel."""
     return Springs(far.upper, far.layer + contact, far.across + across)
 
 
 def determinant(springs: Springs) -> Array:
-    """Determinant of the 2×2 stiffness matrix of three springs; zero where something floats."""
+    """Determinant of the springs' 2×2 stiffness matrix; zero where a part floats."""
     return springs.upper * springs.layer + springs.across * (springs.upper + springs.layer)
 
 
 def solve_pair(springs: Springs, force: Pair) -> Pair:
-    """Displace the two terminals by given forces; zero where something floats."""
+    """Displace the two terminals by given forces; zero where a part floats."""
     det = determinant(springs)
     det = jnp.where(det > 0, det, jnp.inf)
     f, g = force
@@ -285,7 +294,7 @@ def solve_pair(springs: Springs, force: Pair) -> Pair:
 
 
 def through(bond: Pair, far: Springs) -> Springs:
-    """Reduce `far` and a bond of each layer to three springs."""
+    """Reduce `far` and one bond per layer, in series, to three springs."""
     B, K = bond
     held = Springs(B + far.upper, K + far.layer, far.across)
     upper, layer = solve_pair(held, (far.upper, far.layer))
@@ -294,7 +303,10 @@ def through(bond: Pair, far: Springs) -> Springs:
 
 
 def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Elimination:
-    """Eliminate a chain from its right end, with given (tangent) stiffnesses of the contacts."""
+    """Eliminate a chain from its right end, site by site.
+
+    `contact` holds the (tangent) stiffness of every contact.
+    """
 
     def step(far: Springs, bond_and_site: tuple) -> tuple[Springs, tuple]:
         B, K, across, contact = bond_and_site
@@ -312,9 +324,9 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Elimination:
 
 
 def respond(chain: Chain, contact: Array, force: Pair) -> Pair:
-    """Displace the sites by forces on them, with u_t[0] held; zero where something floats.
+    """Solve for the displacements due to given forces, with u_t[0] held.
 
-    Forces travel from the right end to the left edge through the springs, displacements back.
+    Forces are passed from the right end to the left edge, displacements back. The result is zero where a part floats.
     """
     beyond = eliminate(chain, contact).beyond
     site = beside(beyond, chain.across, contact)

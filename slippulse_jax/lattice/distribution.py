@@ -1,16 +1,16 @@
 r"""λ-contacts of many micro-junctions, and the condition for smooth sliding.
 
-Each junction breaks as its stretch reaches its threshold, and repins at once with zero stretch and a new threshold drawn from
-P_c. Pulled by X, a contact of many junctions carries the mean stretch, in units of its stiffness,
+Each junction breaks when its stretch reaches its threshold, and repins at once with zero stretch and a new threshold drawn from
+P_c. The force on a contact of many junctions pulled by X, in units of its stiffness, is the mean stretch
 
     F(X) = X J(X) + ∫_0^X P_c(y) F(X − y) dy,        J = 1 − ∫ P_c
 
-(the master equation of Braun and Peyrard, written for the force: a junction either has not yet broken, or first did so at y
-and is since then as new). It tends to ⟨x²⟩/2⟨x⟩. A narrow P_c makes a sawtooth, a wide one a law that hardly falls.
+(the master equation of Braun and Peyrard, written for the force: a junction either has not yet broken, or first broke at y
+and has been as new since). It tends to ⟨x²⟩/2⟨x⟩. A narrow P_c gives a sawtooth, a wide one a law that hardly falls.
 
-A contact in surroundings of stiffness K_s is stable where its own force falls less steeply than K_s can follow, k F' > −K_s.
-On the lattice K_s = k(1 − G_00)/G_00, with G_00 the response of the site to its own pinning point; neighbours that themselves
-fall are softer, so that the whole chain loses stability earlier: where its load comes down as the first contact is drawn on.
+A contact in surroundings of stiffness K_s is stable where its force falls less steeply than that of the surroundings,
+k F' > −K_s. On the lattice K_s = k(1 − G_00)/G_00, with G_00 the response of the site to its own pinning point. Neighbours that
+weaken too are softer, so the whole chain loses stability earlier: where its load decreases as the first contact is stretched.
 """
 
 import functools
@@ -61,7 +61,7 @@ class ThresholdDistribution(eqx.Module):
                 raise ValueError(f"ThresholdDistribution.width = {self.width}: must be positive and at most {most:.4g}")
 
     def cumulative(self, x: Array) -> Array:
-        """∫_0^x P_c."""
+        """Integrate P_c from 0 to x."""
         w = jnp.asarray(self.width)
         if self.kind == "normal":
             low, high = ndtr(-1 / w), ndtr(1 / w)
@@ -72,7 +72,7 @@ class ThresholdDistribution(eqx.Module):
         return -jnp.expm1(-((jnp.maximum(x, 0) * gamma(1 + w)) ** (1 / w)))
 
     def sample(self, key: Array, shape: tuple[int, ...]) -> Array:
-        """Thresholds drawn from P_c."""
+        """Draw thresholds from P_c."""
         w = jnp.asarray(self.width, float)
         if self.kind == "normal":
             return 1 + w * jax.random.truncated_normal(key, -1 / w, 1 / w, shape)
@@ -83,23 +83,29 @@ class ThresholdDistribution(eqx.Module):
 
 
 class ForceLaw(eqx.Module):
-    """Force law F(X), linear between grid points; to be used as the `law` of a `chain`."""
+    """Force law F(X), linear between grid points.
+
+    It can be used as the `law` of a `chain`.
+    """
 
     spacing: Float[Array, ""]
     force: Float[Array, " G"]  # F at 0, spacing, 2 spacing …
 
     @property
     def stretch(self) -> Float[Array, " G"]:
-        """X of the grid, in u_s."""
+        """Stretch X at the grid points, in u_s."""
         return self.spacing * jnp.arange(self.force.shape[0])
 
     @property
     def steepest_fall(self) -> Array:
-        """Smallest F', of the grid's straight lines."""
+        """Smallest slope F' between grid points."""
         return (jnp.diff(self.force) / self.spacing).min()
 
     def __call__(self, stretch: Array) -> Array:
-        """Force at any stretch; a spring under compression, the last value beyond the grid."""
+        """Interpolate the force at any stretch.
+
+        The contact is a linear spring under compression; beyond the grid the last value holds.
+        """
         grid = self.force.shape[0]
         position = jnp.clip(stretch / self.spacing, 0, grid - 1)
         left = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, grid - 2)
@@ -118,14 +124,14 @@ def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: 
     reach : float
         Largest X, in u_s.
     points : int
-        Of the grid. P_c enters by its probabilities between grid points, so that any width is resolved; the error is of second
-        order in the spacing where P_c is smooth on it.
+        Number of grid points. P_c enters through its probabilities between grid points, so that any width is resolved. The
+        error is of second order in the spacing if P_c is smooth on that scale.
     """
     dx = jnp.asarray(reach / (points - 1), jnp.result_type(float))
     x = dx * jnp.arange(points)
     upto = thresholds.cumulative(x)
     mass = jnp.append(0.0, jnp.diff(upto))  # of ((j − 1) dx, j dx]
-    # first break in ((j−1)dx, j dx]: its middle on average, so F there is the mean of the two ends
+    # a first break in ((j−1)dx, j dx] is in its middle on average, so F there is the mean over the two ends
     alone = x * (1 - upto)
 
     def step(force: Array, n: Array) -> tuple[Array, None]:
@@ -143,7 +149,7 @@ def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: 
 
 @functools.partial(jax.jit, static_argnames="junctions")
 def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: Array, key: Array) -> Float[Array, " G"]:
-    """Simulate explicit junctions pulled by X; returns their mean stretch.
+    """Simulate explicit junctions pulled by X; return their mean stretch.
 
     Every junction breaks at exactly its threshold.
 
@@ -182,11 +188,11 @@ class Stability(NamedTuple):
     steepest_fall: Array  # smallest F'
     surroundings: Array  # K_s/k of a contact in the bulk
     surroundings_at_edge: Array  # K_s/k of the contact at the left edge
-    smooth: Array  # no contact is unstable by itself: F' > −K_s/k at the edge, where the surroundings are softest
+    smooth: Array  # no single contact is unstable: F' > −K_s/k at the edge, where the surroundings are softest
 
 
 def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int = 801) -> Stability:
-    """Compare the slope of the force law with the stiffness around one contact."""
+    """Compare the force law's slope with the stiffness around one contact."""
     modes = lattice_modes(slider)
     bulk = modes.weight.sum()
     edge = bulk + modes.reflection.sum()
@@ -196,18 +202,18 @@ def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int 
 
 
 def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array, " L"]:
-    """Load at which the first contact of a chain with a force law has each stretch.
+    """Compute the load for each stretch of the first contact.
 
-    The relaxed chain is followed by the stretch of its first contact, which goes on growing where the load would have to come
-    down. So the whole chain slides smoothly if and only if the load increases all along; where it falls, a chain under
-    a growing load jumps: an event begins.
+    The relaxed chain, with a force law, is followed as the stretch of its first contact grows, even where the load must
+    decrease. The whole chain slides smoothly if and only if the load increases throughout. Where it decreases, a chain under
+    increasing load jumps: an event begins.
 
     Parameters
     ----------
     chain : Chain
-        With a `law`; meant for tens of sites, since the matrix is dense.
+        With a `law`; for tens of sites, since the matrix is dense.
     stretch : array, shape (L,)
-        Increasing from near zero, in u_s, in steps small beside the width of the thresholds.
+        Increasing from near zero, in u_s, in steps much smaller than the width of the thresholds.
 
     Returns
     -------
@@ -240,12 +246,12 @@ def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array,
 
 
 def smooth_width(slider: Slider, kind: Kind, *, points: int = 801) -> float:
-    """Smallest width of the distribution at which sliding is smooth; inf if none is.
+    """Find the smallest width of the distribution at which sliding is smooth.
 
-    A hundred widths over the domain are tried.
+    The result is inf if sliding is smooth at none. A hundred widths over the domain are tried.
 
-    Not every wider law slides smoothly: a normal one, cut off at zero and at two, falls least steeply at a width near 0.5, and
-    becomes a uniform one, which falls more steeply, as it grows wider.
+    Not every wider law slides smoothly. A normal one, cut off at zero and at two, falls least steeply at a width near 0.5; as
+    it grows wider it becomes a uniform one, which falls more steeply.
     """
     most = {"normal": 1.0, "uniform": 1 / np.sqrt(3), "weibull": 1.0}[kind]
 

@@ -1,9 +1,9 @@
-"""Equilibrium of any chain, with derivatives of any order with respect to everything it depends on.
+"""Equilibrium of any chain, with derivatives of any order.
 
-The displacements solve the two lattice equations of section "Equations to be solved", with a stiffness of its own for
-every spring. The contacts may be nonlinear: then Newton's method runs around the O(N) elimination. No derivative goes
-through the iteration: they come from the equations the solution satisfies (implicit function theorem), by one more
-linear solve forward, and by one with the transposed, here the same, matrix in reverse.
+The displacements solve the two lattice equations of section "Equations to be solved", where every spring may have its own
+stiffness. If the contacts are nonlinear, Newton's method runs around the O(N) elimination. Derivatives with respect to every
+input come from the equations that the solution satisfies (implicit function theorem), not from the iteration: one more linear
+solve in forward mode, one with the transposed matrix, which is the same, in reverse mode.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from slippulse_jax.status import Status
 
 MAX_NEWTON_STEPS = 50
 DAMPING = tuple(0.5**n for n in range(12))
-"""Parts of a Newton step that are tried; the one that leaves the least imbalance is taken."""
+"""Fractions of a Newton step that are tried; the one with the least imbalance is taken."""
 
 
 class EquilibriumStatus(Status):
@@ -28,20 +28,23 @@ class EquilibriumStatus(Status):
     SOLVED = 0, "solved: every site is in balance"
     SINGULAR = (
         1,
-        "singular: a part of the chain is held by no spring or contact, so that it may lie anywhere; it is reported at zero",
+        "singular: a part of the chain is held by no spring or contact, so its position is arbitrary; it is reported at zero",
     )
     NOT_CONVERGED = 2, "not converged: Newton's method left sites out of balance; see the residual"
     INVALID = 3, "no such chain or state: a stiffness, pinning point or load is not a number, or a stiffness is negative"
 
 
 class Equilibrium(NamedTuple):
-    """A chain in balance: displacements in u_s, stresses in σ_s, forces in K u_s."""
+    """Chain in equilibrium.
+
+    Displacements are in u_s, stresses in σ_s, forces in K u_s.
+    """
 
     upper: Float[Array, " N"]  # u_t
     layer: Float[Array, " N"]  # u
     stress: Float[Array, " N"]  # t_i
-    push: Float[Array, ""]  # force that holds the left edge of the upper layer at U
-    residual: Float[Array, ""]  # largest imbalance of a site, over the largest force in the chain
+    push: Float[Array, ""]  # force that keeps the left edge of the upper layer at U
+    residual: Float[Array, ""]  # largest imbalance of a site, relative to the largest force in the chain
     status: Int[Array, ""]
 
 
@@ -58,18 +61,18 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     Returns
     -------
     Equilibrium
-        With a status (`EquilibriumStatus`) instead of an exception: one bad lane of ``jax.vmap`` leaves the others
-        alone. Where something floats or a value is not a number the fields are finite but meaningless.
+        It carries a status (`EquilibriumStatus`) instead of raising an exception, so that a bad lane of ``jax.vmap`` does not
+        affect the others. Where a part floats or a value is not a number the fields are finite but meaningless.
 
     Notes
     -----
-    Composes with ``jit``, ``vmap``, ``grad``, ``jvp``, ``hessian`` …, for every field of the chain and of the state. It
-    computes in the precision of its input: in float32, relative errors of a few 10⁻⁶ (docs/cascade.md).
-    Detaching every contact does not make a chain singular, since u_t[0] is imposed: it then moves as one. Cutting both
-    bonds of a part without contacts does.
+    Composes with ``jit``, ``vmap``, ``grad``, ``jvp``, ``hessian`` …, for every field of the chain and of the state. The
+    precision is that of the input: in float32 relative errors are a few 10⁻⁶ (docs/cascade.md).
+    Detaching every contact does not make a chain singular, since u_t[0] is imposed: the chain then moves as a rigid body.
+    Cutting both bonds of a part without contacts does make it singular.
 
-    The residual is that of the displacements returned. One unit in the last place of u_t, times K_L, is a force: a short
-    chain that moves as one under a load small beside K_L u_t cannot be in balance to better than that.
+    The residual is computed from the displacements returned. One unit in the last place of u_t, times K_L, is a force: a
+    short chain that moves as a rigid body under a load much smaller than K_L u_t cannot be in balance to better than that.
     """
     valid = all_numbers(chain, state)
     safe, state = or_harmless(valid, chain, state)
@@ -91,7 +94,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
 
 @jax.custom_jvp
 def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
-    """Displacements in equilibrium, and whether Newton's method converged."""
+    """Solve for the displacements; also return whether Newton's method converged."""
     start = (jnp.zeros_like(chain.contact).at[0].set(state.load), jnp.zeros_like(chain.contact))
     if chain.law is not None:
         return _newton(chain, state, start)
@@ -101,7 +104,10 @@ def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
 
 @solve.defjvp  # pyright: ignore[reportArgumentType]
 def _implicit_derivative(primals, tangents):
-    """0 = d imbalance = −(tangent stiffness) dx + ∂imbalance, at the solution x, which is itself differentiable again."""
+    """Differentiate the solution x implicitly.
+
+    0 = d imbalance = −(tangent stiffness) dx + ∂imbalance at the solution x, which can itself be differentiated again.
+    """
     chain, state = primals
     x, converged = solve(chain, state)
     unmoved = (jnp.zeros_like(x[0]).at[0].set(tangents[1].load), jnp.zeros_like(x[1]))
@@ -112,14 +118,17 @@ def _implicit_derivative(primals, tangents):
 
 
 def imbalance(chain: Chain, state: State, x: Pair) -> Pair:
-    """Force left over on every site of the two layers, in K u_s; on u_t[0], which is held, zero."""
+    """Compute the net force on every site of the two layers.
+
+    In K u_s; zero on u_t[0], which is held.
+    """
     upper, layer = x
     forces = _springs(chain, x)
     return forces[0].at[0].set(0), forces[1] - chain.contact_force(layer - state.pinning)
 
 
 def _springs(chain: Chain, x: Pair) -> Pair:
-    """Force of all springs but the contacts on every site."""
+    """Sum the forces of all springs except the contacts on every site."""
     upper, layer = x
     none = jnp.zeros(1, upper.dtype)
     along = (chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer))
@@ -136,7 +145,7 @@ def _springs(chain: Chain, x: Pair) -> Pair:
 def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
     """`respond` as a linear map that JAX can differentiate and transpose."""
 
-    # one array for both layers: a pair of them with a symbolic zero for one tangent trips custom_linear_solve
+    # one array for both layers: custom_linear_solve fails on a pair in which one tangent is a symbolic zero
     def stiffness(x: Array) -> Array:
         forces = _springs(chain, (x[0].at[0].set(0), x[1]))
         return jnp.stack([(-forces[0]).at[0].set(x[0, 0]), contact * x[1] - forces[1]])
@@ -149,18 +158,18 @@ def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
 
 
 def _respond(chain: Chain, contact: Array, force: Pair) -> Pair:
-    """`respond`, extended by the identity on u_t[0], so that the matrix is symmetric."""
+    """`respond`, extended symmetrically by the identity on u_t[0]."""
     upper, layer = respond(chain, contact, force)
     return upper.at[0].set(force[0][0]), layer
 
 
 def _tangent(chain: Chain, stretch: Array) -> Array:
-    """dForce/dstretch of every contact; a contact's force depends on its own stretch only."""
+    """Derivative of every contact's force with respect to its own stretch."""
     return jax.jvp(chain.contact_force, (stretch,), (jnp.ones_like(stretch),))[1]
 
 
 def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
-    """Newton's method with damped steps, until none lowers the imbalance."""
+    """Take damped Newton steps until none lowers the imbalance."""
     parts = jnp.asarray(DAMPING, start[0].dtype)
 
     def size(x: Pair) -> Array:
@@ -191,7 +200,7 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
 
 
 def all_numbers(chain: Chain, state: State) -> Array:
-    """Whether all values are finite and all stiffnesses in their domains."""
+    """Check that all values are finite and all stiffnesses in their domains."""
     leaves = [x for x in jax.tree.leaves((chain, state)) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.inexact)]
     finite = jnp.stack([jnp.isfinite(x).all() for x in leaves]).all()
     positive = [(x >= 0).all() for x in (chain.upper, chain.layer, chain.across, chain.contact, *chain.end)]
@@ -199,5 +208,8 @@ def all_numbers(chain: Chain, state: State) -> Array:
 
 
 def or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
-    """Replace an invalid chain and state by ones, to keep NaN out of loops and derivatives."""
+    """Replace an invalid chain and state by ones.
+
+    This keeps NaN out of loops and derivatives.
+    """
     return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), (chain, state))

@@ -1,16 +1,16 @@
-r"""The chain with inertia: both layers have mass, contacts break in time, and waves run ahead of the front.
+r"""Chain with inertia, in which waves run ahead of the front.
 
 A block of the interfacial layer has mass m = 1, one of the upper layer H/λc, so that sound travels one site per time unit
-√(m/K) in both; a bond stiffer than the rest is faster, and makes no block heavier. Positions and velocities go forward by
-velocity Verlet, which is symplectic, between two exact half steps of viscous damping. Every loss is booked where it occurs:
-the kinetic energy a damping step takes, the stretch a contact loses as it breaks, the friction of a contact that slides.
-What is left over is the integrator's error, of second order in the step.
+√(m/K) in both. A stiffer bond carries sound faster and adds no mass. Positions and velocities are advanced by velocity Verlet,
+which is symplectic, between two exact half steps of viscous damping. Every loss of energy is recorded where it occurs: kinetic
+energy in damping, stretch energy of breaking contacts, friction of sliding contacts. The remaining imbalance is the
+integrator's error, of second order in the step.
 
-A general-purpose integrator would not do better here: the right-hand side jumps at every break, which must happen between two
-steps of one fixed size, and a method of higher order loses its order there.
+A general-purpose integrator would do no better: the right-hand side jumps at every break, breaks must fall between two steps of
+one fixed size, and a method of higher order loses its order there.
 
-Nothing here has a derivative. A contact breaks at the first whole step after it reached its threshold: the time of a break
-would have the derivative of the step, and all that follows would inherit it.
+A simulation has no derivative. A contact breaks at the first whole step after its stress reaches the threshold, so the time of
+a break would have the derivative of the step, and so would all that follows.
 """
 
 from collections.abc import Callable
@@ -33,25 +33,32 @@ from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.status import Outcome
 
 MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Outcome.INVALID)
-"""How a simulation can end: at rest, after the last contact broke, still moving, not at all."""
+"""Possible outcomes of a simulation.
+
+In this order: at rest, the last contact broke, still moving at the end, invalid.
+"""
 
 
 class SelfHealing(eqx.Module):
-    """The paper's rule: a contact at its threshold breaks and repins with zero stretch.
+    """Rule of the paper: contacts break and repin with zero stretch.
+
+    A contact breaks when its stress reaches its threshold.
 
     Parameters
     ----------
     break_time : float
-        Shortest time between two breaks anywhere, the most overloaded contact first; in √(m/K). The paper's hierarchy of
-        times, sound much faster than the front, is a break time long beside the time the chain takes to relax. 0 (no less):
-        a contact breaks the moment it reaches its threshold.
+        Shortest time between two breaks anywhere in the chain, in √(m/K), 0 or more; the most overloaded contact breaks
+        first. The paper's hierarchy of times, sound much faster than the front, is a break time much longer than the
+        relaxation time of the chain. With 0 a contact breaks as soon as it reaches its threshold.
     """
 
     break_time: Float[AnyArrayLike, ""] = 0.0
 
 
 class CrackLike(eqx.Module):
-    """Amontons–Coulomb: a contact at its threshold slides, and repins when its slip rate vanishes.
+    """Amontons–Coulomb rule: contacts slide at constant friction.
+
+    A contact slides from its threshold on, and repins when its slip rate vanishes.
 
     Parameters
     ----------
@@ -63,7 +70,10 @@ class CrackLike(eqx.Module):
 
 
 class Motion(NamedTuple):
-    """End of a simulation: displacements in u_s, times in √(m/K), energies in K u_s²."""
+    """Final state and energies of a simulation.
+
+    Displacements are in u_s, times in √(m/K), energies in K u_s².
+    """
 
     state: State
     upper: Float[Array, " N"]
@@ -78,15 +88,15 @@ class Motion(NamedTuple):
     kinetic: Float[Array, ""]
     potential: Float[Array, ""]
     work: Float[Array, ""]  # of the left edge
-    broken: Float[Array, ""]  # stretch lost by breaking contacts
+    broken: Float[Array, ""]  # stretch energy lost by breaking contacts
     damped: Float[Array, ""]
-    rubbed: Float[Array, ""]  # friction of sliding contacts
-    imbalance: Float[Array, ""]  # largest error of the energy balance at any step
+    rubbed: Float[Array, ""]  # work of friction on sliding contacts
+    imbalance: Float[Array, ""]  # largest error of the energy balance over all steps
     status: Int[Array, ""]
 
 
 class Asked(NamedTuple):
-    """Arguments of a simulation, but for its initial state."""
+    """Arguments of a simulation, except for its initial state."""
 
     chain: Chain
     rule: SelfHealing | CrackLike
@@ -133,13 +143,13 @@ class _Now(NamedTuple):
 
 
 def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
-    """`safety` times the largest stable step of velocity Verlet.
+    """Compute the time step: `safety` times the largest stable one.
 
-    That is 2/ω_max, with ω_max² bounded by Gershgorin's discs.
+    The latter is 2/ω_max for velocity Verlet, with ω_max² bounded by Gershgorin's discs.
     """
 
     def bonds(inner: Array, beyond: Array) -> Array:
-        """Diagonal and off-diagonal of a row, of two bonds or of one and what lies beyond the end."""
+        """Bound a row's diagonal plus off-diagonal, inside and at the end."""
         return 2 * inner.max() + jnp.maximum(2 * inner.max(), beyond)
 
     across = 2 * (chain.across.max() + chain.end.across)
@@ -165,34 +175,34 @@ def simulate_inertial(
     Parameters
     ----------
     chain : Chain
-        With linear contacts. A semi-infinite end holds as an endless chain at rest would; waves are reflected by it.
+        With linear contacts. A semi-infinite end has the stiffness of an endless chain at rest; it reflects waves.
     state : State, optional
-        Pinning points and load of a chain in equilibrium. By default the relaxed chain, loaded until its first contact breaks.
+        Pinning points and load of a chain in equilibrium; by default the relaxed chain, loaded until its first contact breaks.
     duration : float
         In √(m/K).
     damping : float
-        γ ≥ 0: every block loses momentum at the rate γ, per time.
+        γ ≥ 0, rate at which every block loses momentum, per √(m/K).
     rule : SelfHealing or CrackLike
     velocity : float
-        Of the left edge of the upper layer; 0 holds it where it is, as fast fronts find it.
+        Velocity of the left edge of the upper layer, in u_s per √(m/K); 0 holds it fixed, as it is for a fast front.
     trigger : int, optional
-        Contact that breaks at time 0; −1 for none. By default that of the nucleation, or none if `state` is given.
+        Contact that breaks at time 0; −1 for none. By default the one that nucleates, or none if `state` is given.
     safety : float
-        Step over the largest stable one; between 0 and 1.
+        Ratio of the step to the largest stable one, between 0 and 1.
     rest : float
-        Kinetic energy, in K u_s², below which a damped chain without overloaded contact is taken to be at rest.
+        Kinetic energy, in K u_s², below which a damped chain without overloaded contacts counts as at rest.
 
     Returns
     -------
     Motion
-        With a status (`Outcome`) instead of an exception; composes with ``jit`` and ``vmap``.
+        It carries a status (`Outcome`) instead of raising an exception. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------
     ValueError
-        If a number lies outside its domain, naming it; traced by JAX it makes the motion `Outcome.INVALID`.
+        If a number lies outside its domain; the message names it. A number traced by JAX gives `Outcome.INVALID` instead.
     TypeError
-        If the rule is none of these, or a derivative is taken: it would be that of the time step.
+        If the rule is neither of these, or if a derivative is taken, which would be that of the time step.
     """
     if chain.law is not None:
         raise ValueError("the inertial chain needs linear contacts: this chain has a force law")
@@ -213,7 +223,10 @@ def simulate_inertial(
 
 
 def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
-    """Force of springs and contacts on every block beyond the prestress, in K u_s."""
+    """Sum the forces of springs and contacts on every block.
+
+    In K u_s, without the prestress.
+    """
     upper, layer = x
     bond_upper, bond_layer = chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer)
     across = chain.across * (upper - layer)
@@ -259,7 +272,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
     def verlet(now: _Now) -> _Now:
         v = (now.v[0] + held * now.pull[0] * dt / (2 * mass[0]), now.v[1] + now.pull[1] * dt / 2)
         x = (now.x[0] + dt * v[0], now.x[1] + dt * v[1])
-        # a sliding contact's pinning point goes with the layer, so that it carries the friction throughout
+        # the pinning point of a sliding contact moves with the layer, so that the contact always carries the friction
         moved = jnp.where(now.sliding, x[1] - now.x[1], 0)
         pinning = now.pinning + moved
         pull = _forces(chain, x, pinning)
@@ -363,16 +376,15 @@ def _simulate(asked: Asked, state: State) -> Motion:
 
 _undifferentiated = without_derivative(
     jax.jit(_simulate),
-    "simulate_inertial cannot be differentiated: contacts break at whole time steps, so that the derivative of all that "
-    "follows would be that of the step. For the length of a first precursor without inertia, precursor_length has an exact "
-    "derivative.",
+    "simulate_inertial cannot be differentiated: contacts break at whole time steps, so every later derivative would be "
+    "that of the step. For the length of a first precursor without inertia, precursor_length has an exact derivative.",
 )
 
 
 def quasi_static_break_time(chain: Chain, damping: float) -> float:
-    """Break time in which the slowest motion of a chain decays by e^{−30}.
+    """Break time in which the slowest mode decays by e^{−30}.
 
-    From the dense spectrum, O(N³): for checks on short chains.
+    It is computed from the dense spectrum, O(N³), for checks on short chains.
     """
     n = chain.sites
     flat = jax.jacfwd(lambda x: jnp.concatenate(_forces(chain, (x[:n], x[n:]), jnp.zeros(n))))(jnp.zeros(2 * n))

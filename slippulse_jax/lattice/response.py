@@ -1,15 +1,15 @@
 r"""Load transfer: the stress that one break adds to every other contact.
 
-A contact that gives up the stress t_j adds q_i G_ij t_j to the stress on contact i (q_i = k_i/K, G_ij the displacement of
-the interfacial layer at i per force at j). Displacements travel from site to site by 2×2 propagators with non-negative
-entries, to the right by P_i and to the left by Q_i, so that beyond the source G_ij is a product of propagators: G is
-block-semiseparable. The sites are cut into blocks of about √N:
+A contact that releases the stress t_j adds q_i G_ij t_j to the stress on contact i (q_i = k_i/K, G_ij the displacement of
+the interfacial layer at i per force at j). Displacements are carried from site to site by 2×2 propagators with non-negative
+entries, P_i to the right and Q_i to the left, so that beyond the source G_ij is a product of propagators: G is
+block-semiseparable. The sites are divided into blocks of about √N:
 
-* within the block of the source G is held as it is (`near`);
-* elsewhere a block receives two displacements per edge, u_t and u, whatever happened in the source's block, and a contact's
-  stress is read off when it is needed (`read`).
+* within the block of the source, G is stored as it is (`near`);
+* any other block receives two displacements per edge, u_t and u, whatever happened in the source's block. The stress on one of
+  its contacts is computed from these when it is needed (`read`).
 
-So a break costs O(√N), or O(N) where every stress is wanted, without ever solving the chain anew. Nothing is subtracted.
+A break thus costs O(√N), or O(N) where every stress is wanted, and the chain is never solved again. Nothing is subtracted.
 """
 
 from typing import NamedTuple
@@ -24,34 +24,40 @@ from slippulse_jax.lattice.chain import Chain, Pair, Springs, beside, eliminate,
 
 
 class Response(NamedTuple):
-    """Response of B blocks of M sites, the last padded with sites without contact."""
+    """Response of B blocks of M sites.
+
+    The last block is padded with sites without contact.
+    """
 
     near: Float[Array, "B M M"]  # q_i G_ij within a block; the middle axis is the source j
     read: Float[Array, "B 4 M"]  # stress at i per u_t, u at the block's left edge and per u_t, u at its right edge
-    leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress given up at j
-    pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: the edge values, per edge value of the neighbour
-    reach: Float[Array, "B 4"]  # largest of `read` in each block
-    spill: Float[Array, "B 4"]  # the most any contact of another block receives, per unit of what leaves this one
-    at_load: Float[Array, "B 4"]  # what a block receives per load: k⁻¹ (u_t, u) at its left edge, nothing at its right edge
+    leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress released at j
+    pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: edge values per edge value of the neighbour
+    reach: Float[Array, "B 4"]  # largest entries of `read` in each block
+    spill: Float[Array, "B 4"]  # most that any contact of another block receives, per unit that leaves this block
+    at_load: Float[Array, "B 4"]  # received by a block per load: k⁻¹ (u_t, u) at its left edge, nothing at its right edge
     edge_stiffness: Float[Array, ""]  # force on the left edge per load, in K
-    floating: Bool[Array, ""]  # whether a part of the chain is held by nothing
+    floating: Bool[Array, ""]  # whether a part of the chain is unattached
 
 
 class Propagators(NamedTuple):
-    """Maps of the displacements (u_t, u) from site to site; shapes (N, 2, 2) and (N, 2)."""
+    """Maps of the displacements (u_t, u) from site to site.
+
+    Their shapes are (N, 2, 2) and (N, 2).
+    """
 
     right: Array  # P_i: from site i to i + 1; zero for the last
     left: Array  # Q_i: from site i to i − 1; zero for the first
     source: Array  # displacements at site i per force on its interfacial layer
     follow: Array  # u[0] per u_t[0], shape ()
     edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
-    floating: Array  # whether a part of the chain is held by nothing
+    floating: Array  # whether a part of the chain is unattached
 
 
 def block_size(sites: int) -> int:
-    """Number of sites per block: a power of two between √N and 2√N, at least 8.
+    """Choose the number of sites per block.
 
-    Work inside a block is cheaper than work on all blocks.
+    It is a power of two between √N and 2√N, at least 8: work inside a block is cheaper than work on all blocks.
     """
     size = 8
     while size * size < sites:
@@ -60,7 +66,7 @@ def block_size(sites: int) -> int:
 
 
 def propagators(chain: Chain) -> Propagators:
-    """Propagators of a chain, from one elimination per end."""
+    """Compute a chain's propagators from one elimination per end."""
     right = eliminate(chain, chain.contact)
     site = beside(right.beyond, chain.across, chain.contact)
 
@@ -79,7 +85,7 @@ def propagators(chain: Chain) -> Propagators:
     behind = Springs(*(jnp.concatenate([n[None], f[None], r]) for n, f, r in zip(none, first, rest, strict=True)))
 
     def columns(held: Springs, bond: Pair) -> Array:
-        """2×2 matrix: response to unit displacements at the far side of a bond."""
+        """Response to unit displacements beyond a bond, a 2×2 matrix."""
         zero = jnp.zeros_like(bond[0])
         by_upper, by_layer = solve_pair(held, (bond[0], zero)), solve_pair(held, (zero, bond[1]))
         return jnp.stack([jnp.stack([by_upper[0], by_layer[0]], -1), jnp.stack([by_upper[1], by_layer[1]], -1)], -2)
@@ -116,13 +122,16 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
 
 
 def response(chain: Chain) -> Response:
-    """Response of a chain with linear contacts, whatever its thresholds and prestress."""
+    """Compute the response of a chain with linear contacts.
+
+    It does not depend on thresholds and prestress.
+    """
     links = propagators(chain)
     size = block_size(chain.sites)
     P, Q, v = (into_blocks(x, size) for x in links[:3])
     q = into_blocks(chain.contact, size)
     blocks = q.shape[0]
-    # what goes to the left is what goes to the right, seen in a mirror
+    # propagation to the left is the mirror image of propagation to the right
     both = _one_way(jnp.concatenate([P, Q[::-1, ::-1]]), jnp.concatenate([v, v[::-1, ::-1]]))
     near, read, leave, across = (x[:blocks] for x in both)
     near_left, read_left, leave_left, across_left = (x[blocks:][::-1] for x in both)
@@ -151,21 +160,28 @@ def response(chain: Chain) -> Response:
 
 
 def shared_response(chain: Chain) -> Response:
-    """`response`, computed once for lanes that differ in thresholds or prestress only."""
+    """Compute `response` once for lanes that share their springs.
+
+    Such lanes differ in thresholds or prestress only.
+    """
     none = jnp.ones(chain.sites, chain.contact.dtype)
     springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
     return lane_by_lane(response, springs)
 
 
 def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
-    """Matrix product with y = 2, written out: it must not depend on how a batched dot is scheduled."""
+    """Multiply matrices with y = 2.
+
+    The product is written out because it must not depend on how a batched dot is scheduled.
+    """
     return a[..., :, :1] * b[..., :1, :] + a[..., :, 1:] * b[..., 1:, :]
 
 
 def _one_way(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"]) -> tuple[Array, Array, Array, Array]:
-    """`near`, `read` and `leave` for what lies to the right of a source, and the propagator across each block.
+    """Compute `near`, `read` and `leave` to the right of a source.
 
-    Pieces of a block are joined two by two, from single sites to the whole: what crosses the joint is a product.
+    The fourth result is the propagator across each block. Pieces of a block are joined in pairs, from single sites to the
+    whole block; terms that cross a joint are products.
     """
     near, across = v[:, :, None, 1:], P
     read = jnp.broadcast_to(jnp.array([[0.0], [1.0]], P.dtype), (*P.shape[:2], 2, 1))
@@ -183,7 +199,10 @@ def _one_way(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"]) -> tuple[Arra
 
 
 def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
-    """Edge values of every block per edge value of the block after the source's; axes: from, to."""
+    """Propagate edge values from block to block.
+
+    The result holds the edge values of every block per edge value of the block after the source's; axes: from, to.
+    """
     blocks = across.shape[0]
 
     def step(so_far: Array, here: tuple) -> tuple[Array, Array]:
@@ -196,7 +215,10 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
 
 
 def dense(resp: Response) -> Float[Array, "S S"]:
-    """q_i G_ij as a dense matrix, source first; for tests and inspection."""
+    """Assemble q_i G_ij as a dense matrix, source first.
+
+    For tests and inspection.
+    """
     blocks, size = resp.near.shape[:2]
     arriving = jnp.einsum("abxy,ajxy->ajbx", resp.pass_on.reshape(blocks, blocks, 4, 2), _sent(resp.leave))
     far = jnp.einsum("ajbx,bxi->ajbi", arriving, resp.read)
@@ -205,16 +227,22 @@ def dense(resp: Response) -> Float[Array, "S S"]:
 
 
 def _sent(leave: Float[Array, "... 4"]) -> Float[Array, "... 4 2"]:
-    """Pairs each row of `pass_on` multiplies: what leaves to the right for the first two, to the left for the last two."""
+    """Pair what leaves a block with the rows of `pass_on`.
+
+    The first two rows multiply what leaves to the right, the last two what leaves to the left.
+    """
     right, left = leave[..., None, :2], leave[..., None, 2:]
     return jnp.concatenate([right, right, left, left], -2)
 
 
 def arriving(resp: Response, block: Array, site: Array) -> Float[Array, "B 4"]:
-    """(u_t, u) at the left and right edges of every block, per stress released at one site."""
+    """Displacements at every block's edges per stress released at one site.
+
+    They are (u_t, u) at the left edge, then at the right edge.
+    """
     return carried(resp, block, resp.leave[block, site])
 
 
 def carried(resp: Response, block: Array, left: Float[Array, "4"]) -> Float[Array, "B 4"]:
-    """Displacements at the edges of every block due to those that left one of them."""
+    """Displacements at every block's edges due to those leaving one block."""
     return (resp.pass_on[block] * _sent(left)[None]).sum(-1)

@@ -1,16 +1,16 @@
-"""One rupture of any chain, under the hard rule or a smooth one.
+"""One rupture of any chain, under the hard or a smooth rule.
 
 Under the hard rule the most overloaded contact breaks and repins, again and again, until none is overloaded
-(`slippulse_jax.lattice.cascade`). Under a smooth rule the front sweeps once from left to right: the stress released behind it
-reaches the next site as two displacements, u_t and u, and travels on by the 2×2 propagators of
+(`slippulse_jax.lattice.cascade`). Under a smooth rule the front sweeps once from left to right. The stress released behind it
+reaches the next site as two displacements, u_t and u, carried from site to site by the 2×2 propagators of
 `slippulse_jax.lattice.response`.
 
 Notes
 -----
-Accuracy. A break multiplies and adds positive numbers, so it can only pass on the relative error of the stresses and add
-its own: with ε the relative error of the response (a few units u in the last place per site over the decay length) and
-positive stresses, n breaks leave |δt_i| ≤ n (ε + 8u) t_i for every contact. Contacts that repin forget most of it, so that the
-errors observed are far smaller; the final fields are solved afresh, and `Rupture.drift` is the difference found.
+Accuracy. A break only multiplies and adds positive numbers, so it passes on the relative error of the stresses and adds its
+own. With ε the relative error of the response (a few units u in the last place per site over the decay length) and positive
+stresses, |δt_i| ≤ n (ε + 8u) t_i for every contact after n breaks. The errors observed are far smaller, because contacts that
+repin lose most of theirs. The final fields are solved afresh, and `Rupture.drift` is the difference.
 """
 
 from functools import partial
@@ -31,7 +31,7 @@ from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
 
 BREAKS_PER_SITE = 20
-"""Breaks per site after which a rupture is given up, unless the caller says otherwise."""
+"""Default limit on the breaks of a rupture, per site."""
 
 RUPTURE_OUTCOMES = (
     Outcome.ARRESTED,
@@ -41,25 +41,31 @@ RUPTURE_OUTCOMES = (
     Outcome.SINGULAR,
     Outcome.INVALID,
 )
-"""How a rupture can end. `RAN_THROUGH` in a semi-infinite chain: more sites must be resolved."""
+"""Possible outcomes of a rupture.
+
+`RAN_THROUGH` in a semi-infinite chain means that more sites must be resolved.
+"""
 
 
 class Rupture(NamedTuple):
-    """Record of one rupture: displacements in u_s, stresses in σ_s, energy in K u_s²."""
+    """Record of one rupture.
+
+    Displacements are in u_s, stresses in σ_s, energy in K u_s².
+    """
 
     state: State  # after the rupture
     before: Equilibrium
     after: Equilibrium
     order: Int[Array, " L"]  # sites in order of breaking, −1 where none
-    released: Float[Array, " L"]  # the stress each break gave up
+    released: Float[Array, " L"]  # the stress each break released
     breaks: Int[Array, ""]
-    broken: Float[Array, " N"]  # how often each contact broke; with a smooth rule, how much of it
+    broken: Float[Array, " N"]  # how often each contact broke; under a smooth rule, the fraction of it that broke
     slip: Float[Array, " N"]  # how far each contact's pinning point moved
     stress_drop: Float[Array, " N"]
-    energy: Float[Array, ""]  # potential energy given up
+    energy: Float[Array, ""]  # potential energy released
     extent: Int[Array, ""]  # sites from the left edge to the rightmost broken contact, which is among them
     length: Float[Array, ""]  # ℓ, in λc from the left edge
-    drift: Float[Array, ""]  # largest error of a stress accumulated over the breaks, in σ_s
+    drift: Float[Array, ""]  # largest error of a stress, accumulated over the breaks, in σ_s
     status: Int[Array, ""]
 
 
@@ -74,8 +80,8 @@ def rupture(
 ) -> Rupture:
     """Follow one rupture at a fixed load.
 
-    The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with zero stretch, stresses
-    adjust, and so on until no contact is at or above its threshold. Contacts may break many times.
+    The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with zero stretch, and the
+    stresses adjust. This is repeated until no contact is at or above its threshold. Contacts may break many times.
 
     Parameters
     ----------
@@ -83,21 +89,21 @@ def rupture(
         With linear contacts.
     state : State
     rule : HardBreak or SmoothBreak, or one derived from it
-        With ``SmoothBreak(width)``, the differentiable stand-in: one sweep from left to right.
+        ``SmoothBreak(width)`` is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
-        Site that breaks first, even if rounding leaves it a digit below its threshold: what `nucleate` returns, where −1 stands
-        for none. By default none.
+        Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none.
+        None by default.
     max_breaks : int, optional
-        Breaks after which the rupture is given up, and room for their record; 20 N by default.
+        Limit on the number of breaks, and length of their record; 20 N by default.
     repin_delay : int
-        n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
-        or when the rupture ends. For a front that breaks one contact after another, the delay in sites of `Interface`; with
-        it a break costs O(N).
+        Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
+        it breaks, or when the rupture ends. For a front that breaks one contact after another this is the delay in sites of
+        `Interface`. With a delay a break costs O(N).
 
     Returns
     -------
     Rupture
-        With a status (`Outcome`) instead of an exception.
+        It carries a status (`Outcome`) instead of raising an exception.
 
     Raises
     ------
@@ -108,9 +114,9 @@ def rupture(
 
     Notes
     -----
-    Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length is that
-    of a first precursor (`slippulse_jax.lattice.front`) for any thresholds: from the overload of the rightmost broken contact
-    when it first broke, and the one its neighbour is left with.
+    Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
+    that of a first precursor (`slippulse_jax.lattice.front`) to any thresholds: it interpolates between the overload of the
+    rightmost broken contact when it first broke and the final overload of its right neighbour.
     """
     check_rule(rule, one=True)
     _check(chain, state)
@@ -132,16 +138,16 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
     chain : Chain
         With linear contacts.
     state : State, optional
-        By default the relaxed chain without load.
+        The relaxed chain without load by default.
 
     Returns
     -------
     state : State
-        The same pinning points at the smallest load, no less than the given one, at which a contact is at its threshold;
-        the load is inf if none ever is. Differentiable.
+        The same pinning points under the smallest load, not below the given one, that brings a contact to its threshold;
+        the load is inf if none does. Differentiable.
     site : int array
-        That contact, to be passed on as ``rupture(..., trigger=site)``: rounding may leave it a digit below threshold. −1
-        if one was over threshold already.
+        That contact, to be passed on as ``rupture(..., trigger=site)``, since rounding may leave it just below its
+        threshold; −1 if a contact was already at or above its threshold.
     """
     state = chain.relaxed() if state is None else state
     _check(chain, state)
@@ -169,7 +175,10 @@ def _check(chain: Chain, state: State) -> None:
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """ℓ, or 0, inf or NaN according to the outcome; without a length the derivative is NaN."""
+    """Return ℓ, or 0, inf or NaN according to the outcome.
+
+    Where there is no length the derivative is NaN.
+    """
     arrested = status == Outcome.ARRESTED
     reasons = [status == Outcome.NOTHING_BROKE, status == Outcome.RAN_THROUGH]
     return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
@@ -179,10 +188,10 @@ def length_or_reason(status: Array, length: Array) -> Array:
 
 
 class Record(NamedTuple):
-    """Record of the breaks, under way."""
+    """Record of the breaks so far."""
 
     order: Int[Array, " L"]  # sites in order of breaking, −1 where none
-    released: Float[Array, " L"]  # stress each break gave up
+    released: Float[Array, " L"]  # stress each break released
     breaks: Int[Array, ""]
     energy: Float[Array, ""]  # released, in K u_s²
     furthest: Int[Array, ""]  # rightmost site broken so far
@@ -218,7 +227,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
     good = before.status == EquilibriumStatus.SOLVED
     safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
     n = chain.sites
-    # a detached contact has nothing to break
+    # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
     done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
     record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
@@ -262,7 +271,7 @@ def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: 
 _undifferentiated = without_derivative(
     jax.jit(_hard_rupture, static_argnums=0),
     "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
-    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can; for the length of a first precursor use "
+    "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor use "
     "precursor_length, which has an exact derivative.",
     nondiff_argnums=(0,),
 )
@@ -275,17 +284,17 @@ _undifferentiated = without_derivative(
 def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
     """Follow one rupture under a smooth rule; differentiable in every field.
 
-    The front sweeps from the left edge to the right: each contact is reached once, with all that the contacts before it
-    gave up, and gives up p(t) t. The trigger breaks whole. The order of breaks is fixed, and no contact breaks twice:
-    that is what makes the sweep smooth, and what it leaves out. As w → 0 it becomes the hard rupture wherever that is one
-    front from left to right.
+    The front sweeps from the left edge to the right. It reaches each contact once, loaded by all the stress that the
+    contacts before it released, and the contact releases p(t) t. The trigger breaks completely. The order of breaks is
+    fixed and no contact breaks twice; this makes the sweep smooth, and is its approximation. As w → 0 it becomes the hard
+    rupture, where that is a single front from left to right.
 
     Returns
     -------
     Rupture
-        As of `rupture`; `order` lists the sites in the order of the sweep, `released` what each gave up, `broken` the
-        fraction of each contact, and `length` is ℓ_w from the left edge to where p has faded. `breaks` and `extent` count
-        the contacts of which more than half broke. RAN_THROUGH if more than half of the last contact did.
+        As for `rupture`, except: `order` lists the sites in the order of the sweep, `released` the stress each released,
+        `broken` the fraction of each contact that broke, and `length` is ℓ_w, from the left edge to where p has faded.
+        `breaks` and `extent` count the contacts of which more than half broke; RAN_THROUGH if the last one is among them.
     """
     before = equilibrium(chain, state)
     good = before.status == EquilibriumStatus.SOLVED
@@ -309,7 +318,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
 
     theta = safe.threshold
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
-    from_trigger = jax.vmap(rule.broken)(t[1:], theta[1:])  # which breaks whole, to its neighbour
+    from_trigger = jax.vmap(rule.broken)(
+        t[1:], theta[1:]
+    )  # the step from the trigger, which breaks completely, to its neighbour
     reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
     length = (
         jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()
@@ -323,7 +334,7 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
         Outcome.RAN_THROUGH: most[-1],
     }
     status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
-    # what the potential energy falls by: all is linear, so from the mean of the stress before and after each slip
+    # fall of the potential energy: all is linear, so each slip acts against the mean of the stress before and after
     energy = safe.stiffness * (slip * (before.stress + after.stress)).sum() / 2
     return Rupture(
         state=after_state,

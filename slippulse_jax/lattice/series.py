@@ -1,18 +1,18 @@
-r"""A series of events: a chain loaded on and on, one rupture after another.
+r"""Series of events: a chain under increasing load, one rupture after another.
 
-Between events every stress grows linearly with the load, so that the next break is found exactly. In an event contacts break
-one after another at a fixed load, the most overloaded first. All sums are updated from break to break; the chain is solved
-afresh only at the end, to measure the rounding errors they have accumulated:
+Between events every stress grows linearly with the load, so the next break is found exactly. In an event contacts break one
+after another at a fixed load, the most overloaded first. All sums are updated from break to break. The chain is solved afresh
+only at the end, to measure the accumulated rounding errors.
 
-* a break at j that gives up the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.lattice.response`);
-* by reciprocity it lowers the force on the left edge by k t_j du_j/dU;
-* it releases the energy (k t_j)²/2k_j of the broken contact's own stretch, and (k t_j)(k t_j')/2k_j on top of it as the chain
-  relaxes to equilibrium, t_j' being what the contact carries then;
-* what the drive puts in beyond that is stored.
+* A break at j that releases the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.lattice.response`).
+* By reciprocity it lowers the force on the left edge by k t_j du_j/dU.
+* It releases the energy (k t_j)²/2k_j of the broken contact's own stretch, and a further (k t_j)(k t_j')/2k_j as the chain
+  relaxes to equilibrium, where the contact carries t_j'.
+* The rest of the work of the drive is stored.
 
-Stresses are known block by block (`slippulse_jax.lattice.cascade`), and a load reaches a block as all else does, through its
-edges. For each block is kept the load before which no contact of it breaks: exact when the block was last opened, lowered by
-what has arrived since. So the next break is found by opening the few blocks in which it may be, at O(√N) per event.
+Stresses are kept block by block (`slippulse_jax.lattice.cascade`); load, like released stress, enters a block through its
+edges. For each block the series keeps a lower bound on the load of its next break: exact when the block was last opened,
+lowered by whatever has arrived since. The next break is found by opening the few blocks that may hold it, at O(√N) per event.
 """
 
 from functools import partial
@@ -50,20 +50,29 @@ from slippulse_jax.lattice.response import Response, into_blocks, shared_respons
 
 
 class Adiabatic(eqx.Module):
-    """Push the left edge exactly to the next break, and hold it while the event runs."""
+    """Push the left edge exactly to the next break.
 
-    velocity: Float[AnyArrayLike, ""] = 1.0  # of the left edge, for ageing in time only; u_s per time
+    The edge is held fixed while the event runs.
+    """
+
+    velocity: Float[AnyArrayLike, ""] = 1.0  # of the left edge, in u_s per time; matters only for ageing in time
 
 
 class Steps(eqx.Module):
-    """Push the left edge in steps of `size` u_s, which may overload several contacts at once."""
+    """Push the left edge in steps of `size` u_s.
+
+    A step may overload several contacts at once.
+    """
 
     size: Float[AnyArrayLike, ""]
     velocity: Float[AnyArrayLike, ""] = 1.0
 
 
 class Spring(eqx.Module):
-    """Pull the left edge through a spring of `stiffness` K; the load is the driver's displacement."""
+    """Pull the left edge through a spring of `stiffness` K.
+
+    The load is the displacement of the driver.
+    """
 
     stiffness: Float[AnyArrayLike, ""]
     velocity: Float[AnyArrayLike, ""] = 1.0
@@ -89,35 +98,37 @@ def series(
     Parameters
     ----------
     chain : Chain
-        With linear contacts; thresholds and prestress of any profile.
+        With linear contacts; thresholds and prestress may have any profile.
     protocol : Adiabatic, Steps or Spring
     events : int
-        Number of events, and of rows.
+        Number of events, and of rows in the catalogue.
     ageing : Ageing, optional
-        Contacts that never broke have the chain's thresholds; those that did are reborn weak. None: immediate recovery.
+        Contacts that never broke have the thresholds of the chain; those that did are reborn weak. By default they recover
+        immediately.
     repin_delay : int
-        n, breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after it breaks,
-        or when the event ends. For a front that breaks one contact after another, the delay in sites of `Interface`.
+        Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
+        it breaks, or when the event ends. For a front that breaks one contact after another this is the delay in sites of
+        `Interface`.
     until : array_like, shape (), optional
-        Load with which the series ends: the first event at or beyond it is the last.
+        Load at which the series ends: the first event at or beyond it is the last.
     stop_when_spanning : bool
-        End with the first event that breaks the last contact; of a semi-infinite chain nothing is resolved beyond.
+        End with the first event that breaks the last contact; a semi-infinite chain is not resolved beyond it.
     max_breaks : int, optional
-        Breaks of one event after which the series is given up; 50 N by default.
+        Limit on the breaks of one event, at which the series is given up; 50 N by default.
     recorded_breaks : int
-        Room for a record of every break, for the space–time map.
+        Number of breaks to record one by one, for the space–time map.
 
     Returns
     -------
     Catalogue
-        With a status (`SeriesStatus`) instead of an exception. Composes with ``jit`` and ``vmap``.
+        It carries a status (`SeriesStatus`) instead of raising an exception. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------
     ValueError
         If a size is not positive or the chain has nonlinear contacts.
     TypeError
-        If `protocol` is not a protocol, or the series is differentiated: which contact breaks next is a comparison.
+        If `protocol` is not a protocol, or if the series is differentiated: a comparison decides which contact breaks next.
     """
     if chain.law is not None:
         raise ValueError("a series needs linear contacts: this chain has a force law")
@@ -136,7 +147,10 @@ def series(
 
 
 Shape = tuple[int, int, int, bool, int]
-"""Events, most breaks of one, breaks recorded, whether to stop at the first that spans, repinning delay."""
+"""Arguments that set the shape of a compiled series.
+
+Events, most breaks of one event, breaks recorded, whether to stop at the first spanning event, repinning delay.
+"""
 
 
 def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None) -> Catalogue:
@@ -149,7 +163,7 @@ def _one_series(
     shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None
 ) -> Catalogue:
     events, max_breaks, room, stop, delay = shape
-    ahead = int(isinstance(protocol, Spring))  # sites put before the chain's own
+    ahead = int(isinstance(protocol, Spring))  # sites added before those of the chain
     by = Loading(
         response=resp,
         contacts=contacts_of(chain, resp),
@@ -165,7 +179,7 @@ def _one_series(
         stop_when_spanning=stop,
         until=until,
     )
-    prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # all that a relaxed chain carries
+    prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # the only stress in a relaxed chain
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
     valid = all_numbers(chain, chain.relaxed()) & ~resp.floating & holds
     end = load_through(by, start(by, into_blocks(prestress, resp.near.shape[1]), valid))
@@ -186,21 +200,21 @@ def _one_series(
 
 _hard_series = without_derivative(
     jax.jit(_series, static_argnums=0),
-    "a series of hard events cannot be differentiated: which contact breaks next is a comparison",
+    "a series of hard events cannot be differentiated: a comparison decides which contact breaks next",
     nondiff_argnums=(0,),
 )
 
 
-# --- what loading a contact and breaking it do to the chain ---
+# --- effects of loading and breaking each contact ---
 
 
 class Contacts(NamedTuple):
-    """Tables of B blocks of M contacts."""
+    """Effects of loading and breaking each of B blocks of M contacts."""
 
-    threshold: Float[Array, "B M"]  # of a contact never broken; inf where there is none
+    threshold: Float[Array, "B M"]  # of a contact that never broke; inf where there is none
     per_load: Float[Array, "B M"]  # stress per load
-    hastened: Float[Array, "B 4"]  # most by which a contact's break comes sooner, in load, per displacement at a block's edges
-    gains: Float[Array, "B M 3"]  # per stress given up: force lost at the edge, slip, stress lost by the whole chain
+    hastened: Float[Array, "B 4"]  # largest reduction of the load at a contact's break, per displacement at a block's edges
+    gains: Float[Array, "B M 3"]  # per stress released: force lost at the edge, slip, stress lost by the whole chain
     energy: Float[Array, "B M"]  # k²/2k_i
     edge_stiffness: Float[Array, ""]  # force on the edge per load
 
@@ -212,7 +226,7 @@ def contacts_of(chain: Chain, resp: Response) -> Contacts:
     per_load = (resp.at_load[:, :, None] * resp.read).sum(1)
     pulled = per_load[:, None] > 0
     soft = k / jnp.where(q > 0, q, jnp.inf)
-    # stress that a break adds to the other contacts: in its own block, and in those that what leaves it gets to
+    # stress that a break adds to the contacts of its own block, and of the blocks beyond
     felt = resp.pass_on * resp.read.sum(-1)[None, :, :, None]
     beyond = jnp.concatenate([felt[:, :, :2].sum((1, 2)), felt[:, :, 2:].sum((1, 2))], -1)
     lost = 1 - resp.near.sum(-1) - (resp.leave * beyond[:, None]).sum(-1)
@@ -233,7 +247,7 @@ class Numbers(NamedTuple):
     """Quantities of an event, recorded as one vector."""
 
     load: Array
-    force_before: Array  # on the left edge, as it began
+    force_before: Array  # on the left edge as the event began
     work: Array
     force_lost: Array
     slip: Array
@@ -248,7 +262,7 @@ class Counts(NamedTuple):
 
     number: Array  # −1 before the first event
     first: Array  # site that broke first
-    at_peak: Array  # whether the contact left of it broke later than it did
+    at_peak: Array  # whether its left neighbour last broke in a later event than it did
     left: Array
     right: Array
     breaks: Array
@@ -256,28 +270,31 @@ class Counts(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Sums over the breaks of the event under way."""
+    """Sums over the breaks of the current event."""
 
-    lost: Float[Array, "3"]  # what `Contacts.gains` says of the breaks
+    lost: Float[Array, "3"]  # sum of `Contacts.gains` over the breaks
     broken: Array
     relaxed: Array
     first: Array  # −1 before the first break
     at_peak: Array
     left: Array
     right: Array
-    peak: Array  # stress on the rightmost as it broke, above its threshold
+    peak: Array  # overload of the rightmost broken contact as it last broke
     total: Array
     last: Int[Array, " S"]
     log: Int[Array, "L+1 2"]
 
 
 class Now(NamedTuple):
-    """State between two events; B blocks of M, S = BM sites. The last row of a table is scratch."""
+    """State between two events, in B blocks of M.
+
+    S = BM is the number of sites. The last row of each table is scratch space.
+    """
 
     stresses: Stresses
     soonest: Float[Array, " B"]  # no contact of a block breaks before this load
-    given: Float[Array, "B M"]  # stress given up by each contact so far
-    born: Float[Array, "B M"] | None  # where contacts age: load at the last break; −inf if never
+    given: Float[Array, "B M"]  # stress released by each contact so far
+    born: Float[Array, "B M"] | None  # load at the last break, if contacts age; −inf if never
     last: Int[Array, " S"]  # event of the last break; −1 if never
     numbers: Numbers  # of the last event
     counts: Counts
@@ -288,25 +305,25 @@ class Now(NamedTuple):
 
 
 class Loading(NamedTuple):
-    """Everything that is constant during a series."""
+    """Constants of a series."""
 
     response: Response
     contacts: Contacts
     ageing: Ageing | None
     velocity: Array
-    step: Array | None  # whole steps of load; None: exactly to the next break
+    step: Array | None  # load step; None: exactly to the next break
     delay: int  # breaks for which a contact stays detached
-    sites: int  # of the chain, the driver's among them
-    ahead: int  # sites before the chain's own: the driver's
+    sites: int  # of the chain, including the driver's
+    ahead: int  # sites before those of the chain: the driver's
     events: int
     max_breaks: int
     recorded: int
     stop_when_spanning: bool
-    until: Array | None  # load with which the series ends; None: after all events
+    until: Array | None  # load at which the series ends; None: after all events
 
 
 def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
-    """State of the relaxed chain, before the first event."""
+    """Make the state of the relaxed chain, before the first event."""
     zero, none = jnp.zeros((), prestress.dtype), jnp.zeros((), jnp.int32)
     return Now(
         stresses=whole(prestress, by.contacts.threshold),
@@ -324,12 +341,12 @@ def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
 
 
 def load_through(by: Loading, now: Now) -> Now:
-    """Run event after event."""
+    """Run events until the series ends."""
     return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, by), now)
 
 
 def _next_event(by: Loading, now: Now) -> Now:
-    """Raise the load to the next break, run the rupture, and record it."""
+    """Load to the next break, run the rupture and record it."""
     tables, before = by.contacts, now.numbers
     found = _next_crossing(by, now)
     rise, trigger = _raised(by, found)
@@ -369,17 +386,20 @@ def _next_event(by: Loading, now: Now) -> Now:
 
 
 class Crossing(NamedTuple):
-    """The search for the next contact to reach its threshold."""
+    """State of the search for the next contact to reach its threshold."""
 
     stresses: Stresses
     soonest: Float[Array, " B"]
-    looked: Array  # whether a block has been opened, shape (B,)
+    looked: Array  # whether each block has been opened, shape (B,)
     rise: Float[Array, ""]  # smallest increase of load found
-    site: Int[Array, ""]  # which contact it brings to its threshold
+    site: Int[Array, ""]  # contact that it brings to its threshold
 
 
 def _next_crossing(by: Loading, now: Now) -> Crossing:
-    """Find the smallest increase of load that brings a contact to its threshold; inf if none."""
+    """Find the smallest load increase that brings a contact to its threshold.
+
+    The rise is inf if there is none.
+    """
     tables, size, load = by.contacts, now.given.shape[1], now.numbers.load
 
     def going(c: Crossing) -> Array:
@@ -400,7 +420,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
         better = -rise < c.rise
         return Crossing(
             stresses=looked_at(by.response, c.stresses, block, (stress - limit).max()),
-            soonest=c.soonest.at[block].set(load + missing.min()),  # thresholds only grow: a bound where they do
+            soonest=c.soonest.at[block].set(load + missing.min()),  # thresholds only grow, so this is a lower bound
             looked=c.looked.at[block].set(True),
             rise=jnp.where(better, -rise, c.rise),
             site=jnp.where(better, block * size + place, c.site),
@@ -411,19 +431,24 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
 
 
 def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
-    """Increase of load, and the contact that breaks first whatever rounding does; −1 for none."""
+    """Return the load increase and the contact that must break first.
+
+    The contact breaks first whatever the rounding; −1 for none.
+    """
     rise = jnp.maximum(found.rise, 0)
     trigger = jnp.where(jnp.isfinite(rise), found.site, -1)
     if by.step is not None:
         close = 1e4 * jnp.finfo(rise.dtype).eps
         whole_steps = jnp.maximum(jnp.ceil(rise / by.step - close), 1) * by.step
-        trigger = jnp.where(whole_steps > rise + close * by.step, -1, trigger)  # beyond it, the most overloaded
+        trigger = jnp.where(
+            whole_steps > rise + close * by.step, -1, trigger
+        )  # beyond the crossing the most overloaded contact breaks first
         rise = whole_steps
     return jnp.where(jnp.isfinite(found.rise), rise, 0), trigger
 
 
 def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
-    """Thresholds in a block at this load, now and once broken."""
+    """Return a block's thresholds at this load, current and after a break."""
     old = by.contacts.threshold[block]
     if now.born is None or by.ageing is None:
         return old, old
@@ -432,10 +457,10 @@ def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, giv
 
 
 def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
-    """ℓ of the event: where the stress falls to the threshold, on a straight line.
+    """Interpolate ℓ of the event, where the stress falls to the threshold.
 
-    Of the one it is the stress as it broke, of the other as the event ends (`slippulse_jax.lattice.front`); inf where none is
-    ahead.
+    The straight line joins the overload of the rightmost broken contact as it last broke to that of the contact ahead as the
+    event ends (`slippulse_jax.lattice.front`); ℓ is inf where there is no contact ahead.
     """
     right, peak = broken.book.right, broken.book.peak
     block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
@@ -445,7 +470,10 @@ def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
 
 
 def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
-    """Threshold of one contact at this load; `anew` if it already broke in this event."""
+    """Return the threshold of one contact at this load.
+
+    `anew` says whether it already broke in this event.
+    """
     old = by.contacts.threshold.reshape(-1)[site]
     if now.born is None or by.ageing is None:
         return old
@@ -490,7 +518,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
 
 
 def recorded(by: Loading, end: Now) -> dict[str, Array]:
-    """Columns of the catalogue."""
+    """Make the columns of the catalogue."""
     number, count = Numbers(*end.number_table[:-1].T), Counts(*end.count_table[:-1].T)
     kinds = [count.number < 0, count.right == by.sites - 1, count.first == by.ahead, count.at_peak == 1]
     kind = jnp.select(kinds, [-1, EventClass.SPANNING, EventClass.EDGE, EventClass.RENUCLEATED], EventClass.INTERIOR)

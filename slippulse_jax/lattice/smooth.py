@@ -1,13 +1,13 @@
 """The first precursor under a smooth break rule, by the fast recursion.
 
-A contact that carries the stress t when the front reaches it gives up p(t) t instead of all or nothing: the fraction of its
-micro-junctions whose own threshold has been reached (`slippulse_jax.rules.SmoothBreak`). The front no longer stops at a
-contact; it fades. Its length is what is left of the hard length's definition (physics of `slippulse_jax.lattice.front`): with t
-taken as linear between contacts,
+A contact that carries the stress t when the front reaches it releases p(t) t instead of all or nothing; p is the fraction of
+its micro-junctions whose own threshold has been reached (`slippulse_jax.rules.SmoothBreak`). The front no longer stops at a
+contact but fades. Its length generalises the definition of the hard length (physics of `slippulse_jax.lattice.front`). With t
+linear between contacts,
 
     ℓ_w = p(t(1)) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,
 
-where the first term stands for the step from contact 0, which always breaks whole, to its neighbour. As w → 0 every integral
+where the first term is the step from contact 0, which always breaks completely, to its neighbour. As w → 0 every integral
 becomes the length over which t ≥ θ, so that ℓ_w → ℓ.
 
 In a chain of any interface the same sweep is `slippulse_jax.lattice.rupture.smooth_rupture`.
@@ -29,7 +29,7 @@ from slippulse_jax.status import Outcome
 
 
 class Fading(NamedTuple):
-    """A front that fades: the last contact it reached, and the length so far."""
+    """Fading front: the last contact it reached, and its length so far."""
 
     front: Front
     length: Float[Array, ""]
@@ -38,22 +38,24 @@ class Fading(NamedTuple):
 def smooth_length(
     slider: Slider, rule: SmoothBreak, *, max_contacts: int = DEFAULT_MAX_CONTACTS
 ) -> tuple[Float[Array, "..."], Int[Array, "..."]]:
-    """Length of the first precursor of a uniform, semi-infinite interface under a smooth rule.
+    """Length of the first precursor under a smooth rule.
+
+    The interface is uniform and semi-infinite.
 
     Parameters
     ----------
     slider : Slider
-        Fields of any shapes that broadcast, with each other and with those of the rule.
+        Fields of any shapes that broadcast with each other and with those of the rule.
     rule : SmoothBreak
-        Or one derived from it.
+        Or a subclass of it.
     max_contacts : int
-        Contacts after which a front that has not faded is given up.
+        Largest number of contacts; a front that has not faded by then gives LIMIT.
 
     Returns
     -------
     length : array
-        ℓ_w, in λc. Never NaN for a slider and a width in their domains. Derivatives of every order, forward and reverse,
-        with respect to the slider's three numbers and those of the rule; one pass with as many tangents each.
+        ℓ_w, in λc. Never NaN for a slider and a width in their domains. It has derivatives of every order, forward and
+        reverse, with respect to the numbers of the slider and of the rule; each takes one pass with as many tangents.
     status : int array
         `Outcome`: ARRESTED, LIMIT or INVALID.
 
@@ -73,13 +75,16 @@ def smooth_length(
 
 
 def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Array, Array]:
-    """Of the numbers of a slider and a rule, which `kind` puts together; what lies outside the domain is a status."""
+    """Compute ℓ_w and the status of one lane.
+
+    `theta` holds the numbers of a slider and a rule, which `kind` assembles. A number outside its domain gives a status.
+    """
     slider, rule = jax.tree.unflatten(kind, list(theta))
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
-    over = passage(modes)  # contact 0 breaks whole
+    over = passage(modes)  # contact 0 breaks completely
     start = Fading(over.start, rule.broken(over.stress(over.start), one))
-    # what is left beyond: at most its broken fraction times the sum of a decay no slower than ρ_2 < 1
+    # the neglected remainder is at most the broken fraction times the sum of a decay no slower than ρ_2 < 1
     negligible = 1e-4 * jnp.finfo(one.dtype).eps
 
     def fading(now: Fading) -> Array:
