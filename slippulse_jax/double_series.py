@@ -28,7 +28,7 @@ for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_j
 κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -362,14 +362,23 @@ def _sums(series: Series, s: Lanes, blocks: int | None = None) -> _Sums:
     above = series.beyond
     for k in range(lost.shape[0], series.rows.shape[0]):
         above = above + series.rows[k]
-    missing, left, fall = zero, zero, zero
-    for k in range(lost.shape[0] - 1, -1, -1):
-        kept = series.rows[k] - lost[k]
-        missing = level * missing + level_gap * above + lost[k]
-        left = level * left + kept
-        fall = level * fall + (k * system.level_rate)[None] * kept + bent[k]
-        above = above + series.rows[k]
-    return _Sums(missing, left, fall)
+
+    def add(carried: Any, row: Any) -> Any:
+        missing, left, fall, above = carried
+        k, rows, lost, bent = row
+        missing = level * missing + level_gap * above + lost
+        left = level * left + rows - lost
+        fall = level * fall + (k * system.level_rate)[None] * (rows - lost) + bent
+        return (missing, left, fall, above + rows), None
+
+    count = lost.shape[0]
+    carried = (zero, zero, zero, above)
+    if series.echo is not None:  # a loop takes less time to compile: minutes less in second derivatives
+        every = (jnp.arange(count, dtype=zero.dtype), series.rows[:count], lost, bent)
+        return _Sums(*lax.scan(add, carried, every, reverse=True)[0][:3])
+    for k in range(count - 1, -1, -1):
+        carried, _ = add(carried, (k, series.rows[k], lost[k], bent[k]))
+    return _Sums(*carried[:3])
 
 
 def _row_moments(series: Series, s: Lanes, block: Array, start: int) -> list[Float[Array, "rows F *lanes"]]:
