@@ -93,12 +93,13 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
         padded[:, size : chunks * width] = padded[:, :1]  # the cheapest lane: nobody waits for it
         values = ready[default_device()](padded, np.int64(chunks))
         for result, value in zip(results, values, strict=True):
-            found = np.asarray(value)[..., :size]
-            if order is not None:
-                back = np.empty_like(found)
-                back[..., order] = found
-                found = back
-            result[..., where] = found
+            for row, found in zip(result.reshape(-1, count), np.asarray(value).reshape(-1, padded.shape[1]), strict=True):
+                if order is None:
+                    row[where] = found[:size]
+                else:  # one dimension at a time: NumPy scatters several far more slowly
+                    back = np.empty(size, row.dtype)
+                    back[order] = found[:size]
+                    row[where] = back
 
     spread(run, pieces)
     return results

@@ -10,7 +10,9 @@ modes as its leading axis. What else a loop over lanes costs was read off the co
 - A front that has arrested stays as it is: nothing has to be recorded elsewhere.
 - Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
 
-Derivatives are tangents of the same step, by ``jax.jvp``, along what depends on the parameter.
+Derivatives are tangents of the same step, by ``jax.jvp``, along what depends on the parameter. Value and three derivatives took
+2.6 to 2.8 times as long as the value (200 000 random points, two busy cores, shortest of 36 runs). With the derivatives of step
+and modes written by hand, as they once were, they took as long, and the value a tenth to a fifth longer.
 """
 
 import functools
