@@ -20,10 +20,8 @@ from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_dom
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import report, to_dict
-from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged, Outcome
+from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.parameters import Inputs
 
 MOST_EXPERIMENTS = 12
 
@@ -230,13 +228,9 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarr
     scale = np.array([c.correlation_length or 1.0 for c in candidates])
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
     ratio = np.exp(theta)[:, None] * per_unit
-    slider = Slider(numbers[:, 0] / scale, ratio, numbers[:, 2])
-    found = exact_lengths(slider, Interface(numbers[:, 3], numbers[:, 4]), derivatives=1)
-    lost = np.isnan(found.length)
-    if lost.any():
-        i, j = np.argwhere(lost)[0]
-        raise NotConverged(f"no exact length of candidate {j} at k/K = {ratio[i, j]:.9g}: {Outcome.NOT_CONVERGED.message}")
-    return found.length, np.where(np.isfinite(found.length), found.stiffness * ratio, 0)
+    inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
+    found = lengths(inputs.ravel(), ("log_stiffness",))
+    return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
 
 
 def _greedy(
