@@ -12,7 +12,7 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 Numbers = Array | ArrayLike
-"""What a constructor takes for a number or many, sequences too."""
+"""Types that a constructor accepts as numbers, including sequences."""
 
 SI = {"N_per_mm": 1e3, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""

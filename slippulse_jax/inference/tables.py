@@ -93,7 +93,7 @@ _UNITS = {
     "n_per_mm",
     "n",
 }
-"""What may follow a quantity in the name of a column that is meant as it: refused, not kept as a remark."""
+"""Units by which an unknown column counts as a misnamed quantity: refused, not kept as a remark."""
 _TEXT = ("specimen", "provenance", "kind", "label")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "

@@ -1,9 +1,10 @@
-"""Where the stress of the front first falls to the threshold, for any number of fronts at once: t(ℓ*) = 1 + ε ℓ*.
+"""First crossing of the front stress and the threshold, t(ℓ*) = 1 + ε ℓ*.
 
-A front well below run-away (φ < 0.999 φ_c) on thresholds that do not fall is *simple*: t has one maximum and one crossing
-beyond it, which Newton's method finds inside a bracket. Nearer to run-away, beyond it, and on falling thresholds the stress may
-touch the threshold in a dip and recover: a careful search comes from the edge by steps that do not leap over a dip, and takes
-only a crossing that the next contact sees. Lanes are last, and none depends on another.
+Any number of fronts is treated at once; the lane axis is last, and no lane depends on another. A front well below run-away
+(φ < 0.999 φ_c) on thresholds that do not fall is *simple*: t has one maximum and one crossing beyond it, which Newton's method
+finds inside a bracket. Near run-away, beyond it, and on falling thresholds the stress may dip to the threshold and recover. A
+careful search then proceeds from the edge in steps that do not skip a dip, and accepts a crossing only if the next contact
+stays below its threshold.
 """
 
 from typing import Any
@@ -162,7 +163,7 @@ def _tiny(x: Array) -> float:
 
 
 def _first_dip(found: Series, slope: Lanes, wanted: Array, moves: Array) -> tuple[Lanes, Lanes, Array, Array]:
-    """From the edge to the first crossing that the next contact sees.
+    """Search from the edge for the first crossing that arrests the front.
 
     The stress beside the threshold is bent downward near the edge and upward from there on, so that it lies above its parabola
     in the one part and above its tangent in the other: steps to their zeros come nearer to a crossing, and do not leap over a

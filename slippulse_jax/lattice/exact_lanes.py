@@ -20,7 +20,7 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
-"""What an exact front may end with."""
+"""Possible outcomes of an exact front."""
 
 IN_BULK, CAREFULLY = Layout(chunk=128), Layout(chunk=32)
 """As many lanes per chunk as leave a plain table in the second-level cache; and a regular one, with derivatives or without."""

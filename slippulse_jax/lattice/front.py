@@ -46,7 +46,7 @@ DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
 
 FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
-"""How a front can end."""
+"""Possible outcomes of a front."""
 
 APPROACH = 45.0
 """Decay lengths after which e^{−s/length} is nothing in float64."""

@@ -127,7 +127,7 @@ def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
 # NumPy array of them.
 
 PAIRS = np.array([[0, 1], [1, 2]])
-"""Where mn = 11, 12, 21, 22 stand in the half of a symmetric matrix."""
+"""Positions of mn = 11, 12, 21, 22 in half of a symmetric matrix."""
 
 _where = np.frompyfunc(lax.select, 3, 1)
 _less = np.frompyfunc(operator.lt, 2, 1)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent
 TESTS = PACKAGE.parent / "tests"
-"""Where the tests are in a checkout."""
+"""Folder of the tests in a checkout."""
 
 LABEL = r"(?:cra\d+[a-z]?\d?|discr\d)"
 NAMED = re.compile(rf"\b[Ll]abels?\s+({LABEL}(?:(?:,\s+and|\s+and|,|–)\s*{LABEL})*)")

@@ -1,9 +1,12 @@
-"""What the paper, and this project, derive on paper: four levels of theory, each under its own name.
+"""Analytical theory of the paper and this project, at four levels.
 
-1. the lattice itself, `slippulse_jax.exact_length`; 2. `length_continuum`, the continuum self-consistent in both layers;
-3. `length_frozen`, the continuum with the upper layer frozen (Appendix), and `length`, Eq. (58), a fit of it;
-4. `length_eq25`, the paper's Eq. (25). `macroscopic_length` is the limit λc → 0 of the first two; `envelope_length` a line.
-The gaps between the levels are physics, not error.
+1. The lattice itself: `slippulse_jax.exact_length`.
+2. The continuum, self-consistent in both layers: `length_continuum`.
+3. The continuum with the upper layer frozen (Appendix): `length_frozen`, and `length`, Eq. (58), a fit of it.
+4. The paper's Eq. (25): `length_eq25`.
+
+`macroscopic_length` is the limit λc → 0 of the first two; `envelope_length` is a straight line. The differences between the
+levels are physics, not errors.
 """
 
 from slippulse_jax.theory.continuum import continuum_fields, continuum_stress, length_continuum

@@ -1,4 +1,4 @@
-"""Where a function crosses zero, with the derivatives of an implicit function."""
+"""Zero crossings of a function, differentiated as implicit functions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,11 +12,12 @@ MAX_STEPS = 100
 
 
 def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array) -> Array:
-    """The x in [low, high] at which ``function(parameters, x)`` changes sign from + to −; NaN where it does not.
+    """Find the x in [low, high] at which a function turns negative.
 
-    Newton's method, with bisection wherever Newton leaves the bracket. Derivatives of every order and mode with respect
-    to `parameters` (any pytree), dx = −(∂f/∂θ · dθ)/(∂f/∂x); `low` and `high` are only where to look, and carry none.
-    What does not depend on x is best worked out before, and passed as `parameters`: the search then repeats none of it.
+    ``function(parameters, x)`` changes sign there from + to −; the result is NaN if it does not. Newton's method is used,
+    with bisection wherever it leaves the bracket. The result has derivatives of every order, forward and reverse, with
+    respect to `parameters` (any pytree), dx = −(∂f/∂θ · dθ)/(∂f/∂x), but none with respect to the bracket `low`, `high`.
+    Compute whatever does not depend on x beforehand and pass it in `parameters`, so that the search does not repeat it.
     """
 
     @jax.custom_jvp
