@@ -44,7 +44,7 @@ def main(count: int, sampled: int) -> None:
     print(
         f"whole counts that differ from numba's: {(counts[0] != counts[1]).sum()}; first call, compilation included: {cold:.1f} s"
     )
-    print(f"{'':24s} {'s':>8s} {'µs a point':>11s} {'ratio':>7s}")
+    print(f"{'':24s} {'s':>8s} {'µs / point':>11s} {'ratio':>7s}")
     for name, took in times.items():
         print(f"{name:24s} {took:8.2f} {took / count * 1e6:11.2f} {took / times['exact_lengths']:7.1f}")
     # where each stands: by height

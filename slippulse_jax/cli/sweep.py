@@ -59,7 +59,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--stiffness", type=VALUES, required=True, metavar="k/K", help="Contact stiffness, likewise: 1e-3:0.1:60:log.")
 @click.option("--poisson", type=VALUES, required=True, metavar="ν", help="Poisson's ratio, likewise.")
 @click.option("--prestress", type=VALUES, metavar="φ", help="Prestress of the contacts, in σ_s, likewise.")
-@click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s a site, likewise.")
+@click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s per site, likewise.")
 @click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin, likewise.")
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
 @click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")

@@ -116,7 +116,7 @@ COLUMNS = {
     "work": ("K u_s^2", "work of the drive since the event before"),
     "stored": ("K u_s^2", "potential energy after the event"),
     "broken": ("K u_s^2", "energy of the stretch of the contacts that broke"),
-    "relaxed": ("K u_s^2", "energy given up as the chain relaxed"),
+    "relaxed": ("K u_s^2", "energy released as the chain relaxed"),
     "kind": ("1", "class of the event: " + ", ".join(f"{c.value} {c.name.lower()}" for c in EventClass)),
 }
 

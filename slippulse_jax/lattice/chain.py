@@ -67,7 +67,7 @@ class Chain(eqx.Module):
         return self.contact.shape[-1]
 
     def relaxed(self, load: AnyArrayLike = 0.0) -> State:
-        """Make the state with every pinning point at zero, under load U, in u_s."""
+        """Make the state with pinning points at zero, under load U (in u_s)."""
         return State(jnp.zeros_like(self.contact), jnp.asarray(load, dtype=self.contact.dtype))
 
     def contact_force(self, stretch: Array) -> Array:

@@ -9,7 +9,7 @@ With λ_s the derivative of ℓ in the stress on contact s, everything it causes
 
     λ_s = ∂ℓ/∂t_s + g'(t_s) Σ_{i>s} K(i, s) λ_i,        K(i, s) = Σ_m w_m r_m^{i−s} + Σ_mn r_m^i R_mn r_n^s,
 
-which needs four sums over the contacts ahead: one pass from the arrest back to the edge, O(1) a contact.
+which needs four sums over the contacts ahead: one pass from the arrest back to the edge, O(1) per contact.
 """
 
 from functools import partial
