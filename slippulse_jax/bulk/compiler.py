@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import jaxlib.version
 from jax import lax
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
 
 TRIED = ("0.10.0", "0.10.1", "0.10.2")
@@ -100,24 +101,26 @@ def in_one_loop(f: Callable, *given: Any) -> Any:
     f is written for single numbers, maps them by elementary operations, and has at least as many results as arguments. All
     results should be used: XLA looks for unused ones in a time that grows exponentially with the depth of f.
     """
-    if not _tried():
+    if jax.default_backend() != "cpu" or not _tried():
         return f(*given)
+    arrays, tree = jax.tree.flatten(given)
+    once, results = _traced(f, tree, tuple(x.dtype for x in arrays))
+    spare = results.num_leaves - len(arrays)
+    if spare < 0:
+        raise ValueError(f"{len(arrays)} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
+    one = arrays[0]
+    rows = tuple(jnp.broadcast_to(x, (2, *one.shape)) for x in [*arrays, *[jnp.zeros_like(one)] * spare])
+    zeros = tuple(jnp.zeros((), x.dtype) for x in rows)
+    found = lax.reduce(rows, zeros, lambda _, row: tuple(once(*row[: len(arrays)])), (0,))
+    return jax.tree.unflatten(results, found)
 
-    def on_cpu(*given: Any) -> Any:
-        arrays, tree = jax.tree.flatten(given)
 
-        def flat(*numbers: Any) -> tuple:
-            return tuple(jax.tree.leaves(f(*jax.tree.unflatten(tree, numbers))))
+@functools.lru_cache(maxsize=64)
+def _traced(f: Callable, tree: Any, types: tuple) -> tuple[Callable, Any]:
+    """Trace f of single numbers, once for all loops of it; and the structure of its results."""
 
-        like = [jax.ShapeDtypeStruct((), x.dtype) for x in arrays]
-        results = jax.tree.structure(jax.eval_shape(f, *jax.tree.unflatten(tree, like)))
-        spare = results.num_leaves - len(arrays)
-        if spare < 0:
-            raise ValueError(f"{len(arrays)} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
-        one = arrays[0]
-        rows = tuple(jnp.broadcast_to(x, (2, *one.shape)) for x in [*arrays, *[jnp.zeros_like(one)] * spare])
-        zeros = tuple(jnp.zeros((), x.dtype) for x in rows)
-        found = lax.reduce(rows, zeros, lambda _, row: flat(*row[: len(arrays)]), (0,))
-        return jax.tree.unflatten(results, found)
+    def flat(*numbers: Any) -> Any:
+        return f(*jax.tree.unflatten(tree, numbers))
 
-    return lax.platform_dependent(*given, cpu=on_cpu, default=f)
+    traced, results = jax.make_jaxpr(flat, return_shape=True)(*(jax.ShapeDtypeStruct((), x) for x in types))
+    return jaxpr_as_fun(traced), jax.tree.structure(results)
