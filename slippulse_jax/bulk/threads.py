@@ -3,7 +3,6 @@
 import functools
 import itertools
 import os
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -61,18 +60,3 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)  # threads are not copied
-
-
-def compiled_once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function`, compiled by one thread: those that meet a new program together would each compile it."""
-    first, met = threading.Lock(), threading.Event()
-
-    def call(*arguments: Any) -> Any:
-        if met.is_set():
-            return function(*arguments)
-        with first:
-            found = function(*arguments)
-            met.set()
-        return found
-
-    return call
