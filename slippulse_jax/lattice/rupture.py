@@ -26,6 +26,7 @@ from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
+from slippulse_jax.lattice.front import straight_line
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
@@ -244,7 +245,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
         Outcome.RAN_THROUGH: record.furthest == n - 1,
     }
     status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
-    length = record.furthest + record.overload / (record.overload - jnp.minimum(short_by, 0))
+    length = straight_line(record.furthest, record.overload, jnp.minimum(short_by, 0))
     return Rupture(
         state=after_state,
         before=before,

@@ -46,6 +46,7 @@ from slippulse_jax.lattice.cascade import (
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
+from slippulse_jax.lattice.front import straight_line
 from slippulse_jax.lattice.response import Response, into_blocks, shared_response
 
 
@@ -466,7 +467,7 @@ def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
     block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
     limit, _ = _limits(by, now, now.given, load, block, broken.given[block])
     ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
-    return jnp.where(right == by.sites - 1, jnp.inf, right + peak / (peak - ahead))
+    return jnp.where(right == by.sites - 1, jnp.inf, straight_line(right, peak, ahead))
 
 
 def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
