@@ -29,7 +29,7 @@ def by_forward_mode(f: Function) -> Function:
         The same function, with derivatives. Differentiating costs one pass with n tangents whatever the mode.
     """
 
-    def value_and_jacobian(*arguments: Array) -> Float[Array, "... n+1"]:
+    def value_and_jacobian(*arguments: Array) -> Float[Array, "... numbers"]:
         every = tuple(range(len(arguments)))
         jacobians, value = jax.jacfwd(lambda *x: (f(*x),) * 2, argnums=every, has_aux=True)(*arguments)
         return jnp.concatenate([value[..., None], *(x.reshape(*value.shape, -1) for x in jacobians)], axis=-1)

@@ -163,7 +163,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path):
             ["length", "--height-mm", "25", "--poisson", "0.3"],
             "missing --correlation-length-um, --areal-stiffness, --young-gpa",
         ),
-        (["length", "--height", "1e170", "--stiffness", "0.03", "--poisson", "0.3"], "no such slider"),
+        (["length", "--height", "1e170", "--stiffness", "0.03", "--poisson", "0.3"], "invalid: a value outside its domain"),
         (["length", *FIG2, "--right", "free"], "needs a number of sites"),
         (["length", *FIG2, "--sites", "100"], "a semi-infinite chain has no number of sites"),
         (["length", *FIG2, "--right", "open"], "'open' is not one of"),

@@ -36,7 +36,7 @@ def run(command, *arguments):
 
 def test_csv_on_stdout(catalogue):
     done = run(series_command, *SMALL)
-    assert (done.exit_code, done.stderr) == (0, "done: as many events, or as much load, as was asked for\n")
+    assert (done.exit_code, done.stderr) == (0, "done: reached the requested number of events or load\n")
     names, units, *rows = list(csv.reader(io.StringIO(done.stdout)))
     assert names == ["event", *COLUMNS]
     assert units[1:] == [unit for unit, _ in COLUMNS.values()]

@@ -153,7 +153,7 @@ def _derivatives(count: int, order: int) -> Kernel:
     return kernel
 
 
-def _effort(lanes: Lanes) -> Int[np.ndarray, " n"]:
+def _effort(lanes: Lanes) -> np.ndarray:
     """Rank by the work to expect, so that like lanes share a chunk.
 
     b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have.
