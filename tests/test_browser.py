@@ -1,4 +1,4 @@
-"""`explore()` as a reader meets it: in JupyterLab, in a real browser, moved by keys and by the play button."""
+"""`plot.explore()` as a reader meets it: in JupyterLab, in a real browser, moved by keys and by the play button."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def address(tmp_path):
     """Address of a notebook of one cell, in a JupyterLab that knows no one's settings."""
     import nbformat
 
-    cells = [nbformat.v4.new_code_cell("import slippulse_jax as sp\nsp.explore()")]
+    cells = [nbformat.v4.new_code_cell("import slippulse_jax as sp\nsp.plot.explore()")]
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
     work = tmp_path / "work"
     work.mkdir()
