@@ -215,7 +215,7 @@ def _flat(counts: dict) -> list[str]:
         f"A point costs the same from 10⁴ points on for one thread (at 10⁴ {alone[10**4] / alone[10**7]:.2f} times that at 10⁷), and "
         f"from 10⁵ on for two (at 10⁵ {of[10**5] / of[10**7]:.2f} times, at 10⁴ {of[10**4] / of[10**7]:.2f} times). "
         f"Below {2 * LENGTHS.worth_a_thread * LENGTHS.chunk} points there is one thread: so little work is not worth handing over. "
-        "Python lets one thread at a time prepare its lanes: at 10⁴ points a second one was seen to start 0.2 ms after the first.", "",
+        "Python lets one thread at a time prepare its lanes: at 10⁴ points the second thread started 0.2 ms after the first.", "",
     ]  # fmt: skip
 
 

@@ -99,7 +99,7 @@ def by_differences(
     """Values of a model and their derivatives in the `wanted` inputs by central differences, all in one call.
 
     The steps are `STEPS` times `size`. Two more lengths per derivative cost some 25 µs per lane, the exact derivatives of
-    `exact_lengths` 1100 µs when last measured.
+    `exact_lengths` 1100 µs, measured with version 0.1.
     """
     wanted = [name for name in STEPS if name in wanted]
     if not wanted:

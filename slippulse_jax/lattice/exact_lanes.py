@@ -94,7 +94,7 @@ def exact_fronts(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n
     """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
 
     Simple lanes go through a plain series. The others, and the few that a pole of the plain series costs digits, go through a
-    regular one, which takes ten times as long.
+    regular one, which takes longer.
     """
     found = np.empty((2, lanes.shape[1]))
     prestressed = lanes[3] != 0  # a family of terms more: a lane's own value chooses its program

@@ -23,7 +23,7 @@ STEP = 0.25
 """Spacing of the outcomes summed over, in standard errors."""
 
 SURE = 0.95
-"""Smallest posterior of one root with which the roots count as told apart."""
+"""Smallest posterior of one root from which the roots count as distinguished."""
 
 REPLICATES, POINTS = 8, 512
 """Number of scrambled Sobol sequences, and points of each."""
