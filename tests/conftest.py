@@ -52,6 +52,14 @@ def forget_compiled_programs():
         jax.clear_caches()
 
 
+@pytest.fixture(autouse=True)
+def compiler_flags_stay():
+    """Processes that later tests start would inherit them, and compile other programs than this one."""
+    before = os.environ.get("XLA_FLAGS")
+    yield
+    assert os.environ.get("XLA_FLAGS") == before
+
+
 @pytest.fixture
 def float32():
     with jax.enable_x64(False):

@@ -52,12 +52,13 @@ one = sp.rupture(chain, state, trigger=site)
 constant = jax.jit(lambda: sp.rupture(chain, state, trigger=site).breaks)()  # all constants, one output used
 batch = jax.vmap(lambda threshold: sp.series(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60, threshold=threshold), events=9).breaks)
 found = batch(np.array([1.0, 2.0]))
-print(loops_are_whole(), *np.asarray(one.order[:30]), int(constant), *np.asarray(found).ravel())
+lengths = sp.precursor_lengths(sp.Slider(np.linspace(10, 50, 500), 0.03, 0.3))
+print(loops_are_whole(), *np.asarray(one.order[:30]), int(constant), *np.asarray(found).ravel(), *lengths)
 """
 
 
 def test_whole_loops_give_the_same():
-    """Loops compiled as one function each, in a process that asks for it; and where this jaxlib can do that at all."""
+    """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
     usual = run(WHOLE.format(first=""), XLA_FLAGS="").split()
     whole = run(WHOLE.format(first="compile_loops_whole()"), XLA_FLAGS="").split()
     assert usual[0] == "False"

@@ -35,9 +35,13 @@ TRIED = ("0.10.0", "0.10.1", "0.10.2")
 OPTIONS: dict[str, Any] = {
     "xla_cpu_multi_thread_eigen": False,
     "xla_cpu_prefer_vector_width": 512,
-    "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
+    "xla_disable_hlo_passes": "cpu-parallel-task-assigner,small-while-loop-hoisting",
 }
-"""For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors."""
+"""For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors.
+
+Their loops are never compiled whole, whatever the process asked for: over long arrays that is slower, and the last digit would
+depend on it.
+"""
 
 
 def _tried() -> bool:
@@ -77,7 +81,8 @@ def compile_loops_whole() -> None:
     """Make XLA compile each loop as one function, in this process; to be called before JAX computes anything.
 
     Ruptures and series then run several times as fast on a CPU. It sets the environment variable ``XLA_FLAGS``, which XLA reads
-    once; options for the backend that are there already stay as they are. The command line calls it where it helps.
+    once and which child processes inherit; options for the backend that are there already stay as they are. ``slippulse`` calls
+    it where it helps, in a process of its own.
     """
     if not _tried():
         return

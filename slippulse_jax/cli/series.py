@@ -43,9 +43,10 @@ def command(
 ) -> None:  # fmt: skip
     """Compute a series of precursors of one slider: a catalogue of events, as CSV on stdout."""
     _check(step, spring, newborn, recovery)
-    from slippulse_jax.bulk.compiler import compile_loops_whole
+    if click.get_current_context().parent is not None:  # a process of slippulse: another's environment is left alone
+        from slippulse_jax.bulk.compiler import compile_loops_whole
 
-    compile_loops_whole()
+        compile_loops_whole()
     import jax
 
     from slippulse_jax.lattice.ageing import Ageing
