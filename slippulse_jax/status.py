@@ -24,7 +24,7 @@ class Status(enum.IntEnum):
 class Outcome(Status):
     """How an event ended: a first precursor, a rupture of any chain, an event with inertia.
 
-    Up to `REBREAK` the event has a finite length; `RAN_THROUGH` and `RUN_AWAY` have the length inf, the rest NaN.
+    Up to `REBREAK` and for `NOTHING_BROKE` the length is finite, for `RAN_THROUGH` and `RUN_AWAY` inf, for the rest NaN.
     """
 
     ARRESTED = 0, "arrested: the first contact ahead stayed below its threshold"

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 from oracles import dense_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
+from scipy.stats import norm
 
 import slippulse_jax as sp
 from slippulse_jax.cli.design import command
@@ -17,11 +18,10 @@ from slippulse_jax.inference.design.information import (
     draw,
     expected_gain,
     joint_gain,
-    likelihood,
+    log_likelihood,
     log_likelihoods,
     outcomes,
 )
-from slippulse_jax.inference.likelihood import data_log_density
 
 
 def normal_prior(sd, nodes=801):
@@ -103,22 +103,23 @@ def test_counts_against_dense_solves():
 
 
 def test_probabilities_of_outcomes_add_up():
-    length = np.array([0.0, 3.2, 40.7, np.inf])
+    length = np.array([0.0, 0.6, 3.2, 40.7, np.inf])
     for kind, sigma in (("length", 0.1), ("length", 3.0), ("whole", 0.0), ("whole", 0.7)):
         y, dy = outcomes(length, sigma, kind)
-        np.testing.assert_allclose(dy @ likelihood(y, length, sigma, kind), 1, atol=1e-9)
+        np.testing.assert_allclose(dy @ np.exp(log_likelihood(y, length, sigma, kind)), 1, atol=1e-9)
 
 
-def test_the_likelihood_is_that_of_a_fit():
-    """Normalised; but for σ = 0, where a fit blurs the edges of a count, and for a count of 1, which here holds all below."""
-    length = np.array([0.0, 0.6, 3.2, 17.4, 40.7, np.inf])
-    y = np.array([2.0, 3.0, 4.0, 17.0, 41.0])
+def test_probability_of_a_count():
+    """Against SciPy's normal distribution; without error the count is the whole contacts of the length, 1 where no domino starts."""
+    length = np.array([0.0, 0.6, 3.2, 17.4, 40.7])
+    y = np.array([1.0, 2, 3, 4, 17, 18, 41, np.inf])
     for sigma in (0.3, 2.0):
-        norm = sigma * np.sqrt(2 * np.pi)
-        fitted = np.exp(data_log_density(length, y[:, None], sigma, "length")) / norm
-        np.testing.assert_allclose(likelihood(y, length, sigma, "length"), fitted, rtol=1e-12, atol=1e-300)
-        fitted = np.exp(data_log_density(length, y[:, None], sigma, "whole"))
-        np.testing.assert_allclose(likelihood(y, length, sigma, "whole"), fitted, rtol=1e-9, atol=1e-14)
+        lower = np.where(y > 1, y - 1, -np.inf)[:, None]
+        expected = norm.cdf(y[:, None], length, sigma) - norm.cdf(lower, length, sigma)
+        expected[-1] = 0
+        np.testing.assert_allclose(np.exp(log_likelihood(y, length, sigma, "whole")), expected, rtol=1e-9, atol=1e-14)
+    certain = np.exp(log_likelihood(y, length, 0.0, "whole"))
+    np.testing.assert_array_equal(certain, y[:, None] == np.maximum(np.ceil(length), 1))
 
 
 def test_nothing_is_learnt_at_the_peak_nor_on_the_plateau():

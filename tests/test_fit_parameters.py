@@ -130,6 +130,17 @@ def test_likelihood_of_a_count_is_that_of_its_interval():
         assert (found.value[0, 3] < 1e-6) == inside
 
 
+def test_counts_of_every_length_add_up_to_certainty():
+    """A count of 1 is any length up to 1: contact 0 breaks even where no domino starts."""
+    count = np.arange(1.0, 40)
+    for sigma in (0.0, 0.3, 2.0):
+        data = Data(np.full(39, "whole"), count[None], np.full(39, sigma), np.ones((1, 39)), np.ones(39, bool))
+        for mu in (0.0, 0.6, 3.2, 17.4):
+            found = terms(np.full((1, 39), mu), data, np.zeros(1, int), Loss(), None)
+            assert np.exp(-found.value).sum() == pytest.approx(1, abs=1e-12)
+            assert np.isfinite(found.slope).all()
+
+
 def test_huber_and_student_information():
     """1/variance of the location estimate each loss makes, from integrals over its own errors."""
 

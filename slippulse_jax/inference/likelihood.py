@@ -31,6 +31,9 @@ STUDENT_DOF = 4.0
 SHARPEST = 1e-3
 """Blur, in λc, that stands for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
+EXACT = 1e-12
+"""The same where no slope is needed: the interval itself, to rounding."""
+
 FEW_OR_MANY = Layout(few=256)
 """Layout of data for the compiled cost functions."""
 
@@ -102,18 +105,22 @@ def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLik
     return jnp.where(finite, loss(r**2 / 2) + jnp.log(total / sigma), jnp.inf)
 
 
-def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0) -> Array:
-    """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ."""
-    blur = _blur(sigma, scatter)
+def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0, sharpest: float = SHARPEST) -> Array:
+    """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ.
+
+    A count of 1 is any length up to 1, 0 included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
+    """
+    blur = _blur(sigma, scatter, sharpest)
     finite = jnp.isfinite(mu)
     inside = jnp.where(finite, mu, value)
     a, b = (value - 1 - inside) / blur, (value - inside) / blur
     # in the upper tail subtract the two tails beyond, not two numbers near one
-    flip = a > 0
+    bounded = jnp.asarray(value) > 1
+    flip = bounded & (a > 0)
     lower, upper = jnp.where(flip, -b, a), jnp.where(flip, -a, b)
     top = log_ndtr(upper)
-    log_p = top + jnp.log1p(-jnp.exp(jnp.minimum(log_ndtr(lower) - top, -1e-300)))
-    return jnp.where(finite, -log_p, jnp.inf)
+    below = jnp.where(bounded, jnp.minimum(log_ndtr(lower) - top, -1e-300), -jnp.inf)
+    return jnp.where(finite, -top - jnp.log1p(-jnp.exp(below)), jnp.inf)
 
 
 def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0) -> Array:
@@ -122,9 +129,9 @@ def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayL
     return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / _blur(sigma, scatter)), 0)
 
 
-def _blur(sigma: ArrayLike, scatter: ArrayLike) -> Array:
+def _blur(sigma: ArrayLike, scatter: ArrayLike, sharpest: float = SHARPEST) -> Array:
     total = jnp.square(sigma) + jnp.square(scatter)
-    return jnp.sqrt(jnp.maximum(total, SHARPEST**2))
+    return jnp.sqrt(jnp.maximum(total, sharpest**2))
 
 
 def log_ndtr(x: Array) -> Array:
@@ -141,7 +148,7 @@ def _cost(kind: str, loss: Loss):
 
 
 def data_log_density(
-    mu: np.ndarray, value: np.ndarray, sigma: ArrayLike, kind: str = "length", loss: Loss = NORMAL
+    mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str = "length", exact: bool = False
 ) -> np.ndarray:
     """Log density of data given their predictions, without the constants; arrays that broadcast, NumPy float64.
 
@@ -152,10 +159,19 @@ def data_log_density(
     value, sigma : array_like
         What was measured, and its standard error.
     kind : {"length", "whole", "at_least"}
-    loss : Loss
+    exact : bool
+        Whether a count with σ = 0 is its interval itself (`EXACT`), instead of one blurred as in a fit (`SHARPEST`).
     """
-    numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma, -np.inf)))
-    return -over_lanes(_derivatives(kind, loss), [x.ravel() for x in numbers], FEW_OR_MANY)[0].reshape(numbers[0].shape)
+    numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma)))
+    cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], FEW_OR_MANY)[0]
+    return -cost.reshape(numbers[0].shape)
+
+
+@cache
+def _values(kind: str, exact: bool) -> Kernel:
+    """Cost of data (μ, value, σ)."""
+    cost = partial(count_cost, sharpest=EXACT) if exact else COSTS[kind]
+    return lambda columns: (jax.vmap(cost)(*columns),)
 
 
 @cache

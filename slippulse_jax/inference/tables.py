@@ -31,7 +31,7 @@ import csv
 import io
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, Gauges, MeasurementError, Measurements, check_domain
+from slippulse_jax.units import SI, split_unit
 
 
 class _Column(NamedTuple):
@@ -48,32 +49,22 @@ class _Column(NamedTuple):
     required: bool = False
 
 
-_BOTH = {
-    "poisson": _Column("poisson", required=True),
-    "poisson_sigma": _Column("poisson_sigma"),
-    "prestress": _Column("prestress"),
-    "threshold_slope": _Column("threshold_slope"),
-}
+def _columns(*names: str, over: bool = False, required: bool = False) -> dict[str, _Column]:
+    """Columns of these names, which end in their units; ``young_sigma_GPa`` holds the ``young_sigma``."""
+    return {name: _Column(*split_unit(name), over, required) for name in names}
+
+
+_BOTH = {**_columns("poisson", required=True), **_columns("poisson_sigma", "prestress", "threshold_slope")}
 _SI = {
-    "correlation_length_um": _Column("correlation_length", 1e-6, required=True),
-    "height_mm": _Column("height", 1e-3, True, required=True),
-    "length_mm": _Column("length", 1e-3, True, required=True),
-    "length_sigma_mm": _Column("length_sigma", 1e-3, True),
-    "young_GPa": _Column("young", 1e9),
-    "height_sigma_mm": _Column("height_sigma", 1e-3, True),
-    "correlation_length_sigma_um": _Column("correlation_length_sigma", 1e-6),
-    "young_sigma_GPa": _Column("young_sigma", 1e9),
-    "displacement_um": _Column("displacement", 1e-6),
-    "displacement_sigma_um": _Column("displacement_sigma", 1e-6),
-    "force_N_per_mm": _Column("force", 1e3),
-    "force_sigma_N_per_mm": _Column("force_sigma", 1e3),
+    **_columns("correlation_length_um", required=True),
+    **_columns("height_mm", "length_mm", over=True, required=True),
+    **_columns("length_sigma_mm", over=True),
+    **_columns("young_GPa"),
+    **_columns("height_sigma_mm", over=True),
+    **_columns("correlation_length_sigma_um", "young_sigma_GPa"),
+    **_columns("displacement_um", "displacement_sigma_um", "force_N_per_mm", "force_sigma_N_per_mm"),
 }
-_PLAIN = {
-    "height": _Column("height", required=True),
-    "length": _Column("length", required=True),
-    "length_sigma": _Column("length_sigma"),
-    "height_sigma": _Column("height_sigma"),
-}
+_PLAIN = {**_columns("height", "length", required=True), **_columns("length_sigma", "height_sigma")}
 _UNITS = {
     "m",
     "dm",
@@ -217,7 +208,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
         else:
             raw[column] = number(row[column], place)
     # a correlation length of 0 is refused for itself, not for the division by it
-    correlation_length = raw.get("correlation_length_um", 1.0) * 1e-6 or np.nan
+    correlation_length = raw.get("correlation_length_um", 1.0) * SI["um"] or np.nan
     quantities, shown = {}, {}
     for column, meaning in columns.items():
         scale = meaning.unit / correlation_length if meaning.over_correlation_length else meaning.unit
@@ -232,7 +223,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
     return quantities
 
 
-_GAUGE_UNITS = {"position_mm": 1e-3, "slip_um": 1e-6, "slip_sigma_um": 1e-6, "stress_MPa": 1e6, "stress_sigma_MPa": 1e6}
+_GAUGE_COLUMNS = ("position_mm", "slip_um", "slip_sigma_um", "stress_MPa", "stress_sigma_MPa")
 
 
 def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
@@ -253,7 +244,7 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
     MeasurementError
         Naming file, line and column.
     """
-    table = labelled_table(path, labels, _GAUGE_UNITS, required=("position_mm",))
+    table = labelled_table(path, labels, _GAUGE_COLUMNS, required=("position_mm",))
     return Gauges(table.row, **table.columns, lines=table.lines, source=os.fspath(path))
 
 
@@ -315,9 +306,9 @@ class LabelledTable(NamedTuple):
 
 
 def labelled_table(
-    path: str | os.PathLike[str], labels: Sequence[str], units: Mapping[str, float], required: Sequence[str]
+    path: str | os.PathLike[str], labels: Sequence[str], names: Sequence[str], required: Sequence[str]
 ) -> LabelledTable:
-    """Read a table with a column ``label`` and columns of numbers, `units` giving the SI value of each unit.
+    """Read a table with a column ``label`` and columns of numbers, whose names end in their units.
 
     Raises
     ------
@@ -330,9 +321,9 @@ def labelled_table(
         raise MeasurementError(f"{name}: a header line and at least one more are needed")
     (line, header), *body = table
     header = [cell.strip() for cell in header]
-    known, needed = {"label", *units}, {"label", *required}
+    known, needed = {"label", *names}, {"label", *required}
     if not needed <= set(header) <= known or len(set(header)) < len(header):
-        optional = [column for column in units if column not in required]
+        optional = [column for column in names if column not in required]
         more = f", and {', '.join(optional)} as measured" if optional else ""
         raise MeasurementError(
             f"{name}, line {line}: columns {', '.join(header)}; expected label, {', '.join(required)}{more}, each once"
@@ -347,8 +338,9 @@ def labelled_table(
         row.append(_row_of(by_name["label"], labels, where))
         for column, values in columns.items():
             blank = not by_name[column] and column not in required
-            values.append(np.nan if blank else number(by_name[column], f"{where}, column {column}") * units[column])
-    quantities = {column.rpartition("_")[0]: np.array(values) for column, values in columns.items()}
+            values.append(np.nan if blank else number(by_name[column], f"{where}, column {column}"))
+    meanings = ((split_unit(column), values) for column, values in columns.items())
+    quantities = {quantity: np.array(values) * unit for (quantity, unit), values in meanings}
     return LabelledTable(np.array(row), quantities, tuple(line for line, _ in body))
 
 

@@ -167,10 +167,13 @@ def outcome(
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """`length` where there is one; else inf or NaN, with a derivative that is not finite either."""
+    """`length` of a front that stopped; 0 where none started; else inf or NaN, with a derivative that is not finite either."""
+    stopped = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
+    none = (status == Outcome.NO_DOMINO) | (status == Outcome.NOTHING_BROKE)
     infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
-    undefined = jnp.where(infinite, jnp.inf, jnp.nan)
-    return jnp.where(status <= Outcome.REBREAK, length, undefined * (1 + jnp.abs(length)))
+    instead = jnp.where(none, 0, jnp.where(infinite, jnp.inf, jnp.nan))
+    # where nothing is left to break, the straight line may have no end
+    return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 0, jnp.abs(length))))
 
 
 # --- one slider --------------------------------------------------------------------------------------------------------
@@ -280,7 +283,11 @@ def runaway_prestress(modes: Modes) -> Array:
 
 
 def slowest_approach(modes: Modes) -> Array:
-    """1 − ρ_2 for the slow decay of the front stress: ρ solves (ρ − r_1)(ρ − r_2) = w_1 r_1 (ρ − r_2) + w_2 r_2 (ρ − r_1)."""
+    """Slow rate 1 − ρ_2 at which the front stress of a slider settles.
+
+    ρ solves (ρ − r_1)(ρ − r_2) = w_1 r_1 (ρ − r_2) + w_2 r_2 (ρ − r_1). Two modes only: with n it is an eigenvalue of an n × n
+    matrix, which has no closed form for a loop to carry.
+    """
     (r1, r2), (w1, w2), (g1, g2) = modes.ratio, modes.weight, modes.gap
     # with x = 1 − μ: (g1 − x)(g2 − x) − w1 r1 (g2 − x) − w2 r2 (g1 − x) = 0
     total = g1 + g2 - w1 * r1 - w2 * r2

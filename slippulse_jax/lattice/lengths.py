@@ -1,7 +1,7 @@
 """First precursors by the million: NumPy in and out, double precision, every lane by itself."""
 
 import functools
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
 import jax
 import jax.numpy as jnp
@@ -31,30 +31,23 @@ LENGTHS, WITH_MORE, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(ch
 """Of `lanes` for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general recursion."""
 
 
+class Options(TypedDict, total=False):
+    """Options of `precursor_lengths` on which the type of its result does not depend."""
+
+    rule: BreakRule
+    right: RightEnd
+    sites: int | None
+    max_contacts: int
+
+
 @overload
 def precursor_lengths(
-    slider: Slider,
-    interface: Interface | None = None,
-    *,
-    rule: BreakRule = HARD,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
-    derivatives: Literal[0] = 0,
+    slider: Slider, interface: Interface | None = None, *, derivatives: Literal[0] = 0, **options: Unpack[Options]
 ) -> np.ndarray: ...
 @overload
 def precursor_lengths(
-    slider: Slider,
-    interface: Interface | None = None,
-    *,
-    rule: BreakRule = HARD,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
-    derivatives: Literal[1],
+    slider: Slider, interface: Interface | None = None, *, derivatives: Literal[1], **options: Unpack[Options]
 ) -> LengthDerivatives: ...
-
-
 def precursor_lengths(
     slider: Slider,
     interface: Interface | None = None,

@@ -26,7 +26,7 @@ from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
-from slippulse_jax.lattice.front import straight_line
+from slippulse_jax.lattice.front import length_or_reason, straight_line
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
@@ -173,16 +173,6 @@ def _check(chain: Chain, state: State) -> None:
         raise ValueError(f"the chain is a batch, with contacts of shape {chain.contact.shape}: use jax.vmap")
     if jnp.shape(state.pinning) != (chain.sites,):
         raise ValueError(f"state.pinning has shape {jnp.shape(state.pinning)}: must be ({chain.sites},) for this chain")
-
-
-def length_or_reason(status: Array, length: Array) -> Array:
-    """Return ℓ, or 0, inf or NaN according to the outcome.
-
-    Where there is no length the derivative is NaN.
-    """
-    arrested = status == Outcome.ARRESTED
-    reasons = [status == Outcome.NOTHING_BROKE, status == Outcome.RAN_THROUGH]
-    return jnp.where(arrested, length * jnp.where(arrested, 1, jnp.nan), jnp.select(reasons, [0.0, jnp.inf], jnp.nan))
 
 
 # --- the hard rule ---

@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, passage
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, length_or_reason, passage
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
@@ -100,4 +100,4 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     status = jnp.select(
         [~valid | ~jnp.isfinite(end.length), fading(end)], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
     ).astype(jnp.int32)
-    return jnp.where(status == Outcome.ARRESTED, end.length, jnp.nan * (1 + jnp.abs(end.length))), status
+    return length_or_reason(status, end.length), status

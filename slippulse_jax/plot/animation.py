@@ -12,6 +12,7 @@ from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.modes import Fields
 from slippulse_jax.lattice.precursor import FirstPrecursor
 from slippulse_jax.plot import style
+from slippulse_jax.plot.labels import DISTANCE, axis_label
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -106,8 +107,8 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
     (carried,) = below.plot(x, stress[0], color=c.ink)
     fronts = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in (above, below)]
     words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
-    above.set(ylabel="displacement, $u/u_s$", ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
-    below.set(xlabel=style.DISTANCE, ylabel="contact stress, $t/\\sigma_s$", ylim=(0, 1.15 * max(stress.max(), 1)))
+    above.set(ylabel=axis_label("displacement", "u_s"), ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
+    below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"), ylim=(0, 1.15 * max(stress.max(), 1)))
     above.legend(loc="upper right")
     below.legend(handles=below.lines[:2], loc="center right")
 

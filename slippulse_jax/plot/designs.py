@@ -7,6 +7,7 @@ import numpy as np
 
 from slippulse_jax.inference.design.design import lengths_of
 from slippulse_jax.inference.design.report import BIT, label
+from slippulse_jax.plot.labels import axis_label
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
         )
     ax.set(
         xscale="log",
-        xlabel="areal stiffness, $k/\\lambda_c^2$ (Pa/m)" if found.knowledge.in_si else "contact stiffness, $k/K$",
+        xlabel=axis_label("areal_stiffness", "Pa/m") if found.knowledge.in_si else axis_label("stiffness"),
         ylabel="length over height, $\\ell/H$ (± σ)",
         ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
     )

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, table
-from slippulse_jax.plot.style import DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.plot.style import axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
                 color=getattr(c, COLOURS[kind]),
                 label=NAMES.get(kind, kind.name.lower()),
             )
-    ax.set(xlabel="load, $U/u_s$", ylabel="force on the left edge, $F/(K u_s)$")
+    ax.set(xlabel=axis_label("load", "u_s"), ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
     ax.legend(frameon=False, title="event", alignment="left", loc="lower right")
     return ax
@@ -67,6 +68,6 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
         chosen = kinds == kind
         if chosen.any():
             ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=NAMES.get(kind, kind.name.lower()))
-    ax.set(xlabel=DISTANCE, ylabel="load, $U/u_s$")
+    ax.set(xlabel=DISTANCE, ylabel=axis_label("load", "u_s"))
     ax.legend(frameon=False, title="event", alignment="left", loc="lower right", markerscale=3)
     return ax

@@ -12,6 +12,7 @@ from jaxtyping import Array
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.plot import style
+from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -206,10 +207,10 @@ class Drawing:
             self.slopes.axvline(0, color=c.ink, lw=0.8)
             self.slopes.invert_yaxis()
             self.words = self.slopes.text(0.5, 0.5, "", transform=self.slopes.transAxes, ha="center", va="center")
-            for ax, label in ((self.fields, "displacement, $u/u_s$"), (self.stress, "contact stress, $t/\\sigma_s$")):
-                ax.set(xlabel=style.DISTANCE, ylabel=label)
+            for ax, name, unit in ((self.fields, "displacement", "u_s"), (self.stress, "stress", "σ_s")):
+                ax.set(xlabel=DISTANCE, ylabel=axis_label(name, unit))
                 ax.legend(loc="upper right")
-            self.front.set(xlabel="contact, $s$ ($x/\\lambda_c$)", ylabel="front stress, $t/\\sigma_s$")
+            self.front.set(xlabel="contact, $s$ ($x/\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
             self.front.legend(loc="upper right")
             self.slopes.set(xlabel="change of the length, $\\lambda_c$")
 

@@ -10,6 +10,7 @@ from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
+from slippulse_jax.plot.labels import axis_label, printed
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
 
 if TYPE_CHECKING:
@@ -24,25 +25,6 @@ BAND_LEVEL = 0.95
 MOST_CURVES = 6
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
-
-NAMES = {
-    "stiffness": "contact stiffness, $k/K$",
-    "areal_stiffness": r"areal stiffness, $k/\lambda_c^2$",
-    "areal_stiffness_over_young": r"areal stiffness over $E$, $k/(\lambda_c^2 E)$",
-    "height": "height, $H$",
-    "correlation_length": r"correlation length, $\lambda_c$",
-    "young": "Young's modulus, $E$",
-    "poisson": r"Poisson's ratio, $\nu$",
-    "prestress": r"prestress, $\varphi$",
-    "threshold_slope": r"threshold gradient, $\epsilon$",
-    "strength": r"strength, $\sigma_s$",
-    "offset": r"offset of the lengths",
-    "model_factor": "factor on the model's lengths",
-    "width": "width of the break rule, $w$",
-    "arrest": r"contacts broken beyond $\ell$",
-    "discrepancy": "relative error of the model",
-}
-UNITS = {"λc": r"$\lambda_c$", "1/λc": r"$1/\lambda_c$", "σ_s": r"$\sigma_s$"}
 
 
 def fit(result: "FitResult") -> "Figure":
@@ -142,8 +124,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
         top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
     _draw_data(result, ax, scale)
-    ax.set_xlabel(f"height, $H$ ({unit})" if m.in_si else r"height, $H/\lambda_c$")
-    ax.set_ylabel(f"precursor length, $\\ell$ ({unit})" if m.in_si else r"precursor length, $\ell/\lambda_c$")
+    ax.set(xlabel=axis_label("height", unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
     ax.legend(loc="upper left" if len(set(m.height)) > 1 else "lower right")
@@ -244,12 +225,11 @@ def residuals(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw (fitted − measured)/σ against the fitted length."""
     ax = axes(ax)
     c = colours(ax)
-    m = result.measurements
     scale, unit = _display_unit(result)
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     ax.plot(result.fitted.length * scale, result.residuals, "o", color=c.vermilion)
-    ax.set_xlabel(f"fitted length, $\\ell$ ({unit})" if m.in_si else r"fitted length, $\ell/\lambda_c$")
+    ax.set_xlabel(f"fitted {axis_label('length', unit)}")
     ax.set_ylabel("(fitted − measured)/σ")
     reach = max(2.5, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
@@ -346,13 +326,13 @@ def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
 
 def _name(one: "Free", axis: "Axis") -> None:
     """Label a finished axis; a power of ten goes into the unit, where Matplotlib would print it over a neighbour's label."""
-    unit = UNITS.get(one.unit, one.unit)
+    unit = one.unit
     power = int(np.floor(np.log10(max(np.abs(axis.get_view_interval()).max(), 1e-300))))
     if axis.get_scale() == "linear" and not -2 <= power < 4:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
-        unit = f"$10^{{{power}}}$ {unit}".rstrip()
+        unit = f"$10^{{{power}}}$ {printed(unit)}".rstrip()
     specimen = f" {one.label[one.label.index('[') :]}" if "[" in one.label else ""
-    axis.set_label_text(NAMES.get(one.name, one.symbol) + (f" ({unit})" if unit else "") + specimen)
+    axis.set_label_text(axis_label(one.name, unit) + specimen)
 
 
 def _display_unit(result: "FitResult") -> tuple[np.ndarray, str]:

@@ -5,21 +5,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slippulse_jax.plot import style
+from slippulse_jax.plot.labels import NAMES, axis_label, in_unit, symbol
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-LABELS = {
-    "height": "height, $H/\\lambda_c$",
-    "stiffness": "contact stiffness, $k/K$",
-    "poisson": "Poisson's ratio, $\\nu$",
-    "prestress": "prestress, $\\varphi/\\sigma_s$",
-    "threshold_slope": "threshold gradient, $\\epsilon$ ($\\sigma_s$ per site)",
-    "repin_delay": "repinning delay, $n$ (sites)",
-    "width": "width of the break rule, $w/\\sigma_s$",
-}
-UNITS = {"lambda_c": "$\\lambda_c$", "sigma_s": "$\\sigma_s$", "u_s": "$u_s$", "lambda_c/sigma_s": "$\\lambda_c/\\sigma_s$"}
+UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
+"""Units of the parameters of a sweep that are not dimensionless."""
+
 LINES = 8
 """Largest number of lines in a family; an axis with more values makes a map."""
 
@@ -51,8 +45,8 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     else:
         _map(ax, column, *(axes if axes[0] == column.dims[1] else axes[::-1]))
     fixed = [
-        f"{label.split(', ')[1]} = {float(column[name]):g}"
-        for name, label in LABELS.items()
+        f"{symbol(name, UNIT_OF.get(name, ''))} = {float(column[name]):g}"
+        for name in NAMES
         if name in column.coords and not column[name].ndim
     ]
     ax.set_title(", ".join(fixed), fontsize="medium")
@@ -69,9 +63,9 @@ def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -
         label = None if family is None else f"{float(member[family]):.4g}"
         ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
-    ax.set(xlabel=LABELS[along], ylabel=_label(column))
+    ax.set(xlabel=_axis(along), ylabel=_label(column))
     if family is not None:
-        ax.legend(title=LABELS[family], loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
+        ax.legend(title=_axis(family), loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
 
 
 def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> None:
@@ -84,7 +78,7 @@ def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> 
         ax.clabel(lines, fontsize="small")
     _scale(ax.set_xscale, x)
     _scale(ax.set_yscale, y)
-    ax.set(xlabel=LABELS[horizontal], ylabel=LABELS[vertical])
+    ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))
     ax.figure.colorbar(mesh, ax=ax, label=_label(column))
 
 
@@ -94,7 +88,9 @@ def _scale(set_scale: Any, values: np.ndarray) -> None:
         set_scale("log")
 
 
+def _axis(name: str) -> str:
+    return axis_label(name, UNIT_OF.get(name, ""))
+
+
 def _label(column: "xr.DataArray") -> str:
-    unit = column.attrs.get("units", "1")
-    name = column.attrs.get("long_name", column.name)
-    return f"{name}" if unit == "1" else f"{name} ({UNITS.get(unit, unit)})"
+    return in_unit(str(column.attrs.get("long_name", column.name)), column.attrs.get("units", ""))

@@ -4,14 +4,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.plot.style import ABOVE, DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from slippulse_jax.inference.recover.recovery import RecoveredProfile
 
-LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": "prestress, $\\varphi/\\sigma_s$"}
+LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": axis_label("prestress", "σ_s")}
 
 
 @drawn

@@ -8,7 +8,8 @@ from slippulse_jax.lattice.chain import Chain
 from slippulse_jax.lattice.equilibrium import Equilibrium
 from slippulse_jax.lattice.rupture import Rupture
 from slippulse_jax.lattice.sensitivity import Sensitivity
-from slippulse_jax.plot.style import ABOVE, DISTANCE, axes, colours, drawn
+from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +35,7 @@ def displacements(
         if state is not None:
             ax.plot(np.asarray(state.upper)[shown], style, color=c.blue, label=f"upper $u_t${when}")
             ax.plot(np.asarray(state.layer)[shown], style, color=c.vermilion, label=f"layer $u${when}")
-    ax.set(xlabel=DISTANCE, ylabel="displacement, $u/u_s$")
+    ax.set(xlabel=DISTANCE, ylabel=axis_label("displacement", "u_s"))
     ax.legend(frameon=False)
     return ax
 
@@ -57,7 +58,7 @@ def stress(
     ax.plot(np.asarray(found.stress)[shown], "-", color=c.vermilion, label="after" if before is not None else "stress")
     if chain is not None:
         ax.plot(np.asarray(chain.threshold)[shown], ":", color=c.grey, label="threshold")
-    ax.set(xlabel=DISTANCE, ylabel="contact stress, $t/\\sigma_s$")
+    ax.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
     ax.legend(frameon=False)
     return ax
 
@@ -74,7 +75,7 @@ def front_stress(
     ax.axhline(threshold, color=c.grey, linestyle=":", label="threshold")
     if length is not None and np.isfinite(length):
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
-    ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel="front stress, $t(s)/\\sigma_s$")
+    ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
     # above the Axes: inside, it would lie on the threshold or on the curve
     ax.legend(**ABOVE, ncols=3, frameon=False)
     return ax

@@ -20,10 +20,6 @@ Draw = TypeVar("Draw", bound=Callable[..., Any])
 COLUMN, PAGE = 3.4, 7.0
 """Widths of a journal's column and page, in inches (86 and 178 mm)."""
 
-DISTANCE = "distance from the trailing edge, $x/\\lambda_c$"
-"""Label of every axis along the interface."""
-
-
 ABOVE: dict[str, Any] = {
     "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
 }  # fmt: skip

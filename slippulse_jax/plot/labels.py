@@ -1,0 +1,68 @@
+"""Names, symbols and units of quantities, as they stand on the axes of every picture."""
+
+NAMES = {
+    "height": ("height", "H"),
+    "stiffness": ("contact stiffness", "k/K"),
+    "areal_stiffness": ("areal stiffness", r"k/\lambda_c^2"),
+    "areal_stiffness_over_young": ("areal stiffness over $E$", r"k/(\lambda_c^2 E)"),
+    "correlation_length": ("correlation length", r"\lambda_c"),
+    "young": ("Young's modulus", "E"),
+    "poisson": ("Poisson's ratio", r"\nu"),
+    "prestress": ("prestress", r"\varphi"),
+    "threshold_slope": ("threshold gradient", r"\epsilon"),
+    "repin_delay": ("repinning delay", "n"),
+    "strength": ("strength", r"\sigma_s"),
+    "offset": ("offset of the lengths", ""),
+    "model_factor": ("factor on the model's lengths", ""),
+    "width": ("width of the break rule", "w"),
+    "arrest": (r"contacts broken beyond $\ell$", ""),
+    "discrepancy": ("relative error of the model", ""),
+    "length": ("precursor length", r"\ell"),
+    "position": ("distance from the trailing edge", "x"),
+    "displacement": ("displacement", "u"),
+    "stress": ("contact stress", "t"),
+    "front_stress": ("front stress", "t(s)"),
+    "load": ("load", "U"),
+}
+"""What each quantity is called, and its symbol."""
+
+UNITS = {"λc": r"\lambda_c", "lambda_c": r"\lambda_c", "σ_s": r"\sigma_s", "sigma_s": r"\sigma_s", "u_s": "u_s"}
+"""Units of the model."""
+
+COMBINED = {"1/λc": r"$1/\lambda_c$", "σ_s per site": r"$\sigma_s$ per site", "lambda_c/sigma_s": r"$\lambda_c/\sigma_s$"}
+
+
+def symbol(name: str, unit: str = "") -> str:
+    """Symbol of a quantity; in a unit of the model, the ratio of the two."""
+    sign = NAMES[name][1]
+    return f"${sign}/{UNITS[unit]}$" if unit in UNITS else f"${sign}$"
+
+
+def axis_label(name: str, unit: str = "") -> str:
+    """Label of an axis.
+
+    Examples
+    --------
+    >>> axis_label("height", "mm")
+    'height, $H$ (mm)'
+    >>> axis_label("load", "u_s")
+    'load, $U/u_s$'
+    """
+    words, sign = NAMES[name]
+    if not sign:
+        return in_unit(words, unit)
+    return f"{words}, {symbol(name, unit)}" if unit in UNITS else in_unit(f"{words}, {symbol(name)}", unit)
+
+
+def in_unit(words: str, unit: str) -> str:
+    """Append a unit in parentheses, if there is one."""
+    return f"{words} ({printed(unit)})" if unit not in ("", "1") else words
+
+
+def printed(unit: str) -> str:
+    """A unit as Matplotlib prints it."""
+    return f"${UNITS[unit]}$" if unit in UNITS else COMBINED.get(unit, unit)
+
+
+DISTANCE = axis_label("position", "λc")
+"""Label of every axis along the interface."""
