@@ -28,6 +28,7 @@ for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_j
 κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -42,8 +43,8 @@ ROW_TOLERANCE = 5e-13
 ROWS = 17
 """Rows of the longest table: degree 34 in r_1 and r_2."""
 
-REGULAR, PLAIN = ((1, ROWS),), ((1, 5), (6, 11), (12, ROWS))
-"""First and last row of the loops a table is made by, each as wide as its last row: one to compile little, three to compute
+REGULAR, PLAIN, NARROW = ((1, ROWS),), ((1, 5), (6, 11), (12, ROWS)), ((1, 4), (5, 8), (9, 12), (13, ROWS))
+"""First and last row of the loops a table is made by, each as wide as its last row: one to compile little, more to compute
 little."""
 
 LEAST, STORED = 5, 11
@@ -51,6 +52,9 @@ LEAST, STORED = 5, 11
 
 SOUND = 1e3
 """Amplitude from which a pole nearby has cost too many digits."""
+
+FAR = 37.0
+"""Exponent from which a decaying term is rounding."""
 
 Lanes = Float[Array, "*lanes"]
 
@@ -85,10 +89,10 @@ class Series(NamedTuple):
     """Table and amplitudes of every lane."""
 
     system: System
-    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored
+    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored; of a narrow table, where a = 0
     rows: Float[Array, "k F *lanes"]  # Σ_a τ up to the last row stored
     beyond: Float[Array, "F *lanes"]  # Σ_ka τ of later rows
-    totals: Float[Array, "3 F *lanes"]  # Σ τ, Σ τ (1 − μ), −Σ τ ln μ
+    totals: Float[Array, "sums F *lanes"]  # Σ τ, Σ τ (1 − μ) and, unless narrow, −Σ τ ln μ
     amplitude: Float[Array, "F *lanes"]  # c_j
     echo: Float[Array, "F *lanes"] | None  # κ_j, with which D(s) times ρ_1's series is part of family j; None if not regular
     echo_rate: Float[Array, "F *lanes"]  # −ln x_j
@@ -163,10 +167,46 @@ def system_of(
     )
 
 
+class FarSeries(NamedTuple):
+    """A relaxed front's stress where what decays like r_1 or ρ_1 has died out: t(s) = ρ_2^s Σ_k c_2 τ_k0 (r_2²)^{ks}."""
+
+    system: System
+    amplitude: Float[Array, "2 *lanes"]  # c_j
+    column: Float[Array, "k *lanes"]  # c_2 τ_k0
+    begins: Lanes  # the s from which it holds
+    sound: Bool[Array, "*lanes"]  # whether every digit is there
+
+
+Rise = Callable[[Lanes], tuple[Lanes, Lanes]]
+"""t(s) − t(0) and t'(s) of lanes at s."""
+
+
+def solve_far(system: System) -> FarSeries:
+    """Table and amplitudes of relaxed fronts, by a plain table of which one column is kept."""
+    found = _solved(system, _table(system, NARROW, narrow=True))
+    column = jnp.concatenate([jnp.ones_like(found.rows[:1, 1]), *(block[:, 1, 0] for block in found.blocks)])
+    begins = FAR / jnp.minimum(system.column_rate, system.rate[0])
+    return FarSeries(system, found.amplitude, found.amplitude[1] * column, begins, found.sound)
+
+
+def rise_far(series: FarSeries, s: Lanes) -> tuple[Lanes, Lanes]:
+    """t(s) − t(0) and t'(s), as `rise`, for s ≥ `begins`. Both are differences: a lift of t by b costs the digits of b."""
+    level_rate, rate = series.system.level_rate, series.system.rate[1]
+    ratio, power = 1 - decayed(s * level_rate), 1 - decayed(s * rate)
+    total = bent = jnp.zeros_like(s)
+    for k in range(series.column.shape[0] - 1, -1, -1):
+        total, bent = ratio * total + series.column[k], ratio * bent + k * series.column[k]
+    return power * total - series.system.at_edge, -power * (rate * total + level_rate * bent)
+
+
 def solve(system: System, *, regular: bool = True) -> Series:
     """Table, and the amplitudes that give t(0) and t(1) − t(0)."""
-    table = _table(system, regular)
-    (A, gaps, _), plateau = table.totals, system.plateau
+    return _solved(system, _table(system, REGULAR if regular else PLAIN))
+
+
+def _solved(system: System, table: Series) -> Series:
+    """Amplitudes added."""
+    (A, gaps), plateau = table.totals[:2], system.plateau
     B = -gaps
     if table.echo is not None:
         # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
@@ -193,11 +233,12 @@ class _Progress(NamedTuple):
     echo: Array | None
 
 
-def _table(system: System, regular: bool) -> Series:
-    """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
+def _table(system: System, blocks: tuple[tuple[int, int], ...], narrow: bool = False) -> Series:
+    """Rows until every lane has ended, or `ROWS`; no amplitudes yet. A narrow table keeps the column a = 0 alone."""
     families, *lanes = system.rate.shape
     zeros, one = jnp.zeros_like(system.rate), jnp.ones_like(system.rate)
-    blocks, stored = (REGULAR, ROWS) if regular else (PLAIN, STORED)
+    regular = blocks is REGULAR
+    stored = STORED if blocks is PLAIN else ROWS
     rows = jnp.zeros((stored + 1, families, *lanes), one.dtype).at[0].set(1)
     above = jnp.zeros((families, 3, *lanes), one.dtype).at[:, 2].set(1)
     resonance, fed, echo = zeros, None, None
@@ -208,12 +249,13 @@ def _table(system: System, regular: bool) -> Series:
         resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
         fed = jnp.zeros((ROWS + 1, 2, 2 * ROWS + 1, *lanes), one.dtype)
         echo = jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0)
-    totals = jnp.stack([one, system.start_gap, system.rate])
+    totals = jnp.stack([one, system.start_gap] if narrow else [one, system.start_gap, system.rate])
     running = jnp.ones(lanes, bool)
     progress = _Progress(jnp.asarray(1), jnp.zeros_like(system.level_rate), rows, zeros, totals, running, fed, echo)
     kept = []
     for start, end in blocks:
-        block = jnp.zeros((end - start + 1 if end <= stored else 0, families, 2 * end + 1, *lanes), one.dtype)
+        width = 1 if narrow else 2 * end + 1
+        block = jnp.zeros((end - start + 1 if end <= stored else 0, families, width, *lanes), one.dtype)
         above = jnp.zeros((families, 2 * end + 3, *lanes), one.dtype).at[:, : above.shape[1]].set(above)
         progress, above, block = _fill(system, progress, above, block, (start, end), resonance)
         kept.append(block)
@@ -262,12 +304,14 @@ def _fill(
         if end > LEAST:
             tau = jnp.where(running[None, None], tau, 0)
         total = summed(tau)
-        by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
-        bend, lost = by_level * total + by_column * summed(a[None] * tau), summed(gap[None] * tau)
-        totals = totals + jnp.stack([total, system.start_gap * total + rho * lost, system.rate * total + bend])
+        more = [total, system.start_gap * total + rho * summed(gap[None] * tau)]
+        if totals.shape[0] > 2:
+            by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
+            more.append(system.rate * total + by_level * total + by_column * summed(a[None] * tau))
+        totals = totals + jnp.stack(more)
         if stored:
             rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
-            block = lax.dynamic_update_index_in_dim(block, tau, k - start, 0)
+            block = lax.dynamic_update_index_in_dim(block, tau[:, : block.shape[2]], k - start, 0)
         else:
             beyond = beyond + total
         if end > LEAST:

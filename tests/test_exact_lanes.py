@@ -6,8 +6,11 @@ import pytest
 from strategies import random_sliders
 
 import slippulse_jax as sp
+from slippulse_jax.bulk.chunks import over_lanes
+from slippulse_jax.lattice import exact_lanes, long_fronts
 from slippulse_jax.lattice.exact import exact_front, exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
+from slippulse_jax.status import Outcome
 
 
 def random_lanes(count, seed):
@@ -66,6 +69,26 @@ def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     print(f"worst relative difference {worst:.1e} of {long.sum()} lengths")
     assert worst < 1e-11
     np.testing.assert_allclose(found[finite & ~long], expected[finite & ~long], atol=1e-11)
+
+
+def test_what_the_far_series_settles_is_right():
+    """Sliders of every height, those included whose front stops near the edge, or never starts: each right, or left to others."""
+    rng, n = np.random.default_rng(68), 1500
+    height, nu = 10 ** rng.uniform(0.3, 5.3, n), rng.uniform(-0.9, 0.5, n)
+    b = 10 ** rng.uniform(np.log10(long_fronts.LIFT), 3, n)
+    lanes = np.stack([height, np.minimum(b / (2 * (1 + nu) * height), 1), nu, 0 * nu, 0 * nu])
+    lanes = lanes[:, 2 * (1 + nu) * lanes[1] * height >= long_fronts.LIFT]
+    ((far, status),) = over_lanes(exact_lanes._far, lanes, long_fronts.FAR)
+    ((regular, _),) = over_lanes(exact_lanes._careful, lanes, exact_lanes.CAREFULLY)
+    settled = status == Outcome.ARRESTED
+    assert set(status) == {Outcome.ARRESTED, Outcome.NOT_CONVERGED}
+    np.testing.assert_allclose(far[settled], regular[settled], rtol=1e-11)
+    chosen = long_fronts.which_are_far(lanes)
+    assert settled[chosen].mean() > 0.95
+    assert chosen[settled].mean() > 0.9
+    order = rng.permutation(lanes.shape[1])
+    ((again, _),) = over_lanes(exact_lanes._far, lanes[:, order], long_fronts.FAR)
+    np.testing.assert_array_equal(again, far[order])
 
 
 def test_fronts_all_but_level_beside_the_threshold_are_found():

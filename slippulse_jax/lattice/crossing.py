@@ -7,6 +7,7 @@ careful search then proceeds from the edge in steps that do not skip a dip, and 
 stays below its threshold.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from slippulse_jax import double_series as series
-from slippulse_jax.double_series import Lanes, Series, System
+from slippulse_jax.double_series import FarSeries, Lanes, Series, System
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -73,7 +74,7 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
         start = jnp.where(in_dip & (dip - low > 2 * _tiny(slope) * jnp.maximum(dip, 1)), dip, start)
         low = jnp.where(simple, 0, low)
     tolerance = max(CLOSE, _tiny(slope))
-    s, before = _newton(found, slope, start, low, tolerance=tolerance, most=STEPS)
+    s, before = _newton(partial(series.rise, found), slope, start, low, tolerance=tolerance, most=STEPS)
     settled = jnp.abs(s - before) <= ROUNDED * jnp.maximum(s, 1)
     s = jnp.where(in_dip & (start == 0), dip, s)
     none = jnp.where(simple, ~moves, in_dip & (dip == 0))
@@ -97,10 +98,25 @@ def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[La
     regular = found.sound & _simple(found, slope)
     start = jnp.where(moves & regular, _start(found, theta), 0)
     low = jnp.zeros_like(start)
-    s, _ = _newton(found, slope, start, low, tolerance=1e-4, most=TURNS, blocks=1)
-    s, before = _newton(found, slope, s, low, tolerance=CLOSE, most=TURNS)
+    s, _ = _newton(partial(series.rise, found, blocks=1), slope, start, low, tolerance=1e-4, most=TURNS)
+    s, before = _newton(partial(series.rise, found), slope, s, low, tolerance=CLOSE, most=TURNS)
     settled = regular & (~moves | _close(s, before, CLOSE) & series.died_out(found, s))
     status = jnp.where(settled, jnp.where(moves, Outcome.ARRESTED, Outcome.NO_DOMINO), Outcome.NOT_CONVERGED).astype(s.dtype)
+    return length_of(s, status), status
+
+
+def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
+    """As `crossing_in_bulk`, of relaxed lanes on level thresholds that cross where the far series holds.
+
+    Such a front is simple: the crossing lies beyond `begins` if, and only if, the stress there is above the threshold.
+    """
+    rise = partial(series.rise_far, found)
+    slope, low = jnp.zeros_like(found.begins), found.begins
+    beyond = found.sound & (rise(low)[0] > 0)
+    start = jnp.where(beyond, jnp.maximum(_start(found, theta), low), 0)
+    s, before = _newton(rise, slope, start, low, tolerance=CLOSE, most=TURNS)
+    settled = beyond & _close(s, before, CLOSE)
+    status = jnp.where(settled, Outcome.ARRESTED, Outcome.NOT_CONVERGED).astype(s.dtype)
     return length_of(s, status), status
 
 
@@ -114,7 +130,7 @@ def _simple(found: Series, slope: Lanes) -> Bool[Array, "*lanes"]:
     return (found.system.plateau < SIMPLE) & (slope >= 0)
 
 
-def _start(found: Series, theta: Array) -> Lanes:
+def _start(found: Series | FarSeries, theta: Array) -> Lanes:
     """By the tail c_2 ρ_2^s far from the edge, or the macroscopic law on a rigid upper layer, whichever makes sense."""
     slider = Slider(theta[0], theta[1], theta[2])
     excess = found.amplitude[1] / (1 - jnp.minimum(found.system.plateau, SIMPLE)) - 1
@@ -123,9 +139,7 @@ def _start(found: Series, theta: Array) -> Lanes:
     return jnp.log1p(jnp.where(by_tail, excess, b / (2 + b))) / jnp.where(by_tail, found.system.rate[1], slider.kappa_2)
 
 
-def _newton(
-    found: Series, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int, blocks: int | None = None
-) -> tuple[Lanes, Lanes]:
+def _newton(rise: series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int) -> tuple[Lanes, Lanes]:
     """(s, the s before) once every lane is close, safeguarded by a bracket from `low` on.
 
     A lane that is close stays where it is, and s = 0 asks for nothing.
@@ -133,7 +147,7 @@ def _newton(
 
     def turn(carry: Any) -> Any:
         s, before, low, high, count = carry
-        excess, rate = series.rise(found, s, blocks)
+        excess, rate = rise(s)
         over = excess >= slope * s
         low, high = jnp.where(over, s, low), jnp.where(over, high, s)
         # ln t is all but straight: x (6 + x)/(6 + 4x) is ln(1 + x) near 0

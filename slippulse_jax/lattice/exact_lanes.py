@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.crossing import crossing, crossing_in_bulk, system_of
+from slippulse_jax.lattice import long_fronts
+from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, system_of
 from slippulse_jax.lattice.exact import uniform
 from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.slider import Slider
@@ -93,18 +94,29 @@ def exact_lengths(
 def exact_fronts(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
 
-    Simple lanes go through a plain series. The others, and the few that a pole of the plain series costs digits, go through a
-    regular one, which takes longer.
+    A lane's own values choose its program, and what one program leaves goes to the next. Relaxed lanes that cross far from the
+    edge go through what is left of the series there; simple ones through a plain series, which has a family of terms more with
+    a prestress. The others, and the few that a pole of the plain series costs digits, go through a regular one, which takes
+    longer.
     """
-    found = np.empty((2, lanes.shape[1]))
-    prestressed = lanes[3] != 0  # a family of terms more: a lane's own value chooses its program
-    for kernel, chosen in ((_relaxed, ~prestressed), (_prestressed, prestressed)):
-        if chosen.any():
-            (found[:, chosen],) = over_lanes(kernel, lanes[:, chosen], IN_BULK, _effort)
-    left = found[1] == Outcome.NOT_CONVERGED
-    if left.any():
-        (found[:, left],) = over_lanes(_careful, lanes[:, left], CAREFULLY)
+    found = np.full((2, lanes.shape[1]), float(Outcome.NOT_CONVERGED))
+    prestressed = lanes[3] != 0
+    far = ~prestressed & (lanes[4] == 0) & long_fronts.which_are_far(lanes)
+    for kernel, layout, rank, wanted in (
+        (_far, long_fronts.FAR, None, far),
+        (_relaxed, IN_BULK, _effort, ~prestressed),
+        (_prestressed, IN_BULK, _effort, prestressed),
+        (_careful, CAREFULLY, None, True),
+    ):
+        left = (found[1] == Outcome.NOT_CONVERGED) & wanted
+        if left.any():
+            (found[:, left],) = over_lanes(kernel, lanes[:, left], layout, rank)
     return found[0], found[1].astype(np.int32)
+
+
+def _far(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
+    found = series.solve_far(system_of(theta, prestressed=False))
+    return (jnp.stack(crossing_far(found, theta)),)
 
 
 def _relaxed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:

@@ -114,8 +114,7 @@ def lengths(
         long = long_fronts.which_are_long(columns) if len(columns) == 3 and max_contacts > long_fronts.LONG else ()
         if len(long):  # relaxed fronts of which some are expected to be long: those by the series, where it settles
             found = np.full(len(columns[0]), np.nan)
-            by_series = long_fronts.long_length_kernel(max_contacts)
-            (found[long],) = over_lanes(by_series, [x[long] for x in columns], long_fronts.LAYOUT, length_rank)
+            found[long] = long_fronts.long_lengths([x[long] for x in columns], max_contacts)
             rest = np.isnan(found)
             (found[rest],) = over_lanes(kernel, [x[rest] for x in columns], layout, length_rank)
             return found.reshape(shape)
