@@ -20,6 +20,14 @@ import hypothesis
 import jax
 import pytest
 
+from slippulse_jax.bulk.compiler import TRIED
+
+# Two of XLA's options reduce the time to compile to a third. Only releases that were tried get them: an unknown option ends the
+# process. Programs for many lanes are compiled as users' are, whatever is said here; the rest may differ in the last digit.
+# `XLA_FLAGS= pytest` compiles everything as users' programs are.
+if jax.lib.__version__ in TRIED:
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+
 if os.environ.get("SLIPPULSE_CHECK_SHAPES"):  # of every array that passes between functions
     import shapes
 

@@ -36,7 +36,7 @@ def child(code, **environment):
     return subprocess.Popen(
         [sys.executable, "-c", "import numpy as np, jax, slippulse_jax as sp\n" + code],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": ""} | environment,  # compiled as users' programs are
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ Rank = Callable[[Lanes], np.ndarray]
 
 
 class Layout(NamedTuple):
-    """How lanes are laid out for a kernel. Costs depend on it, results do not."""
+    """How lanes are laid out for a kernel, and its program compiled. Costs depend on it; results only on `fusion_emitters`."""
 
     chunk: int = 1000
     """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache."""
@@ -41,6 +41,9 @@ class Layout(NamedTuple):
     """Number of lanes up to which a smaller program takes them at once; 0 for one program fewer to compile."""
     worth_a_thread: int = 1
     """Chunks below which a second thread costs more than it saves: the interpreter lock changes hands, and a core wakes up."""
+    fusion_emitters: bool = True
+    """Whether XLA's newer code generator writes the program. The older one takes half the time to compile wide formulas, which
+    then run as fast or faster; the last digit differs. Programs that promise each other's bits need the same."""
 
 
 DEFAULT_LAYOUT = Layout()
@@ -77,7 +80,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     pieces = list(_pieces(count, layout))
     many = count > layout.few
     program, width = (_chunk_by_chunk, layout.chunk) if many else (_at_once, layout.few)
-    ready = {device: program(kernel, fields, width, device) for device in devices_for(len(pieces))}
+    ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices_for(len(pieces))}
 
     def run(where: slice) -> None:
         here = [field[where] for field in lanes]
@@ -124,13 +127,13 @@ def _shapes(kernel: Kernel, fields: int) -> tuple[Any, ...]:
 
 
 @functools.cache
-def _at_once(kernel: Kernel, fields: int, width: int, device: Any) -> Callable[..., tuple[Array, ...]]:
+def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Callable[..., tuple[Array, ...]]:
     """Program for a few lanes; `device` is the one it is compiled for."""
-    return compiled(lambda lanes, _: kernel(lanes), _input(fields, width), _COUNT, device=device)
+    return compiled(lambda lanes, _: kernel(lanes), _input(fields, width), _COUNT, device=device, fusion_emitters=emitters)
 
 
 @functools.cache
-def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any) -> Callable[..., tuple[Array, ...]]:
+def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Callable[..., tuple[Array, ...]]:
     """Program for any number of chunks up to `PIECE`: the rest of its input is not looked at."""
 
     def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
@@ -147,7 +150,7 @@ def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any) -> Cal
         empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in _shapes(kernel, fields))
         return lax.fori_loop(0, chunks, next_chunk, (cut(0), empty))[1]
 
-    return compiled(all_chunks, _input(fields, PIECE * width), _COUNT, device=device)
+    return compiled(all_chunks, _input(fields, PIECE * width), _COUNT, device=device, fusion_emitters=emitters)
 
 
 _COUNT = jax.ShapeDtypeStruct((), np.int64)

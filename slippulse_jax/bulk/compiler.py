@@ -33,14 +33,15 @@ TRIED = ("0.10.0", "0.10.1", "0.10.2")
 
 
 OPTIONS: dict[str, Any] = {
+    "xla_backend_optimization_level": 3,
     "xla_cpu_multi_thread_eigen": False,
     "xla_cpu_prefer_vector_width": 512,
     "xla_disable_hlo_passes": "cpu-parallel-task-assigner,small-while-loop-hoisting",
 }
 """For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors.
 
-Their loops are never compiled whole, whatever the process asked for: over long arrays that is slower, and the last digit would
-depend on it.
+Whatever the process was given in ``XLA_FLAGS``, they are fully optimised and their loops are never compiled whole, which is
+slower over long arrays: the last digit would depend on either.
 """
 
 
@@ -59,14 +60,14 @@ def _say_once(what: str) -> None:
     warnings.warn(what, RuntimeWarning, stacklevel=2)
 
 
-def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any) -> Callable[..., Any]:
-    """`f` compiled for one device in double precision, with `OPTIONS` on a CPU where this jaxlib knows them."""
+def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Callable[..., Any]:
+    """Compile `f` for one device in double precision, with `OPTIONS` on a CPU where this jaxlib knows them."""
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
     if device.platform != "cpu" or not _tried():
         return lowered.compile()
     try:
-        return lowered.compile(compiler_options=OPTIONS)
+        return lowered.compile(compiler_options={**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters})
     except jax.errors.JaxRuntimeError as unknown:
         usual = lowered.compile()  # raises again what has nothing to do with the options
         _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {unknown}")

@@ -34,7 +34,7 @@ SHARPEST = 1e-3
 EXACT = 1e-12
 """The same where no slope is needed: the interval itself, to rounding."""
 
-FEW_OR_MANY = Layout(few=256)
+FEW_OR_MANY = Layout(few=256, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
 
 ELEMENTS = 2_000_000

@@ -211,7 +211,7 @@ def check_delay(delay: object) -> None:
 
 
 def run(
-    max_breaks: int,
+    max_breaks: int | Array,
     delay: int,
     resp: Response,
     stresses: Stresses,
@@ -233,7 +233,7 @@ def run(
     return _in_bursts(max_breaks, resp, start, limits, trigger, note)
 
 
-def _in_bursts(max_breaks: int, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note) -> Cascade:
+def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note) -> Cascade:
     size = start.given.shape[1]
 
     def triggered(now: Cascade) -> Array:
@@ -280,7 +280,7 @@ class Delayed(NamedTuple):
 
 
 def _one_by_one(
-    delay: int, max_breaks: int, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note
+    delay: int, max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note
 ) -> Cascade:
     all_blocks = jnp.arange(start.given.shape[0])
 

@@ -23,7 +23,7 @@ from slippulse_jax.status import Outcome
 EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
 """Possible outcomes of an exact front."""
 
-IN_BULK, CAREFULLY = Layout(chunk=128), Layout(chunk=32)
+IN_BULK, CAREFULLY = Layout(chunk=128, fusion_emitters=False), Layout(chunk=32, fusion_emitters=False)
 """As many lanes per chunk as leave a plain table in the second-level cache; and a regular one, with derivatives or without."""
 
 

@@ -232,9 +232,9 @@ def first_precursor(
     interface, right, sites, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
-        Number of sites on which stress and fields are given: the whole of a finite chain by default, four times the
-        length of the front otherwise. Needed under ``jit`` and ``vmap``, where the length is not known beforehand, and
-        there at least `contacts_broken` for the fields to be complete.
+        Number of sites on which stress and fields are given: the whole of a finite chain by default, otherwise four
+        to eight times the length of the front. Needed under ``jit`` and ``vmap``, where the length is not known beforehand,
+        and there at least `contacts_broken` for the fields to be complete.
 
     Raises
     ------
@@ -258,7 +258,8 @@ def first_precursor(
             raise ValueError("first_precursor under jit or vmap needs recorded_sites: the length is not known beforehand")
         if sites is None:
             report_without_length(np.asarray(ended.status), max_contacts, raises=True)
-        recorded_sites = sites if sites is not None else max(4 * int(ended.contacts_broken), 16)
+        # a power of two, so that fronts of about the same length share a program
+        recorded_sites = sites if sites is not None else 1 << max(4 * int(ended.contacts_broken) - 1, 15).bit_length()
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
     modes = lattice_modes(slider, right, sites)

@@ -142,28 +142,34 @@ def series(
         value = getattr(protocol, name, 1.0)
         if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
             raise ValueError(f"{type(protocol).__name__}.{name} = {value}: must be positive")
-    max_breaks = 50 * chain.sites if max_breaks is None else max_breaks
-    shape = (events, max_breaks, recorded_breaks, stop_when_spanning, repin_delay)
-    return _hard_series(shape, chain, protocol, ageing, None if until is None else jnp.asarray(until, chain.contact.dtype))
+    ends = Ends(
+        jnp.asarray(jnp.inf if until is None else until, chain.contact.dtype),
+        jnp.asarray(stop_when_spanning),
+        jnp.asarray(50 * chain.sites if max_breaks is None else max_breaks, jnp.int32),
+    )
+    return _hard_series((events, recorded_breaks, repin_delay), chain, protocol, ageing, ends)
 
 
-Shape = tuple[int, int, int, bool, int]
-"""Arguments that set the shape of a compiled series.
-
-Events, most breaks of one event, breaks recorded, whether to stop at the first spanning event, repinning delay.
-"""
+Shape = tuple[int, int, int]
+"""Arguments that set the shape of a compiled series: events, breaks recorded, repinning delay."""
 
 
-def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None) -> Catalogue:
+class Ends(NamedTuple):
+    """What ends a series besides its number of events; one program serves any."""
+
+    until: Float[Array, ""]  # load; inf for none
+    when_spanning: Array  # whether with the first event that breaks the last contact
+    max_breaks: Int[Array, ""]  # of one event
+
+
+def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
     chain = driven(chain, protocol.stiffness) if isinstance(protocol, Spring) else chain
     resp = shared_response(chain)
-    return lane_by_lane(lambda *given: _one_series(shape, *given), resp, chain, protocol, ageing, until)
+    return lane_by_lane(lambda *given: _one_series(shape, *given), resp, chain, protocol, ageing, ends)
 
 
-def _one_series(
-    shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None, until: Array | None
-) -> Catalogue:
-    events, max_breaks, room, stop, delay = shape
+def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
+    events, room, delay = shape
     ahead = int(isinstance(protocol, Spring))  # sites added before those of the chain
     by = Loading(
         response=resp,
@@ -175,10 +181,8 @@ def _one_series(
         ahead=ahead,
         delay=delay,
         events=events,
-        max_breaks=max_breaks,
         recorded=room,
-        stop_when_spanning=stop,
-        until=until,
+        ends=ends,
     )
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # the only stress in a relaxed chain
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
@@ -317,10 +321,8 @@ class Loading(NamedTuple):
     sites: int  # of the chain, including the driver's
     ahead: int  # sites before those of the chain: the driver's
     events: int
-    max_breaks: int
     recorded: int
-    stop_when_spanning: bool
-    until: Array | None  # load at which the series ends; None: after all events
+    ends: Ends
 
 
 def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
@@ -362,11 +364,9 @@ def _next_event(by: Loading, now: Now) -> Now:
     length = _length(by, now, broken, load)
     numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed, length)
     counts = Counts(number, tally.first, tally.at_peak, tally.left, tally.right, broken.breaks, tally.total)
-    over = (broken.breaks >= by.max_breaks) & (broken.overload >= 0)
-    last = number == by.events - 1
-    if by.until is not None:
-        last = last | (load >= by.until)
-    endings = [~begins, over, by.stop_when_spanning & (counts.right == by.sites - 1), last]
+    over = (broken.breaks >= by.ends.max_breaks) & (broken.overload >= 0)
+    last = (number == by.events - 1) | (load >= by.ends.until)
+    endings = [~begins, over, by.ends.when_spanning & (counts.right == by.sites - 1), last]
     reasons = [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED, SeriesStatus.DONE]
     row = jnp.where(begins, number, by.events)
     anew = jnp.isinf(broken.arrived[:, 0])
@@ -515,7 +515,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
     places = none - 1, none, none + by.sites, none - 1
     tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, zero, now.counts.total, now.last, now.log)
     limits = partial(_limits, by, now, now.given, load)
-    return run(by.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
+    return run(by.ends.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
 
 
 def recorded(by: Loading, end: Now) -> dict[str, Array]:
