@@ -1,4 +1,4 @@
-"""Self-healing slip pulses at the onset of frictional sliding, as a differentiable JAX model.
+"""Self-healing slip pulses at the onset of sliding: a differentiable model.
 
 The public names are listed once, in ``__init__.pyi``, and imported when first used, so that ``slippulse --help`` answers
 without starting JAX.

@@ -1,4 +1,4 @@
-"""The public names, each with the module it lives in; ``__init__.py`` reads them from here."""
+"""Public names and their modules, as ``__init__.py`` reads them."""
 
 from slippulse_jax import plot as plot
 from slippulse_jax import theory as theory

@@ -1,4 +1,7 @@
-"""Derivatives of functions of few parameters whose loops have no reverse mode; and functions that must have none."""
+"""Derivatives of functions whose loops have no reverse mode.
+
+For functions of few parameters; and a guard for functions that must not be differentiated.
+"""
 
 from collections.abc import Callable
 from typing import Any, NoReturn

@@ -1,4 +1,4 @@
-"""The domain of each number of the model, and the check that a value lies in it."""
+"""Domains of the numbers of the model, and their checks."""
 
 from typing import Any, NamedTuple
 

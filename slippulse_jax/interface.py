@@ -1,4 +1,4 @@
-"""The interface: prestress, thresholds and repinning of the contacts under a uniform slider.
+"""The interface of a uniform slider: prestress, thresholds and repinning.
 
 The paper's own interface is relaxed, uniform and repins at once. Its Discussion asks how each of the three changes the first
 precursor; the fast recursion treats all three exactly.
@@ -54,7 +54,7 @@ def check_bulk(interface: "Interface | None") -> None:
 
 
 class Interface(eqx.Module):
-    """Contacts with a uniform prestress, thresholds that vary linearly along the interface, and a delay in repinning.
+    """Contacts with uniform prestress, linearly varying thresholds and delayed repinning.
 
     Parameters
     ----------
@@ -113,7 +113,10 @@ class Interface(eqx.Module):
         return jnp.asarray(self.prestress) + 0.0 * site
 
     def last_site(self) -> Array:
-        """Site where the threshold has fallen to the prestress, or to zero, so that no contact holds; inf if none."""
+        """Site beyond which no contact holds; inf if none.
+
+        The threshold has fallen there to the prestress, or to zero.
+        """
         falling = jnp.asarray(self.threshold_slope) < 0
         fall = jnp.where(falling, -jnp.asarray(self.threshold_slope), 1)
         return jnp.where(falling, (1 - jnp.maximum(self.prestress, 0)) / fall, jnp.inf)

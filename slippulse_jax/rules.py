@@ -19,7 +19,9 @@ class HardBreak(eqx.Module):
 
 
 class SmoothBreak(eqx.Module):
-    """A λ-contact of many micro-junctions with thresholds of their own; those that reach theirs break.
+    """A λ-contact of many micro-junctions with thresholds of their own.
+
+    Those that reach theirs break.
 
     Parameters
     ----------
@@ -54,7 +56,10 @@ class SmoothBreak(eqx.Module):
                 raise ValueError(f"SmoothBreak.width = {self.width}: must lie in [1e-6, 1], in σ_s")
 
     def broken(self, stress: Array, threshold: Array) -> Array:
-        """p(t), the fraction of a contact's junctions that break under a stress; 0 where the stress is not positive."""
+        """Fraction p(t) of a contact's junctions that break under a stress.
+
+        0 where the stress is not positive.
+        """
         w = jnp.asarray(self.width)
         pulled = jnp.where(stress > 0, stress, 0)
         # σ(a) − σ(b) = σ(a) σ(−b) (1 − e^{b−a}): no difference of near equals, so that p is exact down to t = 0; the
@@ -62,7 +67,9 @@ class SmoothBreak(eqx.Module):
         return jnp.where(stress > 0, sigmoid((pulled - threshold) / w) * -jnp.expm1(-pulled / w), 0)
 
     def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
-        """∫ p(t(x)) dx from one contact to the next, with t and t − θ linear in between; in λc.
+        """Integral ∫ p(t(x)) dx from one contact to the next, in λc.
+
+        t and t − θ are linear in between.
 
         As w → 0, the length over which the stress exceeds the threshold. Without the cut-off at zero it is
         [S(b) − S(a)]/(b − a), with S(x) = ln(1 + e^x) and a, b = (t − θ)/w at the two ends.

@@ -1,4 +1,4 @@
-"""The slider: three numbers, and the stiffnesses and inverse lengths that follow from them.
+"""The slider: three numbers, and the stiffnesses and lengths they give.
 
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """

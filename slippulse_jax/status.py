@@ -1,4 +1,4 @@
-"""Outcomes of events and searches: a number for arrays and files, a sentence for people."""
+"""Outcomes of events and searches, as numbers and as messages."""
 
 import enum
 from typing import Self

@@ -1,4 +1,7 @@
-"""Symbols, units and names of quantities, kept on the fields and properties that hold them; conversions to SI."""
+"""Symbols, units and names of quantities, and conversions to SI.
+
+They are kept on the fields and properties that hold the numbers.
+"""
 
 import dataclasses
 from collections.abc import Callable

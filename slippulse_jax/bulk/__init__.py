@@ -1,1 +1,1 @@
-"""Everything about machines and nothing about friction: chunks, threads, devices, habits of the compiler."""
+"""Chunks, threads, devices and compiler settings, with no friction in them."""

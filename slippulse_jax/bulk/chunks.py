@@ -1,4 +1,6 @@
-"""Run a function of many lanes at full speed: cut into chunks, pad to a fixed shape, run on every core.
+"""Run a function of many lanes at full speed.
+
+Lanes are cut into chunks, padded to a fixed shape, and run on every core.
 
 A lane is one column of numbers, such as one slider. A lane that waits for a slower one wastes time, so lanes are ordered by a
 rank of their expected cost, which the caller supplies. A call of the compiled program takes many chunks one after another: a

@@ -1,1 +1,4 @@
-"""The commands of ``slippulse``, one module each; imports are inside the functions so that ``--help`` answers at once."""
+"""The commands of ``slippulse``, one module each.
+
+Imports are inside the functions, so that ``--help`` answers at once.
+"""

@@ -1,4 +1,4 @@
-"""Keep compiled programs from one call of ``slippulse`` to the next, in the user's cache folder.
+"""Keep compiled programs in the user's cache folder between calls.
 
 Only the command line does this, and by environment variables that JAX reads when it is imported later: importing the package
 changes no setting of JAX.

@@ -5,27 +5,19 @@ from typing import Any
 
 import click
 
-from slippulse_jax.cli.shared import BadInput, as_json, print_json, refuse
+from slippulse_jax.cli.shared import BadInput, as_json, print_json, refuse, right_end, slider_options
 
 DIMENSIONLESS = ("height", "stiffness")
 SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 
 
 @click.command()
-@click.option("--height", type=float, metavar="H/λc", help="Height of the slider over the correlation length.")
-@click.option("--stiffness", type=float, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc.")
-@click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
+@slider_options(required=False)
 @click.option("--height-mm", type=float, metavar="MM", help="Height of the slider, in SI form.")
 @click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
 @click.option("--areal-stiffness", type=float, metavar="PA/M", help="Interfacial shear stiffness per area, k/λc².")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
-@click.option(
-    "--right",
-    type=click.Choice(["semi-infinite", "free", "clamped"]),
-    default="semi-infinite",
-    show_default=True,
-    help="Right end of the chain.",
-)
+@right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
 @as_json
 def command(poisson: float, right: str, sites: int | None, as_json: bool, **given: float | None) -> None:

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure, table_path
+from slippulse_jax.cli.shared import (
+    NOT_CONVERGED,
+    as_json,
+    figure_path,
+    print_json,
+    refuse,
+    right_end,
+    save_figure,
+    slider_options,
+    table_path,
+)
 
 if TYPE_CHECKING:
     from slippulse_jax.lattice.catalogue import Catalogue
@@ -16,12 +26,10 @@ BREAKS_AN_EVENT = 50
 
 
 @click.command()
-@click.option("--height", type=float, required=True, metavar="H/λc", help="Height of the slider over the correlation length.")
-@click.option("--stiffness", type=float, required=True, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc.")
-@click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
+@slider_options(required=True)
 @click.option("--sites", type=click.IntRange(min=2), default=150, show_default=True, help="Contacts of the chain.")
 @click.option("--events", type=click.IntRange(min=1), default=100, show_default=True, help="Number of events.")
-@click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
+@right_end
 @click.option("--step", type=float, metavar="U_S", help="Load in steps of this size; by default adiabatically.")
 @click.option("--spring", type=float, metavar="K", help="Drive through a spring of this stiffness.")
 @click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")

@@ -21,6 +21,30 @@ FIGURE_FORMATS = ("png", "pdf", "svg")
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
+right_end = click.option(
+    "--right",
+    type=click.Choice(["semi-infinite", "free", "clamped"]),
+    default="semi-infinite",
+    show_default=True,
+    help="Right end of the chain.",
+)
+
+
+def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options of one slider in λc; `required` unless it may be given in SI instead."""
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        poisson = click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
+        stiffness = click.option(
+            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
+        )
+        height = click.option(
+            "--height", type=float, required=required, metavar="H/λc", help="Height of the slider over the correlation length."
+        )
+        return height(stiffness(poisson(command)))
+
+    return add
+
 
 class BadInput(click.ClickException):
     """Invalid input; exit status 2."""

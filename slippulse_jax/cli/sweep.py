@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import as_json, figure_path, last_words, print_json, refuse, save_figure, table_path
+from slippulse_jax.cli.shared import as_json, figure_path, last_words, print_json, refuse, right_end, save_figure, table_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,7 +64,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
 @click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
-@click.option("--right", type=click.Choice(["semi-infinite", "free", "clamped"]), default="semi-infinite", show_default=True)
+@right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
 @click.option("--store", type=click.Path(), metavar="FOLDER", help="Write the result to this folder as it is computed.")
 @click.option("--resume/--no-resume", default=True, show_default=True, help="Resume the sweep that --store holds, if any.")

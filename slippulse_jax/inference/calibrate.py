@@ -1,4 +1,6 @@
-"""Calibrated intervals: the rise of the deviance allowed at every value is found by simulating measurements there.
+"""Calibrated intervals, by simulating measurements at every value.
+
+The simulations give the rise of the deviance that an interval allows there.
 
 Near the longest attainable length the deviance is no parabola, at the peak not even to lowest order, and its rise at the true
 value is not distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: for

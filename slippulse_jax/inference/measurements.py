@@ -1,4 +1,7 @@
-"""Measurements of first precursors, and readings of gauges along the interface; `slippulse_jax.inference.tables` reads both."""
+"""Measurements of first precursors, and readings of gauges along the interface.
+
+`slippulse_jax.inference.tables` reads both.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -25,7 +28,7 @@ GAUGE_COLUMNS = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigm
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Gauges:
-    """Readings of gauges along the interface after measured precursors have stopped, one entry per reading.
+    """Readings of gauges along the interface after measured precursors, one entry each.
 
     Parameters
     ----------
@@ -258,7 +261,7 @@ class Measurements:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard errors of the lengths in λc, shape (n,); NaN where none was given."""
+        """Standard errors of the lengths in λc, NaN where none is given."""
         return np.full(len(self), np.nan) if self.length_sigma is None else self.length_sigma
 
     def or_zero(self, name: str) -> np.ndarray:

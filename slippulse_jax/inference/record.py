@@ -1,4 +1,4 @@
-"""Records of a fit: the result as plain Python values for JSON, and the request that repeats it."""
+"""Records of a fit for JSON, and the request that repeats it."""
 
 import dataclasses
 import hashlib

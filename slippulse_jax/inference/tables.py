@@ -1,4 +1,6 @@
-"""Tables of measurements and of gauges in CSV files; an error names file, line and column.
+"""Read tables of measurements and of gauges from CSV files.
+
+An error names file, line and column.
 
 One first precursor per line, with the units in the column names, in one of two forms:
 
@@ -93,7 +95,9 @@ _FORMS = (
 
 
 def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
-    """Read a CSV file of measured first precursors (its columns are in the documentation of this module).
+    """Read a CSV file of measured first precursors.
+
+    Its columns are described in the documentation of this module.
 
     Parameters
     ----------

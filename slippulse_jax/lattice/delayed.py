@@ -1,4 +1,4 @@
-r"""The first precursor where broken contacts stay detached for n sites before they repin.
+r"""The first precursor with a repinning delay of n sites.
 
 A contact that carries the prestress φ and is pinned at p carries t = u − p + φ, in σ_s; when it breaks and repins, p grows by
 t. A detached contact carries t = 0, as one pinned at p = u + φ does. So with a delay of n sites the n contacts behind the front

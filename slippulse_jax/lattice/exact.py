@@ -1,4 +1,6 @@
-"""The first precursor of a uniform interface in closed form: a length that is analytic in the parameters.
+"""The first precursor of a uniform interface in closed form.
+
+Its length is analytic in the parameters.
 
 The stress t(s) that the front meets at contact s extends from whole numbers to real s as a convergent double series
 (`slippulse_jax.double_series`, derivation in ``docs/exact_solution.md``). The length ℓ* is its crossing with the threshold,
@@ -54,7 +56,9 @@ class ExactFields(NamedTuple):
 
 
 def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Array, "..."]:
-    """Length ℓ* of the first precursor: the real crossing t(ℓ*) = 1 + ε ℓ*, in λc.
+    """Exact length ℓ* of the first precursor, in λc.
+
+    ℓ* is the real crossing t(ℓ*) = 1 + ε ℓ*.
 
     Parameters
     ----------
@@ -87,7 +91,10 @@ def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Ar
 
 
 def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFront:
-    """Length, whole contacts, load at nucleation and status of the first precursor. Parameters as for `exact_length`."""
+    """Length, contacts broken, load at nucleation and status of the first precursor.
+
+    Parameters as for `exact_length`.
+    """
     return ExactFront(*_map(_front, slider, interface))
 
 

@@ -1,4 +1,7 @@
-"""Exact lengths by the million: NumPy in and out, double precision, with derivatives, every lane by itself."""
+"""Exact lengths by the million, with derivatives.
+
+NumPy in and out, double precision, every lane by itself.
+"""
 
 import functools
 import warnings
@@ -34,7 +37,9 @@ def exact_lengths(slider: Slider, interface: Interface | None = None, *, derivat
 def exact_lengths(
     slider: Slider, interface: Interface | None = None, *, derivatives: Literal[0, 1, 2] = 0
 ) -> np.ndarray | LengthDerivatives:
-    """Lengths ℓ* of a batch of any size, in λc, and their derivatives.
+    """Lengths ℓ* of a batch of any size, and their derivatives.
+
+    Lengths are in λc.
 
     The numbers of `exact_length` in double precision whatever the JAX flags, at a cost that does not grow with ℓ*. The
     result of a lane depends on that lane alone. Not traceable: inside ``jit`` use `exact_length`.

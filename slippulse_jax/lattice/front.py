@@ -1,4 +1,6 @@
-r"""The first precursor by a recursion of fixed-size state: O(1) per break, over the modes of any waveguide.
+r"""The first precursor by a recursion of fixed-size state.
+
+It costs O(1) per break, over the modes of any waveguide.
 
 Load the left edge until contact 0 carries its threshold θ_0. It breaks, repins at zero stretch and overloads contact 1, and so
 on. With all contacts before s broken in turn, contact s carries, in σ_s and before it breaks,

@@ -1,4 +1,4 @@
-r"""Fronts of many sliders at once, at the speed of the arithmetic: a chunk of lanes advances in step.
+r"""Fronts of many sliders at once, a chunk of lanes in step.
 
 The step is `slippulse_jax.lattice.front.advance`, given NumPy arrays of single numbers, one array per quantity with the
 modes as its leading axis. What else a loop over lanes costs was read off the compiled program:

@@ -1,4 +1,7 @@
-"""First precursors by the million: NumPy in and out, double precision, every lane by itself."""
+"""First precursors by the million.
+
+NumPy in and out, double precision, every lane by itself.
+"""
 
 import functools
 from typing import Any, Literal, TypedDict, Unpack, overload
@@ -58,7 +61,9 @@ def precursor_lengths(
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     derivatives: Literal[0, 1] = 0,
 ) -> np.ndarray | LengthDerivatives:
-    """Lengths ℓ of a batch of any size, in λc, and their derivatives, as NumPy float64.
+    """Lengths ℓ of a batch of any size, and their derivatives.
+
+    Lengths are in λc, results NumPy float64.
 
     The numbers of `precursor_length` to rounding, in double precision whatever the JAX flags. Lanes are computed in the order
     of their expected length and in chunks of fixed shapes, so that none waits for a much longer one. A result never depends on

@@ -1,4 +1,6 @@
-r"""The Green's function of the lattice: two modes, and their reflection at the left edge and the right end.
+r"""The Green's function of the lattice: modes and their reflections.
+
+A slider has two modes, reflected at the left edge and at the right end.
 
 The two bulk equations (section "Equations to be solved") couple u_t and u through one 2×2 matrix, the same whether
 space is a lattice or a line: its eigenvalues are κ_m², its eigenvectors (u_t, u) ∝ (1, α_m). On the lattice mode m

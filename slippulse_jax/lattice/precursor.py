@@ -1,4 +1,4 @@
-"""The first precursor as users ask for it: its length, and the full record."""
+"""The first precursor: its length, and the full record."""
 
 import functools
 import warnings

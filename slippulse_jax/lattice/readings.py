@@ -1,4 +1,4 @@
-r"""Slip and stress that gauges along the interface would read after a front has passed, contact by contact.
+r"""Slip and stress along the interface after a front has passed.
 
 When the contacts before `position` have broken in turn (of the last a part, where `position` is no whole number: f²(3 − 2f) of
 it for a fraction f, so that fields are smooth in the position), pinning points have moved by p_j, and at site i, in units of

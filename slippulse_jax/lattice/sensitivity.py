@@ -1,4 +1,4 @@
-"""Derivatives of the length of a first precursor in the threshold and prestress of every contact.
+"""Derivatives of the length in threshold and prestress of every contact.
 
 The stress on contact s when the front reaches it is linear in what the contacts before it gave up,
 
@@ -44,7 +44,9 @@ def sensitivity(
     sites: int,
     rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
 ) -> Sensitivity:
-    """Length of the first precursor of a semi-infinite interface, and its derivative in every contact.
+    """Length of the first precursor, and its derivative in every contact.
+
+    The interface is semi-infinite.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Index of the paper's equations: the function that computes each and the test that checks it, read from the code.
+"""Index of the paper's equations: the function and test of each.
+
+It is read from the code.
 
 The labels are in ``equations.csv``. A function, class or field computes what its docstring or comment names after the word
 "label" or "labels", or what its `quantity` carries; a test checks what it names after that word, in its docstring or a comment.

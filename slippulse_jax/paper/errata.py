@@ -1,4 +1,7 @@
-"""Errata of the paper and differences of substance, each with the numbers that show it, computed on demand."""
+"""Errata of the paper, each with the numbers that show it.
+
+Differences of substance are among them; the numbers are computed on demand.
+"""
 
 # ruff: noqa: E501
 from typing import NamedTuple

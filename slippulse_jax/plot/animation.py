@@ -1,4 +1,4 @@
-"""Animation of a front: displacements and contact stress as it passes along the interface."""
+"""Animation of a front: displacements and contact stress as it passes."""
 
 import tempfile
 from pathlib import Path
@@ -30,7 +30,9 @@ def animate(
     hold: float = 1.0,
     dark: bool = False,
 ) -> "FuncAnimation":
-    """Animate a first precursor, from nucleation to arrest: displacements above, contact stress below.
+    """Animate a first precursor, from nucleation to arrest.
+
+    Displacements are above, contact stress is below.
 
     One frame per broken contact, at most 150 frames. The model has no time: frames count breaks.
 

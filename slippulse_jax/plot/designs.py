@@ -1,4 +1,4 @@
-"""Pictures of a design of experiments: the information expected of each candidate, and the lengths it comes from."""
+"""Pictures of a design of experiments."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -29,7 +29,10 @@ def design_figure(found: "Design") -> "Figure":
 
 @drawn
 def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the expected information and the D-optimal gain of every candidate, the most informative on top."""
+    """Draw the expected information and D-optimal gain of every candidate.
+
+    The most informative is on top.
+    """
     ax = axes(ax)
     c = colours(ax)
     order = found.ranking[::-1]
@@ -52,7 +55,10 @@ def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw ℓ/H ± σ of the best candidates against stiffness, above the density of what is known."""
+    """Draw ℓ/H ± σ of the best candidates against stiffness.
+
+    Below it stands the density of the present knowledge.
+    """
     ax = axes(ax)
     c = colours(ax)
     known = found.knowledge.theta

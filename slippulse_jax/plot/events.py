@@ -51,7 +51,10 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw every recorded break by site and load, coloured by the class of its event; warn if some are missing."""
+    """Draw every recorded break by site and load.
+
+    Its colour is the class of its event. Missing breaks give a warning.
+    """
     ax = axes(ax)
     c = colours(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)

@@ -1,4 +1,4 @@
-"""Interactive explorer: sliders for the parameters, and the fields, length and sensitivities that follow."""
+"""Interactive explorer of fields, length and sensitivities."""
 
 import functools
 import io
@@ -77,7 +77,9 @@ def view(theta: Array, position: Array) -> View:
 
 
 def explore(*, dark: bool = False) -> Any:
-    """Show sliders for H/λc, k/K, ν, prestress and threshold slope, and the fields, length and sensitivities.
+    """Show fields, length and sensitivities beside sliders for the parameters.
+
+    The sliders are for H/λc, k/K, ν, prestress and threshold slope.
 
     For notebooks; needs the extra ``explore`` (ipywidgets). The play button runs the front from nucleation to arrest.
 

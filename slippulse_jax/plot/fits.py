@@ -1,4 +1,4 @@
-"""Pictures of a fit: data and fitted curve, length versus stiffness, residuals, profiles, confidence regions, gauges."""
+"""Pictures of a fit."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -28,7 +28,10 @@ GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress aft
 
 
 def fit(result: "FitResult") -> "Figure":
-    """Draw a fit in two panels: lengths against height, and length versus stiffness or the first profile."""
+    """Draw a fit in two panels.
+
+    Lengths against height, and length versus stiffness or the first profile.
+    """
     with new_figure(PAGE, 3.0) as figure:
         against_height, other = figure.subplots(1, 2)
         fit_lengths(result, ax=against_height)
@@ -55,7 +58,9 @@ def fit_profiles(result: "FitResult") -> "Figure":
 
 
 def corner(result: "FitResult", samples: np.ndarray | None = None, *, nodes: int = 31) -> "Figure":
-    """Draw the 68 % and 95 % confidence regions of every pair of fitted parameters.
+    """Draw the confidence regions of every pair of fitted parameters.
+
+    The regions are those of 68 % and 95 %.
 
     Parameters
     ----------
@@ -81,7 +86,9 @@ def corner(result: "FitResult", samples: np.ndarray | None = None, *, nodes: int
 
 
 def gauges(result: "FitResult") -> "Figure":
-    """Draw slip and stress along the interface: gauge readings ± σ and the fitted fields, one colour per precursor.
+    """Draw gauge readings of slip and stress, and the fitted fields.
+
+    Readings are drawn ± σ, with one colour per precursor.
 
     Raises
     ------
@@ -100,7 +107,10 @@ def gauges(result: "FitResult") -> "Figure":
 
 @drawn
 def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw measured lengths against height with the fitted curve, its 95 % band and the longest lengths possible."""
+    """Draw measured lengths against height, and the fitted curve.
+
+    With its 95 % band, and the longest lengths possible.
+    """
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
@@ -171,7 +181,10 @@ def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[
 
 @drawn
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw ℓ/H against stiffness for up to six measured heights, the measured ℓ/H, and the interval of the stiffness."""
+    """Draw ℓ/H against stiffness for up to six measured heights.
+
+    With the measured ℓ/H, and the interval of the stiffness.
+    """
     from matplotlib.ticker import LogLocator
 
     ax = axes(ax)
@@ -239,7 +252,10 @@ def residuals(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the rise of the deviance along one parameter, all others fitted anew, and the levels of its intervals."""
+    """Draw the profile of the deviance along one parameter.
+
+    All others are fitted anew; lines mark the levels of its intervals.
+    """
     ax = axes(ax)
     c = colours(ax)
     curve = result.curves[name]
@@ -282,7 +298,9 @@ def confidence_region(
     nodes: int = 31,
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Draw the 68 % and 95 % confidence regions of two parameters, all others fitted anew.
+    """Draw the 68 % and 95 % confidence regions of two parameters.
+
+    All others are fitted anew.
 
     Parameters
     ----------
@@ -388,7 +406,10 @@ def _longest(result: "FitResult", height: np.ndarray, row: int) -> np.ndarray:
 
 @drawn
 def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the gauge readings of one kind, ``"slip"`` or ``"stress"``, and the fitted field of each precursor."""
+    """Draw the gauge readings of one kind, and the fitted fields.
+
+    The kind is ``"slip"`` or ``"stress"``.
+    """
     ax = axes(ax)
     readings = result.measurements.gauges
     if readings is None:

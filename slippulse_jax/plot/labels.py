@@ -1,4 +1,4 @@
-"""Names, symbols and units of quantities, as they stand on the axes of every picture."""
+"""Names, symbols and units of quantities on the axes of pictures."""
 
 NAMES = {
     "height": ("height", "H"),
@@ -33,7 +33,7 @@ COMBINED = {"1/λc": r"$1/\lambda_c$", "σ_s per site": r"$\sigma_s$ per site", 
 
 
 def symbol(name: str, unit: str = "") -> str:
-    """Symbol of a quantity; in a unit of the model, the ratio of the two."""
+    """Symbol of a quantity, over its unit if of the model."""
     sign = NAMES[name][1]
     return f"${sign}/{UNITS[unit]}$" if unit in UNITS else f"${sign}$"
 

@@ -1,4 +1,4 @@
-"""Pictures of sweeps: a map over two axes, or a family of lines."""
+"""Pictures of sweeps: maps, and families of lines."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,9 @@ LINES = 8
 
 @style.drawn
 def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw one output of a sweep: a line for each of at most 8 values of an axis, or a map over two axes.
+    """Draw one output of a sweep.
+
+    It is a line for each of at most 8 values of an axis, or a map over two axes.
 
     Parameters
     ----------

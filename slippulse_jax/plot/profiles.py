@@ -1,4 +1,4 @@
-"""Pictures of a recovered profile: the profile with its bands, and its resolution."""
+"""Pictures of a recovered profile and of its resolution."""
 
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,10 @@ LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": axis_label(
 
 @drawn
 def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw a recovered profile with its 68 % and 95 % bands, the band of the prior alone, and the arrests."""
+    """Draw a recovered profile with its 68 % and 95 % bands.
+
+    With the band of the prior alone, and the arrests.
+    """
     ax = axes(ax)
     c = colours(ax)
     x = found.position
@@ -47,7 +50,10 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
 
 @drawn
 def resolution(found: "RecoveredProfile", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the averaging kernels: with what weight, per λc, each recovered value takes up the true profile at each place."""
+    """Draw the averaging kernels of a recovered profile.
+
+    A kernel is the weight per λc that a recovered value gives to the true profile at each place.
+    """
     ax = axes(ax)
     shown = found.position <= found.measurements.length.max() + 1
     x = found.position[shown]

@@ -1,4 +1,4 @@
-"""Pictures of one event: displacements, stresses, the order of breaks, and the sensitivity of the length."""
+"""Pictures of one event: fields, order of breaks, and sensitivities."""
 
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 def displacements(
     found: Equilibrium, *, before: Equilibrium | None = None, sites: int | None = None, ax: "Axes | None" = None
 ) -> "Axes":
-    """Draw the displacements of the two layers, in u_s; dashed: `before` a rupture.
+    """Draw the displacements of the two layers, in u_s.
+
+    Dashed: `before` a rupture.
 
     Parameters
     ----------
@@ -49,7 +51,10 @@ def stress(
     sites: int | None = None,
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Draw the stress on every contact, in σ_s, and the thresholds of `chain`; dashed: `before` a rupture."""
+    """Draw the stress on every contact, in σ_s.
+
+    With the thresholds of `chain`; dashed: `before` a rupture.
+    """
     ax = axes(ax)
     c = colours(ax)
     shown = slice(sites)
@@ -67,7 +72,10 @@ def stress(
 def front_stress(
     stress: np.ndarray, *, length: float | None = None, threshold: float = 1.0, ax: "Axes | None" = None
 ) -> "Axes":
-    """Draw the stress on each contact as the front reaches it, and the length ℓ where it falls below threshold."""
+    """Draw the stress on each contact as the front reaches it.
+
+    A line marks the length ℓ, where the stress falls below threshold.
+    """
     ax = axes(ax)
     c = colours(ax)
     stress = np.asarray(stress)
@@ -83,7 +91,9 @@ def front_stress(
 
 @drawn
 def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw every break of a rupture under the hard rule: site against order, coloured by stress drop.
+    """Draw the breaks of a rupture, site against order.
+
+    Under the hard rule; the colour is the stress drop.
 
     The model is quasi-static and has no time beyond the order of breaks.
     """
@@ -100,7 +110,7 @@ def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Draw the derivatives of the length in the threshold and in the prestress of each contact."""
+    """Draw the derivatives of the length in every threshold and prestress."""
     ax = axes(ax)
     c = colours(ax)
     shown = slice(sites)

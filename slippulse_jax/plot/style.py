@@ -1,4 +1,6 @@
-"""The look of every picture: colours safe for colour-blind readers, type legible at column width, light or dark.
+"""The look of every picture, light or dark.
+
+Its colours are safe for colour-blind readers, its type legible at column width.
 
 Drawing functions take ``ax=None``, begin with `axes`, and take their colours from `colours`, which depend on the background;
 so a picture suits the page, whoever made the Axes.
@@ -88,7 +90,9 @@ def settings(*, dark: bool = False) -> dict[str, Any]:
 
 @contextmanager
 def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
-    """Use the look for everything drawn inside ``with sp.plot.style.use():``, and restore the settings afterwards.
+    """Use the look inside ``with sp.plot.style.use():``.
+
+    The settings are restored afterwards.
 
     Parameters
     ----------
@@ -113,7 +117,10 @@ def _in_force() -> Any:
 
 
 def axes(ax: "Axes | None" = None) -> "Axes":
-    """Return `ax`, or the Axes of a new pyplot figure in the look, by default of column width."""
+    """Return `ax`, or the Axes of a new pyplot figure.
+
+    The figure has the look, and column width by default.
+    """
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt

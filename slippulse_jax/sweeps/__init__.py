@@ -1,1 +1,1 @@
-"""Sweeps: the first precursor over ranges of its parameters, labelled, of any size, on one machine or many."""
+"""Sweeps of the first precursor over ranges of its parameters."""

@@ -1,4 +1,4 @@
-"""The labelled dataset of a sweep: in memory, or read from a store on demand.
+"""The labelled dataset of a sweep, in memory or read on demand.
 
 A variable of a stored sweep uses xarray's own lazy indexing: values are read when they are needed, and only from the chunk
 files that hold them. dask is not needed; with it, ``.chunk()`` works as on any dataset.

@@ -1,4 +1,7 @@
-"""A sweep as CSV, NetCDF, JSON or a summary; rows are written as they are read, in constant memory."""
+"""A sweep as CSV, NetCDF, JSON or a summary.
+
+Rows are written as they are read, in constant memory.
+"""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Outputs of a sweep: a table of them, and one function per group that computes them for many points."""
+"""Outputs of a sweep, and one function per group to compute them."""
 
 import functools
 from collections.abc import Callable, Iterable

@@ -1,4 +1,7 @@
-"""The request of a sweep: described in full but never materialised, so that 10⁸ points take the memory of their axes."""
+"""The request of a sweep, described in full but never materialised.
+
+So 10⁸ points take the memory of their axes.
+"""
 
 import hashlib
 import json

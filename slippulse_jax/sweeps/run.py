@@ -1,4 +1,4 @@
-"""Run a sweep, in memory or into a store; resume it, and share it with other processes."""
+"""Run a sweep in memory or into a store, alone or shared."""
 
 import os
 import time
@@ -118,7 +118,9 @@ def sweep(
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a stored sweep, finished or not, as a labelled dataset that is read on demand.
+    """Open a stored sweep, finished or not, as a labelled dataset.
+
+    Its values are read on demand.
 
     Points not yet computed are NaN (−1 in whole numbers), and the attribute ``complete`` is 0 then.
 

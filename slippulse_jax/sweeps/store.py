@@ -1,4 +1,4 @@
-"""A sweep on disk: a folder with the request, the axes, and one file per chunk of points.
+"""A sweep on disk: request, axes, and one file per chunk.
 
 ::
 

@@ -80,7 +80,10 @@ def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
 
 @jax.jit
 def length_continuum(slider: Slider) -> Float[Array, "..."]:
-    """Length of the first precursor in the self-consistent continuum, t(Λ) = 1, in λc; NaN where the front does not start."""
+    """Length of the first precursor in the self-consistent continuum, in λc.
+
+    It solves t(Λ) = 1; NaN where the front does not start.
+    """
 
     def one(slider: Slider) -> Array:
         guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2

@@ -160,7 +160,9 @@ def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Arr
 
 @partial(jax.jit, static_argnames="printed")
 def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
-    """Length of the first precursor with a frozen upper layer, cra55 integrated without further approximation, in λc.
+    """Length of the first precursor with a frozen upper layer, in λc.
+
+    It integrates cra55 without further approximation.
 
     NaN where the stress never exceeds the threshold beyond the edge.
     """

@@ -1,4 +1,4 @@
-"""Limits and closed forms: the run-away prestress, the macroscopic law, its ceiling, and a line for an envelope.
+"""Limits and closed forms: run-away prestress, macroscopic law, envelope.
 
 Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
 """

@@ -1,4 +1,4 @@
-r"""Rank candidate experiments by what they are expected to add to the knowledge of the stiffness.
+r"""Rank candidate experiments by their expected information about the stiffness.
 
 Two measures side by side. The **expected information** is Bayesian and global: it accounts for several roots, for a length
 that saturates, and for a front that never stops (`information`). The **D-optimal** gain is local: with

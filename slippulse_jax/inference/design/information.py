@@ -1,4 +1,4 @@
-r"""Information expected from an outcome y about θ, given as weighted samples θ_i; standard error; roots distinguished.
+r"""Information expected from an outcome y about weighted samples θ_i.
 
 An experiment measures a length ℓ(θ) with a normal error σ, or counts whole contacts, ceil(ℓ + error); a front that never stops
 is an outcome of its own. The expected information (mutual information, in nats) is

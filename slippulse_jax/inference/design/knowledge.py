@@ -1,4 +1,4 @@
-"""Knowledge of the interface stiffness before the next experiment: weighted samples of its logarithm.
+"""Knowledge of the interface stiffness as weighted samples of its logarithm.
 
 Weighted samples represent any distribution: a normal one, one that ends abruptly, or the two roots that one length may have. On
 a grid the weights are those of the quadrature, and sums over the samples are integrals.
@@ -122,7 +122,9 @@ class Knowledge:
         bounds: tuple[float, float] | None = None,
         nodes: int = NODES,
     ) -> "Knowledge":
-        """Compute the posterior of the stiffness after earlier measurements, on a grid; each mode is a root.
+        """Compute the posterior of the stiffness after earlier measurements.
+
+        It is computed on a grid; each mode is a root.
 
         Parameters
         ----------

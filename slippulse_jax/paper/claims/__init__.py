@@ -1,4 +1,4 @@
-"""Measure the paper's claims: the claim, the criterion, the numbers found, and the verdict that follows from them.
+"""Measure the paper's claims, and judge each by a stated criterion.
 
 Everything is computed on demand, at the parameters of the paper's Fig. 2 unless stated otherwise: H/λc = 25, k/K = 0.03,
 ν = 0.3. Where a claim does not hold, the reason found is reported.

@@ -1,4 +1,4 @@
-"""Claims of the paper's discussion: prestress, thresholds, repinning, inertia, distributions, series of precursors."""
+"""Claims of the paper's discussion: prestress, thresholds, repinning, inertia, distributions, series."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Claims on the first front and its length: what the paper derives and draws."""
+"""Claims on the first front and its length."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The table of claims: measured one by one, and as a page of the documentation."""
+"""The table of claims, for the command line and the documentation."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
