@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import sys
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,10 @@ import pytest
 from click.testing import CliRunner
 from oracles import dense_chain
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 import slippulse_jax as sp
+from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError
@@ -156,6 +161,13 @@ def test_errors_are_honest(kind, studies):
     for level in (0.68, 0.95):
         inside = np.mean(found < -2 * np.log(1 - level))  # of χ² with two degrees of freedom
         assert abs(inside - level) < 4 * np.sqrt(level * (1 - level) / studies)
+
+
+def test_coverage_where_contacts_break_once_and_again():
+    """A sample of benchmarks/gauge_coverage.py: the intervals hold unless contacts behind the front break again."""
+    found = gauge_coverage.coverage(14, seed=0)
+    assert found["once"].region[1].value > 0.8
+    assert found["again"].region[1].value == 0
 
 
 LENGTHS = (

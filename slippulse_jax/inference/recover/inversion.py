@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtr
 
 from slippulse_jax.inference.recover.model import Look, ProfileModel
 
@@ -69,6 +70,8 @@ class Found(NamedTuple):
     prior_misfit: float  # (u − m)ᵀK⁻¹(u − m)
     converged: bool
     steps: int
+    place: np.ndarray  # (k + 1,), u − m where the lengths were linearised
+    at: Look  # the lengths there
 
 
 def squared_exponential(
@@ -134,6 +137,19 @@ def mixture(posteriors: list[Posterior], weight: Float[np.ndarray, " h"]) -> tup
     return mean, covariance, np.sum([w * p.resolution for w, p in pairs], axis=0)
 
 
+def quantile(
+    level: float, mean: Float[np.ndarray, "h k"], stderr: Float[np.ndarray, "h k"], weight: Float[np.ndarray, " h"]
+) -> Float[np.ndarray, " k"]:
+    """Quantile of each of k mixtures of Gaussians, by bisection."""
+    width = np.maximum(stderr, 1e-12)
+    low, high = (mean - 10 * width).min(axis=0), (mean + 10 * width).max(axis=0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        under = weight @ ndtr((middle - mean) / width) < level
+        low, high = np.where(under, middle, low), np.where(under, high, middle)
+    return (low + high) / 2
+
+
 def search(problem: Problem, settings: list[Smoothness], max_steps: int) -> Found:
     """Fit under the setting of most evidence, weigh the settings where the search ended, and repeat until it stays the same."""
     priors = [problem.prior(s) for s in settings]
@@ -147,13 +163,14 @@ def search(problem: Problem, settings: list[Smoothness], max_steps: int) -> Foun
         z = problem.model.measured - at.value + at.derivative @ place
         posteriors = [condition(z, at.derivative, problem.sigma, prior) for prior in priors]
         if len(z) >= ENOUGH:
-            evidence = np.array([p.log_evidence for p in posteriors])
+            # a prior flat in the amplitude: the settings lie evenly along its logarithm
+            evidence = np.array([p.log_evidence + np.log(s.amplitude) for p, s in zip(posteriors, settings, strict=True)])
             weight = np.exp(evidence - evidence.max())
             weight /= weight.sum()
         tried.add(best)
         best = int(np.argmax(weight)) if len(z) >= ENOUGH else best
         if best in tried:
-            return Found(posteriors, weight, float(c @ place), converged, total)
+            return Found(posteriors, weight, float(c @ place), converged, total, place, at)
 
 
 def _descend(problem: Problem, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:

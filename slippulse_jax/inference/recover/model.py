@@ -1,5 +1,14 @@
 """Lengths of first precursors on one profile under several sliders, and their derivatives in the profile.
 
+The edge is pushed until some contact reaches its threshold, which need not be contact 0: where the threshold falls or the
+prestress rises away from the edge, contact i breaks first, at the load
+
+    A = min_i (θ_i − φ_i)/D(i),    D(i) = Σ_m C_m r_m^i,
+
+the stress that the edge puts on contact 0. From there the event spreads both ways. Here the contacts break from the edge on
+under that load, which gives ℓ to some 0.01 λc where the event starts within a few λc of the edge;
+`slippulse_jax.inference.recover.events` follows the contacts in the order in which they break, and shows where it matters.
+
 Two functions of the unknown u, which is the profile at its knots (ln(θ/θ_0), or φ in σ_s) followed by the shift of ln k:
 
 - the lengths, which jump where a strong place begins to stop a front that used to pass it;
@@ -14,13 +23,12 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.front import front_stress
-from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.lattice.sensitivity import sensitivity
+from slippulse_jax.lattice.front import Front, advance, nucleate, straight_line, stress_ahead
+from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
 Kind = Literal["threshold", "prestress"]
@@ -56,20 +64,27 @@ class ProfileModel(NamedTuple):
         """Excess stress t − θ at every measured arrest."""
         return self._look(_excesses, u)
 
+    def contacts(
+        self, u: Float[np.ndarray, "... k1"]
+    ) -> tuple[Float[np.ndarray, "... n sites"], Float[np.ndarray, "... n sites"]]:
+        """θ and φ of every contact, in σ_s, as each block meets them."""
+        left, share = _between_knots(np.arange(self.threshold.shape[1]), self.knots)
+        along = (u[..., left] * (1 - share) + u[..., left + 1] * share)[..., None, :]
+        if self.kind == "threshold":
+            return self.threshold * np.exp(along), self.prestress + 0 * along
+        return self.threshold + 0 * along, self.prestress + along
+
     def _look(self, function: Any, u: np.ndarray) -> Look:
-        sites = self.threshold.shape[1]
-        along = np.interp(np.arange(sites), self.knots, u[:-1])
-        varies = self.kind == "threshold"
-        theta = self.threshold * np.exp(along) if varies else self.threshold
-        phi = self.prestress if varies else self.prestress + along
+        theta, phi = self.contacts(u)
         height, stiffness, poisson = self.lanes
         lanes = (height, stiffness * np.exp(u[-1]), poisson, self.measured, theta, phi)
         padded = np.resize(np.arange(len(height)), LANES * -(-len(height) // LANES))
         with jax.enable_x64(True):
             columns = function()(*(lane[padded] for lane in lanes))
         value, by_theta, by_phi, by_log_k, stress, slope = (np.array(x)[: len(height)] for x in columns)
-        by_site = by_theta * theta if varies else by_phi
-        if varies:
+        by_site = by_phi
+        if self.kind == "threshold":
+            by_site = by_theta * theta
             by_site[:, 0] = 0  # θ_0 is the unit
         return Look(value, np.column_stack([_onto_knots(by_site, self.knots), by_log_k]), stress, slope)
 
@@ -109,34 +124,56 @@ def profile_model(
 
 @functools.cache
 def _lengths() -> Callable[..., tuple[Array, ...]]:
-    def one(height: Array, stiffness: Array, poisson: Array, at: Array, theta: Array, phi: Array) -> tuple[Array, ...]:
-        def length(log_factor: Array) -> tuple[Array, Any]:
-            slider = Slider(height, stiffness * jnp.exp(log_factor), poisson)
-            found = sensitivity(slider, Profile(theta, phi), sites=theta.size)
-            return found.length, found
-
-        zero = jnp.zeros_like(stiffness)
-        _, by_log_k, found = jax.jvp(length, (zero,), (jnp.ones_like(zero),), has_aux=True)
-        _, slope = _between(found.stress - theta, at)
-        return found.length, found.threshold, found.prestress, by_log_k, found.stress, slope
-
-    return jax.jit(jax.vmap(one))
+    return _along_the_front(lambda excess, at, first: _length(excess, first))
 
 
 @functools.cache
 def _excesses() -> Callable[..., tuple[Array, ...]]:
+    return _along_the_front(lambda excess, at, first: _between(excess, at)[0])
+
+
+def _along_the_front(function: Callable[[Array, Array, Array], Array]) -> Callable[..., tuple[Array, ...]]:
+    """A function of the excess stress and the measured arrest, with its derivatives in θ, φ and ln k, for `LANES` fronts."""
+
     def one(height: Array, stiffness: Array, poisson: Array, at: Array, theta: Array, phi: Array) -> tuple[Array, ...]:
-        def excess(theta: Array, phi: Array, log_factor: Array) -> tuple[Array, Any]:
+        def value(theta: Array, phi: Array, log_factor: Array) -> tuple[Array, Any]:
             modes = lattice_modes(Slider(height, stiffness * jnp.exp(log_factor), poisson))
-            stress = front_stress(modes, theta.size, Profile(theta, phi))
-            value, slope = _between(stress - theta, at)
-            return value, (stress, slope)
+            load, first = edge_load(modes, theta, phi)
+            stress = _stress(modes, load, phi)
+            excess = stress - theta
+            return function(excess, at, first), (stress, _between(excess, at)[1])
 
         zero = jnp.zeros_like(stiffness)
-        (value, (stress, slope)), derivatives = jax.value_and_grad(excess, (0, 1, 2), has_aux=True)(theta, phi, zero)
-        return value, *derivatives, stress, slope
+        (found, (stress, slope)), derivatives = jax.value_and_grad(value, (0, 1, 2), has_aux=True)(theta, phi, zero)
+        return found, *derivatives, stress, slope
 
     return jax.jit(jax.vmap(one))
+
+
+def edge_load(modes: Modes, theta: Array, phi: Array) -> tuple[Array, Array]:
+    """A, the stress that the edge puts on contact 0 when the first contact reaches its threshold, and which contact that is."""
+    drive = jax.vmap(modes.profile)(jnp.arange(theta.size, dtype=theta.dtype)) @ modes.drive
+    load = (theta - phi) / drive
+    return load.min(), load.argmin()
+
+
+def _stress(modes: Modes, load: Array, phi: Array) -> Float[Array, " sites"]:
+    """Stress on every contact with all before it broken in turn, past the arrest too."""
+
+    def breaks(front: Front, prestress: Array) -> tuple[Front, Array]:
+        stress = prestress + stress_ahead(front)[0]
+        return advance(modes, front, stress), stress
+
+    return lax.scan(breaks, nucleate(modes, load)._replace(reach=None), phi)[1]
+
+
+def _length(excess: Array, first: Array) -> Array:
+    """ℓ, NaN where the front does not stop; contacts up to the one that breaks first have broken by then."""
+    holds = (excess < 0) & (jnp.arange(excess.size) > first)
+    s0 = jnp.argmax(holds)
+    behind = jnp.where(s0 == 1, 0.0, excess[s0 - 1])  # contact 0 breaks at its threshold exactly
+    length = straight_line((s0 - 1).astype(excess.dtype), behind, excess[s0])
+    return jnp.where(holds.any(), length, jnp.nan)
 
 
 def _between(values: Array, at: Array) -> tuple[Array, Array]:
@@ -148,10 +185,14 @@ def _between(values: Array, at: Array) -> tuple[Array, Array]:
 
 def _onto_knots(by_site: Float[np.ndarray, "n sites"], knots: np.ndarray) -> Float[np.ndarray, "n k"]:
     """Turn derivatives in the sites into derivatives in the knots, between which the profile is linear."""
-    site = np.arange(by_site.shape[1])
-    left = np.clip(np.searchsorted(knots, site, side="right") - 1, 0, len(knots) - 2)
-    share = (site - knots[left]) / (knots[left + 1] - knots[left])
+    left, share = _between_knots(np.arange(by_site.shape[1]), knots)
     result = np.zeros((len(by_site), len(knots)))
     for row, values in zip(result, by_site, strict=True):
         row += np.bincount(left, values * (1 - share), len(knots)) + np.bincount(left + 1, values * share, len(knots))
     return result
+
+
+def _between_knots(site: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The knot to the left of each site, and how far the site is on the way to the next."""
+    left = np.clip(np.searchsorted(knots, site, side="right") - 1, 0, len(knots) - 2)
+    return left, (site - knots[left]) / (knots[left + 1] - knots[left])

@@ -10,9 +10,16 @@ to within σ |t' − θ'|. Of the contacts before ℓ the length implies only th
 released all along the way: t is linear in it, and a length determines a weighted mean of it, with most weight near the arrest
 (`docs/sensitivity.md`).
 
+The load is that at which the first contact reaches its threshold, contact 0 or another
+(`slippulse_jax.inference.recover.model`).
+
 Between the arrests the profile is assumed smooth: ln(θ/θ_0), or φ, is a Gaussian process of standard deviation s and length
-scale L (`slippulse_jax.inference.recover.inversion`). The Gauss–Newton steps use the derivatives in every contact from the
-backward recursion; s and L are weighted by their evidence.
+scale L (`slippulse_jax.inference.recover.inversion`). The Gauss–Newton steps use the derivatives in every contact; s and L
+are weighted by their evidence, and the posterior is the mixture.
+
+Two checks follow, without which no place is called determined: on the recovered profile the events are followed in the order
+in which the contacts break, and the lengths on profiles drawn from the posterior are compared with those of the straight lines
+by which it was found.
 """
 
 import dataclasses
@@ -21,10 +28,11 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import ArrayLike
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc
 
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.inference.recover.inversion import LEVEL, Found, Problem, Smoothness, mixture, search
+from slippulse_jax.inference.recover.events import blocks, follow, fronts
+from slippulse_jax.inference.recover.inversion import LEVEL, Found, Problem, Smoothness, mixture, quantile, search
 from slippulse_jax.inference.recover.model import Kind, Look, profile_model
 from slippulse_jax.inference.recover.report import report, to_dict
 
@@ -35,6 +43,25 @@ _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspa
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
 
 
+WITHIN = 0.4
+"""Largest standard error of a determined place, over the standard deviation by which the prior lets the profile vary."""
+
+DRAWS = 400
+"""Profiles drawn from the posterior, on which lengths are simulated."""
+
+AGREEMENT = 0.3
+"""Effective share of the draws below which the errors are too rough to call any place determined."""
+
+ORDER = 0.5
+"""Errors of a measured length by which the order of the breaks may move it."""
+
+JITTER = 1e-10
+"""Share of the largest variance added to every variance of a posterior from which profiles are drawn."""
+
+ELEMENTS = 4_000_000
+"""Numbers of the largest array of simulated contacts."""
+
+
 class Determination(enum.Enum):
     """How much of the profile the lengths determine; the value is the sentence of the report."""
 
@@ -42,12 +69,27 @@ class Determination(enum.Enum):
     PARTLY = "determined in places only"
     AVERAGES = "determined as averages over long stretches only, not place by place"
     UNDERDETERMINED = "under-determined: this is the prior bent to fit, not a measured profile"
+    CURVED = "not determined: within its error the lengths do not follow the profile linearly, so that the error is rough"
+    ORDER = "not determined: on this profile contacts do not break one after another from the edge on, as was supposed"
     NOT_EXPLAINED = "no smooth profile gives these lengths"
     NOT_CONVERGED = "given up: no smooth profile was found on which every front reaches its arrest"
 
 
+class Nucleation(NamedTuple):
+    """Where the events start, and whether it matters; n measurements."""
+
+    contact: np.ndarray  # (n,), the contact that reaches its threshold first, on the recovered profile
+    at_edge: np.ndarray  # (n,), probability that it is contact 0: the share of draws from the posterior
+    length: np.ndarray  # (n,), ℓ on the recovered profile with the most overloaded contact breaking next, in λc
+
+    @property
+    def inside(self) -> bool:
+        """Whether an event starts elsewhere than at contact 0."""
+        return bool((self.contact > 0).any())
+
+
 class Readings(NamedTuple):
-    """The threshold at each arrest, from that length alone."""
+    """The threshold at each arrest, from that length alone, given the load."""
 
     position: np.ndarray  # (n,), in λc
     value: np.ndarray  # (n,), θ(ℓ)/θ_0 = t(ℓ)
@@ -65,7 +107,7 @@ class RecoveredProfile:
     stderr: np.ndarray  # (k,) in the same unit
     prior_stderr: np.ndarray  # (k,) `stderr` without the lengths
     covariance: np.ndarray  # (k, k) of ln(θ/θ_0), or of φ
-    determined: np.ndarray  # (k,) where the standard error is at most half of what the prior lets the profile vary
+    determined: np.ndarray  # (k,) where the error is at most `WITHIN` of what the prior lets the profile vary, and was checked
     resolution: np.ndarray  # (k, k) row i is the averaging kernel of knot i, for ln(θ/θ_0) or φ
     fitted: np.ndarray  # (n,) lengths on `profile`, in λc
     chi2: float  # Σ [(fitted − measured)/σ]²
@@ -74,9 +116,12 @@ class RecoveredProfile:
     settings: list[Smoothness]
     weight: np.ndarray  # (h,) probability of each of `settings`
     readings: Readings | None  # for a threshold
+    nucleation: Nucleation
+    agreement: float  # effective share of draws from the posterior whose simulated lengths agree with the straight lines
     determination: Determination
     steps: int
     log_stiffness_shift: float  # by which ln k was moved, where it was uncertain
+    components: tuple[np.ndarray, np.ndarray]  # (h, k) mean and standard error of ln(θ/θ_0), or of φ, for each of `settings`
 
     @property
     def degrees(self) -> float:
@@ -84,11 +129,12 @@ class RecoveredProfile:
         return float(np.trace(self.resolution))
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper ends of the interval at each knot, in the unit of the profile; both of shape (k,)."""
-        half = ndtri((1 + level) / 2) * _stderr(self.covariance)
-        if self.kind == "threshold":
-            return self.profile * np.exp(-half), self.profile * np.exp(half)
-        return self.profile - half, self.profile + half
+        """Lower and upper ends of the interval at each knot, in the unit of the profile; both of shape (k,).
+
+        They are quantiles of the mixture over `settings`, which is no Gaussian.
+        """
+        low, high = (quantile(share, *self.components, self.weight) for share in ((1 - level) / 2, (1 + level) / 2))
+        return (np.exp(low), np.exp(high)) if self.kind == "threshold" else (low, high)
 
     def at(self, x: ArrayLike) -> np.ndarray:
         """Evaluate the profile at positions x in λc; it is constant beyond the last knot."""
@@ -138,7 +184,8 @@ def recover_profile(
         Prior mean of a prestress, in σ_s; its standard deviation is `LEVEL`.
     amplitude, length_scale : float, optional
         Standard deviation of the profile about its mean (of ln θ, or of φ in σ_s) and the distance in λc over which it varies.
-        Averaged over 6 values each, weighted by evidence, where not given.
+        Averaged over 6 values each, weighted by evidence, where not given: a priori the amplitude is as likely in any equal
+        interval, the length scale in any equal ratio.
     max_steps : int
         Gauss–Newton steps.
 
@@ -176,7 +223,15 @@ def recover_profile(
     profile = np.exp(f) if kind == "threshold" else f
     unit = profile if kind == "threshold" else 1.0
     error = _stderr(covariance)
-    determined = (error <= 0.5 * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
+    determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
+    nucleation, agreement = _simulated(problem, found, problem.mean + mean_u)
+    determination = _judge(found, chi2, knots, determined, measured)
+    if determination in _FOUND:
+        if not (abs(nucleation.length - fitted) <= ORDER * sigma).all():
+            determination = Determination.ORDER
+        elif agreement < AGREEMENT and determination is not Determination.AVERAGES:
+            determination = Determination.CURVED
+    determined &= determination in _FOUND
     return RecoveredProfile(
         kind=kind,
         measurements=m,
@@ -194,10 +249,57 @@ def recover_profile(
         settings=settings,
         weight=found.weight,
         readings=_readings(at_mean, measured, sigma) if kind == "threshold" else None,
-        determination=_judge(found, chi2, knots, determined, measured),
+        nucleation=nucleation,
+        agreement=agreement,
+        determination=determination,
         steps=found.steps,
         log_stiffness_shift=float(mean_u[k]),
+        components=(
+            np.array([problem.mean[:k] + p.mean[:k] for p in found.posteriors]),
+            np.array([_stderr(p.covariance)[:k] for p in found.posteriors]),
+        ),
     )
+
+
+_FOUND = (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
+
+
+def _simulated(problem: Problem, found: Found, u: np.ndarray) -> tuple[Nucleation, float]:
+    """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
+    model, (height, stiffness, poisson) = problem.model, problem.model.lanes
+    theta, phi = model.contacts(u)
+    those = blocks(height, stiffness * np.exp(u[-1]), poisson)
+    events = [follow(those.take(i), theta[i], phi[i]) for i in range(len(height))]
+    draws = _draws(problem, found)
+    length, start = np.empty((DRAWS, len(height))), np.empty((DRAWS, len(height)), int)
+    at_once = max(1, ELEMENTS // theta.size)
+    known = not problem.log_stiffness_sd
+    drawn = blocks(height, stiffness * np.exp(draws[: 1 if known else None, -1:]), poisson)
+    for first in range(0, DRAWS, at_once):
+        rows = slice(first, first + at_once)
+        theta, phi = model.contacts(draws[rows])
+        length[rows], start[rows] = fronts(drawn if known else drawn.take((rows, slice(None))), theta, phi)
+    linear = found.at.value + (draws - problem.mean - found.place) @ found.at.derivative.T
+    with np.errstate(invalid="ignore"):
+        chi2, linear_chi2 = ((((x - model.measured) / problem.sigma) ** 2).sum(axis=1) for x in (length, linear))
+    log_weight = np.where(np.isfinite(chi2), linear_chi2 - chi2, -np.inf) / 2
+    weight = np.exp(log_weight - max(log_weight.max(), -1e300))
+    agreement = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300) / DRAWS)
+    contact = np.array([event.start for event in events])
+    return Nucleation(contact, (start == 0).mean(axis=0), np.array([event.length for event in events])), agreement
+
+
+def _draws(problem: Problem, found: Found) -> np.ndarray:
+    """Draws of u from the posterior, shape (DRAWS, k + 1); the same in every call."""
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(found.weight), DRAWS, p=found.weight)
+    draws = rng.standard_normal((DRAWS, len(problem.mean)))
+    for setting in np.unique(chosen):
+        own, posterior = chosen == setting, found.posteriors[setting]
+        # the covariance is singular to rounding; this makes it positive
+        spread = posterior.covariance + JITTER * np.diag(posterior.covariance).max() * np.eye(len(problem.mean))
+        draws[own] = problem.mean + posterior.mean + draws[own] @ np.linalg.cholesky(spread).T
+    return draws
 
 
 def _check(
@@ -233,7 +335,7 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
 def _readings(at: Look, measured: np.ndarray, sigma: np.ndarray) -> Readings:
     """t(ℓ) at the measured ℓ, in θ_0."""
     site = np.arange(at.stress.shape[1])
-    value = np.array([np.interp(x, site, t / t[0]) for x, t in zip(measured, at.stress, strict=True)])
+    value = np.array([np.interp(x, site, t) for x, t in zip(measured, at.stress, strict=True)])
     return Readings(measured, value, sigma * abs(at.slope))
 
 

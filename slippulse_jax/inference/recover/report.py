@@ -27,9 +27,11 @@ def report(found: "RecoveredProfile") -> str:
     lines = [
         f"{found.kind.capitalize()} profile from {n} length{'s' * (n > 1)}: {found.determination.value}",
         f"  independent values that the lengths determine: {found.degrees:.2f}, of {len(found.position)} knots",
-        f"  determined (standard error at most half the prior's) at x/λc: {where}",
+        f"  determined (standard error at most 0.4 of the prior's, and checked by simulation) at x/λc: {where}",
         f"  χ² = {found.chi2:.4g} for {n} lengths; prior misfit {found.prior_misfit:.4g}; {found.steps} steps",
         f"  prior: {_prior(found)}",
+        f"  {_starts(found)}",
+        f"  simulated lengths agree with the linear error in {found.agreement:.0%} of draws from the posterior",
     ]
     if found.log_stiffness_shift:
         lines.append(f"  ln k moved by {found.log_stiffness_shift:+.3g}")
@@ -46,6 +48,19 @@ def report(found: "RecoveredProfile") -> str:
             "  A length determines the threshold where its front stopped; before that it implies only that the contacts broke."
         )
     return "\n".join(lines)
+
+
+def _starts(found: "RecoveredProfile") -> str:
+    contact, at_edge, length = found.nucleation
+    moved = abs(length - found.fitted).max()
+    where = f"contact {contact.min()}" + f" to {contact.max()}" * bool(np.ptp(contact))
+    sure = f"{at_edge.min():.0%}" + f" to {at_edge.max():.0%}" * bool(np.ptp(at_edge) > 5e-3)
+    text = f"events start at {where} on this profile (contact 0 in {sure} of draws from the posterior)"
+    if found.nucleation.inside:
+        text += f"; the order of the breaks moves ℓ by up to {moved:.2g} λc"
+    elif found.kind == "prestress":
+        text += "; if they were seen to start inside, do not rely on it"
+    return text
 
 
 def _prior(found: "RecoveredProfile") -> str:
@@ -79,6 +94,8 @@ def to_dict(found: "RecoveredProfile") -> dict[str, Any]:
         "smoothness": found.smoothness._asdict(),
         "settings": [{**s._asdict(), "weight": w} for s, w in zip(found.settings, found.weight, strict=True)],
         "log_stiffness_shift": found.log_stiffness_shift,
+        "nucleation": found.nucleation._asdict(),
+        "agreement": found.agreement,
         "units": {"position": "λc", "profile": "θ_0" if found.kind == "threshold" else "σ_s", "fitted": "λc"},
         **{name: getattr(found, name) for name in arrays},
     }
