@@ -78,10 +78,10 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
     given = 0
     for number in range(studies):
         m, truth = study(rng, specimens, regime)
-        plain = fit(m)
+        plain = fit(m, intervals="profile")
         intervals = {"profile": plain.intervals["stiffness"]}
         if careful:
-            found = calibrated(plain.problem, LEVELS, seed=number)
+            found = calibrated(plain.problem, LEVELS, seed=number)[0].intervals
             intervals["calibrated"] = {level: _values(pieces) for level, pieces in found.items()}
         best = plain.roots[0] if plain.roots else None
         error = best and best.stderrs["stiffness"]

@@ -8,10 +8,10 @@ import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
 from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.optimise import undetermined_axes
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.report import interval, value_with_error
+from slippulse_jax.inference.search import undetermined_axes
 from slippulse_jax.inference.verdict import Identifiability
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -163,7 +163,10 @@ def test_bounds_cut_off_the_minimum():
 
 
 def test_unfinished_search_says_so():
-    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.0123, 0.01), max_steps=1)
+    """With more parameters than are scanned the search starts from afar."""
+    m = study(np.array([15.0, 20.0, 25.0, 30.0, 60.0]), 0.0123, 0.01)
+    free = ["stiffness", "offset", "threshold_slope", Parameter("model_factor", prior=(1.0, 0.05))]
+    result = fit(m, free, max_steps=1)
     assert not result.converged
     assert "did not converge" in result.report()
     assert result.stderrs["stiffness"] is None
@@ -182,8 +185,11 @@ def test_bundled_pmma_block_gives_back_its_stiffness():
 
 def test_bundled_printed_count_gives_a_range_around_the_papers_stiffness():
     result = fit(read_measurements(ROOT / "fit_examples/paper_printed_value/lengths.csv"))
-    assert any(piece.low < 0.03 < piece.high for piece in result.intervals["stiffness"][0.6827])
-    assert result.identifiability is Identifiability.EQUAL
+    soft, stiff = result.intervals["stiffness"][0.6827]
+    assert soft.low < 0.03 < soft.high < stiff.low
+    assert result.identifiability is Identifiability.SEVERAL_ROOTS
+    between = lengths(Inputs.of(25.0, [(soft.high + stiff.low) / 2], 0.3)).value
+    assert np.ceil(between) == 27
 
 
 def test_units_of_the_result():

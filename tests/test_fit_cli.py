@@ -82,14 +82,14 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     assert {one["attainable"] for one in json.loads(done.stdout)["measurements"]} == {None}
 
 
-def test_calibrated_intervals_are_advised_where_profiles_cover_too_seldom(tmp_path):
+def test_intervals_are_simulated_where_two_sides_of_the_peak_fit(tmp_path):
     path = tmp_path / "peak.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.4\n40,0.3,41.6,0.6\n")
-    advice = "intervals = 'calibrated' keep their coverage"
-    found = CliRunner().invoke(command, [str(path)]).stdout
-    assert advice in found
-    assert advice not in CliRunner().invoke(command, [str(path), "--intervals", "calibrated"]).stdout
-    assert advice not in run().stdout
+    by_default, calibrated, profile = (
+        json.loads(CliRunner().invoke(command, [str(path), "--json", *option]).stdout)["intervals"]
+        for option in ([], ["--intervals", "calibrated"], ["--intervals", "profile"])
+    )
+    assert by_default == calibrated != profile
 
 
 def test_request_that_is_not_one(tmp_path):

@@ -44,8 +44,8 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
 @click.option(
     "--intervals",
-    type=click.Choice(["profile", "calibrated"]),
-    help="From chi-squared, or simulations.",
+    type=click.Choice(["auto", "profile", "calibrated"]),
+    help="From chi-squared, or simulations; simulated by default where chi-squared would mislead.",
 )
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")

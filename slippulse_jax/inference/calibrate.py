@@ -2,90 +2,194 @@
 
 The simulations give the rise of the deviance that an interval allows there.
 
-Near the longest attainable length the deviance is no parabola, at the peak not even to lowest order, and its rise at the true
-value is not distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: for
-each stiffness, measurements are drawn, each is fitted, and the quantile of the rise replaces that of χ².
+Near the longest attainable length, and where two valleys compete, the rise of the deviance at the true value is not distributed
+as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: at each value measurements are
+drawn, each is fitted, and the quantile of the rise replaces that of χ². A second parameter has its best value there.
+
+Every fit is a search of one table of predictions, in units of σ, over all values that are not hopeless; a prior is a datum like
+any other.
 """
+
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.profile import Curve, Interval
+from slippulse_jax.inference.search import Cells, scan
 
-SIMULATIONS = 2000
-RESOLUTION = 0.15  # of the grid of values, in standard errors of all measurements together
-MOST_NODES, MOST_VALUES = 2000, 60
+SIMULATIONS = {1: 2000, 2: 500}
+"""By the number of fitted parameters."""
+RESOLUTION = {1: 0.15, 2: 0.3}
+"""Spacing of the table of predictions, in standard errors of all measurements together."""
+MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
+MOST_OTHERS = 80  # values of a second parameter at each of the first
 HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration
 
 
+class Table(NamedTuple):
+    """Predictions at M values of one parameter, at each of which the other takes several."""
+
+    node: np.ndarray  # (M,), θ of the parameter
+    best: np.ndarray  # (M,), row of the best value of the other
+    theta: np.ndarray  # (G, p)
+    column: np.ndarray  # (G,), which of the M values
+    mean: np.ndarray  # (G, n), predictions in σ, the parameters with priors last
+
+
+class Calibration(NamedTuple):
+    """Result of simulations along one parameter."""
+
+    intervals: dict[float, list[Interval]]
+    covered: tuple[float, float]  # share of estimates within 1 and 1.96 standard errors, at the best value
+
+
 def can_be_calibrated(problem: Problem) -> bool:
-    """Whether this is a fit of one parameter to lengths with Gaussian errors."""
-    plain = problem.exact_values and problem.loss.name == "normal"
-    return problem.p == 1 and plain and problem.parameters.discrepancy is None
+    """Whether this is a fit of one or two parameters to values with Gaussian errors."""
+    return problem.p <= 2 and problem.plain
 
 
-def calibrated(problem: Problem, levels: tuple[float, ...], *, seed: int = 0) -> dict[float, list[Interval]]:
-    """Allowed θ of a fit of one parameter, at each level, as intervals in increasing order.
+def calibrated(
+    problem: Problem, levels: tuple[float, ...], *, curves: dict[int, Curve] | None = None, seed: int = 0
+) -> dict[int, Calibration]:
+    """Allowed θ, at each level, as intervals in increasing order; and how often a standard error would hold the truth.
 
     Parameters
     ----------
     problem : Problem
-        Of one parameter and lengths with Gaussian errors.
+        Of one or two parameters, and values with Gaussian errors.
     levels : tuple of float
+    curves : dict, optional
+        Profile of each θ_j asked for; needed with two parameters.
     seed : int
         Of the simulations, `SIMULATIONS` per value looked at.
 
     Raises
     ------
     ValueError
-        If there are several parameters, or data of another kind.
+        If there are more parameters, or data of another kind.
     """
     if not can_be_calibrated(problem):
-        raise ValueError("calibrated intervals: for one parameter, and lengths with Gaussian errors")
-    node, mean = _grid(problem)
-    measured = np.concatenate([block.data.value[0] / block.data.sigma for block in problem.blocks])
-    rise = ((measured - mean) ** 2).sum(axis=1)
-    rise -= rise.min()
+        raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
+    if problem.p == 1:
+        return {0: _simulated(problem, levels, 0, _along(problem), seed)}
+    if curves is None:
+        raise ValueError("calibrated intervals of two parameters need their profiles")
+    cells = scan(problem, HOPELESS + 10)
+    return {j: _simulated(problem, levels, j, _across(problem, j, curve, cells), seed) for j, curve in curves.items()}
+
+
+def _simulated(problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int) -> Calibration:
+    """Simulate measurements at each value of θ_j and fit them by the table."""
+    measured = _measured(problem)
+    deviance = ((measured - table.mean) ** 2).sum(axis=1)
+    rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
-    chosen = np.unique(candidates[np.linspace(0, len(candidates) - 1, MOST_VALUES).round().astype(int)])
-    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS, mean.shape[1]))
-    found = np.array([_rises(mean, one, noise) for one in chosen])
-    result = {}
-    for level in levels:
-        critical = np.interp(node, node[chosen], np.quantile(found, level, axis=1))
-        result[level] = _below(node, rise - critical)
-    return result
+    places = np.linspace(0, len(candidates) - 1, MOST_VALUES[problem.p]).round().astype(int)
+    chosen = np.unique(np.concatenate([candidates[places], [int(np.argmin(rise))]]))
+    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.mean.shape[1]), np.float32)
+    found = [_refitted(table, int(one), noise) for one in chosen]
+    critical = np.quantile(np.array([rises for rises, _ in found]), levels, axis=1)
+    intervals = {
+        level: _below(table.node, rise - np.interp(table.node, table.node[chosen], own))
+        for level, own in zip(levels, critical, strict=True)
+    }
+    best = int(np.argmin(rise))
+    estimates = table.node[found[int(np.searchsorted(chosen, best))][1]]
+    stderr = np.interp(estimates, table.node[chosen], _standard_errors(problem, j, table.theta[table.best[chosen]]))
+    off = np.abs(estimates - table.node[best]) / stderr
+    return Calibration(intervals, (float((off <= 1).mean()), float((off <= 1.96).mean())))
 
 
-def _grid(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Values θ, and what is predicted in units of σ, evenly spaced in the latter."""
+def _measured(problem: Problem) -> np.ndarray:
+    columns = [block.data.value[0] / block.data.sigma for block in problem.blocks]
+    return np.concatenate([*columns, np.sqrt(problem.prior_weight) * problem.prior_mean[0]])
+
+
+def _scaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Predictions in σ at points (B, p), the parameters with priors last; inf where the front never stops is far away."""
+    sigma = np.concatenate([block.data.sigma for block in problem.blocks])
+    mean = np.concatenate([problem.predictions(theta) / sigma, theta * np.sqrt(problem.prior_weight)], axis=1)
+    return np.where(np.isfinite(mean), mean, 1e9)
+
+
+def _steps(mean: np.ndarray) -> np.ndarray:
+    """Distance from each row to the next, in σ."""
+    return np.sqrt((np.diff(mean, axis=0) ** 2).sum(axis=1))
+
+
+def _along(problem: Problem) -> Table:
+    """Values of a single parameter, evenly spaced in what is predicted."""
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, 801)
     for _ in range(2):
-        mean = _scaled(problem, node)
-        path = np.concatenate([[0], np.cumsum(np.sqrt((np.diff(mean, axis=0) ** 2).sum(axis=1)))])
+        path = np.concatenate([[0], np.cumsum(_steps(_scaled(problem, node[:, None])))])
+        count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
         # where nothing responds the values are kept apart too, so that an open side is seen
         path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
-        count = int(np.clip(_length(mean) / RESOLUTION, 400, MOST_NODES))
         node = np.interp(np.linspace(0, path[-1], count), path, node)
-    return node, _scaled(problem, node)
+    every = np.arange(len(node))
+    return Table(node, every, node[:, None], every, _scaled(problem, node[:, None]))
 
 
-def _length(mean: np.ndarray) -> float:
-    return float(np.sqrt((np.diff(mean, axis=0) ** 2).sum(axis=1)).sum())
+def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
+    """Values of θ_j along its profile, and at each those of the other parameter that a scan leaves."""
+    near = curve.deviance <= curve.deviance.min() + HOPELESS
+    profile = np.nonzero(near)[0]
+    profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
+    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(_scaled(problem, curve.theta[profile])), 3.0))])
+    path += 1e-3 * np.arange(len(path))
+    count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
+    node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
+    ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
+    other, found = 1 - j, []
+    # where the scan left values of the other, and how far apart their predictions are
+    for x, on_ridge in zip(node, ridge[:, other], strict=True):
+        there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
+        limits = zip(cells.low[there, other], cells.high[there, other], strict=True)
+        found.append(np.unique(np.concatenate([[on_ridge], *(np.linspace(a, b, 5) for a, b in limits)])))
+    steps = _steps(_scaled(problem, _points(node, found, j)))
+    starts = np.cumsum([0] + [len(y) for y in found])
+    for i, y in enumerate(found):
+        # a gap between two cells is not walked across
+        path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
+        count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
+        found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
+    theta = _points(node, found, j)
+    mean = _scaled(problem, theta)
+    deviance = ((_measured(problem) - mean) ** 2).sum(axis=1)
+    starts = np.cumsum([0] + [len(y) for y in found])
+    best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
+    return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), mean)
 
 
-def _scaled(problem: Problem, node: np.ndarray) -> np.ndarray:
-    columns = [problem.predict(node[:, None], block.observable) / block.data.sigma for block in problem.blocks]
-    return np.concatenate(columns, axis=1)
+def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
+    """Points (G, 2) of every value of θ_j with each of the other's values there."""
+    theta = np.empty((sum(len(y) for y in others), 2))
+    theta[:, j] = np.repeat(node, [len(y) for y in others])
+    theta[:, 1 - j] = np.concatenate(others)
+    return theta
 
 
-def _rises(mean: np.ndarray, true: int, noise: np.ndarray) -> np.ndarray:
-    """Rise of D at the true value above its minimum over all values, in each simulation."""
-    off = mean - mean[true]
-    # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the deviance at the true value
-    lowest = (np.einsum("gn,gn->g", off, off)[:, None] - 2 * off @ noise.T).min(axis=0)
-    return -np.minimum(lowest, 0)
+def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rise of D at the true value above its minimum over all, and which value has that minimum, in each simulation."""
+    # single precision: the table is coarser by far
+    off = (table.mean - table.mean[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
+    # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere
+    deviance = np.einsum("gn,gn->g", off, off)[:, None] - 2 * off @ noise.T
+    least = deviance.argmin(axis=0)
+    return deviance[table.column == true].min(axis=0) - deviance[least, np.arange(len(noise))], table.column[least]
+
+
+def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
+    """Standard error of θ_j from the information at each point; inf where that is singular."""
+    information = problem(theta, order=1).metric
+    assert information is not None
+    regular = np.linalg.cond(information) < 1e14
+    found = np.full(len(theta), np.inf)
+    found[regular] = np.sqrt(np.linalg.inv(information[regular])[:, j, j])
+    return found
 
 
 def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:

@@ -1,28 +1,36 @@
 """The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.calibrate import calibrated
+from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
+from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.model import attainable
-from slippulse_jax.inference.optimise import METHODS, Convergence, Minimum, same, search
-from slippulse_jax.inference.parameters import Parameter, parameter_set
+from slippulse_jax.inference.model import attainable, lengths, straight_lengths
+from slippulse_jax.inference.optimise import METHODS
+from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, root_of
+from slippulse_jax.inference.search import SLACK, Minimum, describe, same, search
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
 
 Intervals = dict[float, list[Interval]]
 """Pieces by confidence level."""
 
 SIGMAS = ("absolute", "relative")
-INTERVALS = ("profile", "calibrated")
+INTERVALS = ("auto", "profile", "calibrated")
 MOST_ROOTS = 4  # followed along a profile
 SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
+BETWEEN = 0.5
+"""Difference between ℓ* and the straight-line length, in σ, from which on the fit allows for it."""
+STRAIGHT = 1.15
+"""Ratio of a profile's 95 % limit to that of a parabola from which on the intervals are simulated."""
+COVERED = (0.64, 0.93)
+"""Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
 
 
 def fit(
@@ -36,7 +44,7 @@ def fit(
     method: str = "lm",
     max_steps: int = 60,
     seed: int = 0,
-    intervals: str = "profile",
+    intervals: str = "auto",
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
@@ -68,9 +76,10 @@ def fit(
         Steps allowed per start.
     seed : int
         Seed of the starts where several parameters are fitted, and of simulations.
-    intervals : {"profile", "calibrated"}
+    intervals : {"auto", "profile", "calibrated"}
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
-        longest attainable length too (`slippulse_jax.inference.calibrate`; one parameter, plain lengths).
+        longest attainable length too (`slippulse_jax.inference.calibrate`; one or two parameters, plain lengths). By default
+        simulated where valleys of the deviance compete, or its shape is far from a parabola.
 
     Returns
     -------
@@ -103,22 +112,35 @@ def fit(
         "seed": seed,
         "intervals": intervals,
     }
-    minima, curves, best, deviance, unconverged = _explore(problem, method, max_steps, seed)
+    explored = _explore(problem, method, max_steps, seed)
+    between = None if scaled else _between_contacts(problem, explored.best)
+    if between is not None:
+        problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
+        explored = _explore(problem, method, max_steps, seed)
+    minima, curves, best, deviance, unconverged, complete = explored
+    counts = allowed_by_counts(problem) if are_exact(problem) else None
+    if counts is not None:
+        minima, best, deviance, unconverged = _of_counts(problem, counts, minima, best, deviance)
     rise = _rise(problem, deviance, scaled)
     variance = deviance / (problem.count - problem.p) if scaled else 1.0
     near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
     limits = {level: deviance + rise(level) for level in LEVELS}
     pieces = {j: allowed(problem, j, curves[j], limits) for j in asked}
+    if counts is not None:
+        pieces = {0: dict.fromkeys(LEVELS, counts.pieces)}
     dof = _testable(problem, scaled)
     longest, longest_at = attainable(parameters, best)
     evidence = Evidence(problem, near, best, deviance, dof, rise, longest)
     lost = [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
     verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
-    if intervals == "calibrated":
-        if scaled:
-            raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
-        pieces = {0: calibrated(problem, LEVELS, seed=seed)}
+    if counts is not None:
+        verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
+    elif _to_be_simulated(problem, intervals, scaled, minima, deviance, {j: pieces[j] for j in asked}, best):
+        found = calibrated(problem, LEVELS, curves=curves, seed=seed)
+        pieces = {j: one.intervals for j, one in found.items()}
+        verdicts = {j: _simulated(verdicts[j], found[j].covered) for j in asked}
+    verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
     pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
     names = parameters.names
     return FitResult(
@@ -136,6 +158,8 @@ def fit(
         unconverged=lost,
         attainable=longest,
         attainable_at=longest_at,
+        between_contacts=between,
+        complete=complete,
     )
 
 
@@ -200,46 +224,156 @@ def _testable(problem: Problem, scaled: bool) -> int | None:
     return dof if dof > 0 and problem.exact_values and given else None
 
 
-def _explore(
-    problem: Problem, method: str, max_steps: int, seed: int
-) -> tuple[list[Minimum], dict[int, Curve], np.ndarray, float, list[tuple[float, str]]]:
-    """Minima, profiles, the point of least deviance, and the starts that did not converge."""
-    roots, ends = search(problem, method=method, max_steps=max_steps, seed=seed)
+class Explored(NamedTuple):
+    """What the search found."""
+
+    minima: list[Minimum]  # best first
+    curves: dict[int, Curve]
+    best: np.ndarray  # (p,), of least deviance
+    deviance: float
+    unconverged: list[tuple[float, str]]
+    complete: bool  # whether the whole range was resolved
+
+
+def _between_contacts(problem: Problem, theta: np.ndarray) -> np.ndarray | None:
+    """Typical |ℓ − ℓ*| of every length in λc about θ, where one of them is not small beside its σ; 0 for counts.
+
+    ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
+    continuation does. A length is measured to neither convention.
+    """
+    block, q = problem.blocks[0], problem.parameters
+    plain = block.data.kind == "length"
+    if not plain.any() or q.smooth:
+        return None
+    # of several stiffnesses around, lest one length stop just on a contact, where both agree
+    inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
+    around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
+    around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
+    with np.errstate(invalid="ignore"):
+        off = (straight_lengths(around) - lengths(around).value).reshape(13, -1) * np.exp(q.scales["length"](theta))
+    typical = np.sqrt(np.mean(np.where(np.isfinite(off), off, 0) ** 2, axis=0))
+    typical = np.where(plain, typical, 0.0)
+    return typical if (typical > BETWEEN * block.data.sigma).any() else None
+
+
+def _of_counts(
+    problem: Problem, counts: Allowed, minima: list[Minimum], best: np.ndarray, deviance: float
+) -> tuple[list[Minimum], np.ndarray, float, list[tuple[float, str]]]:
+    """A root in the middle of every piece that the counts allow, the softest first; or what the search found."""
+    if not counts.pieces:
+        return minima, best, deviance, []
+    middle = np.array([[(piece.low + piece.high) / 2] for piece in counts.pieces])
+    value = 2 * problem(middle).value
+    return (
+        [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)],
+        middle[0],
+        float(value.min()),
+        [],
+    )
+
+
+def _verdict_of_counts(m: Measurements, q: ParameterSet, counts: Allowed) -> Verdict:
+    """Whether one value, a range, several or none give all counts."""
+    if not counts.pieces:
+        where = ", ".join(m.place(i) for i in counts.at_odds)
+        others = "the others agree without" if len(counts.at_odds) < len(m) else "nor any one of them:"
+        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives all counts; {others} {where}")
+    if len(counts.pieces) > 1:
+        one = q.free[0]
+        ranges = " and ".join(f"{one.value(a):.4g} to {one.value(b):.4g}" for a, b, _, _ in counts.pieces)
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {ranges} {one.unit}".rstrip())
+    (piece,) = counts.pieces
+    if piece.open_low and piece.open_high:
+        return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
+    if piece.open_low or piece.open_high:
+        return Verdict(Identifiability.ONE_SIDED, "the counts bound it on one side only")
+    return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
+
+
+def _to_be_simulated(
+    problem: Problem,
+    intervals: str,
+    scaled: bool,
+    minima: list[Minimum],
+    deviance: float,
+    pieces: dict[int, Intervals],
+    best: np.ndarray,
+) -> bool:
+    """Whether intervals and standard errors are to be found by simulation."""
+    if intervals == "calibrated":
+        if scaled:
+            raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
+        return True
+    if intervals == "profile" or scaled or not can_be_calibrated(problem) or not minima:
+        return False
+    if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
+        return True
+    for j, found in pieces.items():
+        last = found[LEVELS[-1]]
+        if not last or minima[0].singular[j]:
+            return False
+        reach = 1.96 * np.sqrt(minima[0].covariance[j, j])
+        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
+        if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
+            return True
+    return False
+
+
+def _alone(j: int, verdict: Verdict, minima: list[Minimum], deviance: float, q: ParameterSet) -> Verdict:
+    """Withhold a standard error where another valley, hardly worse, lies far beyond it."""
+    if verdict.identifiability is not Identifiability.IDENTIFIED:
+        return verdict
+    best = minima[0]
+    far = 5 * np.sqrt(best.covariance[j, j])
+    for one in minima[1:]:
+        if one.deviance <= deviance + SLACK and abs(one.theta[j] - best.theta[j]) > far:
+            value = f"{q.free[j].value(one.theta[j]):.4g} {q.free[j].unit}".rstrip()
+            return Verdict(
+                Identifiability.SKEWED,
+                f"another valley, at {value}, is worse by a deviance of only {one.deviance - deviance:.3g}; use the intervals",
+            )
+    return verdict
+
+
+def _simulated(verdict: Verdict, covered: tuple[float, float]) -> Verdict:
+    """Withhold a standard error that would not cover."""
+    if verdict.identifiability is not Identifiability.IDENTIFIED or all(a >= b for a, b in zip(covered, COVERED, strict=True)):
+        return verdict
+    return Verdict(
+        Identifiability.SKEWED,
+        f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them in "
+        f"{covered[1]:.0%}; use the intervals",
+    )
+
+
+def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explored:
+    """Search the range, and follow every parameter asked for along its profile."""
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
-    finite = np.isfinite(ends.value)
-    if not finite.any():
+    found = search(problem, method=method, max_steps=max_steps, seed=seed)
+    if not np.isfinite(found.deviance):
         raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
-    seeds = ends.theta[np.argsort(ends.value, kind="stable")[:1]]
+    roots, best, deviance = found.minima, found.theta, found.deviance
     curves: dict[int, Curve] = {}
-    best, deviance = seeds[0], 2 * float(ends.value[finite].min())
     for _ in range(SEARCH_ROUNDS):
         roots = _ordered(roots)
-        followed = roots[:MOST_ROOTS]
-        places = np.array([root.theta for root in followed]).reshape(-1, problem.p)
-        covariances = [root.covariance for root in followed]
-        curves = {j: profile(problem, j, places, covariances, seeds) for j in asked}
+        curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.cells) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)
         missed = [
             curve.theta[i]
             for curve in curves.values()
-            for i in _valleys(curve.deviance, deviance + 10)
+            for i in _valleys(curve.deviance, deviance + SLACK)
             if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
         ]
         if not missed:
             break
-        more, _ = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
+        more = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
         before = len(roots)
-        roots = _merged(problem, roots, more)
+        roots = _merged(problem, roots, more.minima)
         if len(roots) == before:
             break
-    named = [
-        (2 * float(v), Convergence(int(o)).message)
-        for v, o in zip(ends.value, ends.convergence, strict=True)
-        if o == Convergence.NOT_CONVERGED
-    ]
     known = [root.deviance for root in roots]
-    lost = [(value, message) for value, message in named if not known or value < min(known) - 1e-6]
-    return roots, curves, best, deviance, lost
+    lost = [(value, message) for value, message in found.unconverged if not known or value < min(known) - 1e-6]
+    return Explored(roots, curves, best, deviance, lost, found.cells is not None and found.cells.complete)
 
 
 def _ordered(roots: list[Minimum]) -> list[Minimum]:

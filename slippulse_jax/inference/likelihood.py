@@ -9,6 +9,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 """
 
 import dataclasses
+import functools
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -381,6 +382,73 @@ class Problem:
             by_theta = np.matmul(by_input[:, :, None, :], slope)[:, :, 0]
             first = first + by_theta[:, block.rows] * scale[:, :, None]
         return mu, first
+
+    @property
+    def plain(self) -> bool:
+        """Whether the deviance is a sum of squares: values with known Gaussian errors."""
+        return self.exact_values and self.loss.name == "normal" and self.parameters.discrepancy is None
+
+    @functools.cached_property
+    def reach(self) -> np.ndarray:
+        """Change of each prediction that matters, (N,): one σ, and for counts not less than a tenth of a contact."""
+        columns = []
+        for block in self.blocks:
+            exact = block.data.kind == "length"
+            columns.append(np.where(exact, block.data.sigma, np.hypot(block.data.sigma, 0.1)))
+        return np.concatenate(columns)
+
+    def predictions(self, theta: np.ndarray) -> np.ndarray:
+        """Predictions for the data of all observables, one after another, shape (B, N)."""
+        at_once = max(1, ELEMENTS // max(len(block.rows) for block in self.blocks))
+        parts = [theta[start : start + at_once] for start in range(0, len(theta), at_once)]
+        return np.concatenate(
+            [np.concatenate([self._predictions(block, part, 0)[0] for block in self.blocks], axis=1) for part in parts]
+        )
+
+    def residuals(self, mu: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals in σ, priors last, (B, N + p), and 1/σ of the data, (B, N), of a `plain` problem."""
+        value = np.concatenate([block.data.value[0] for block in self.blocks])
+        sigma = np.concatenate([block.data.sigma for block in self.blocks])
+        known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
+        return np.concatenate([(mu - value) / sigma, known], axis=1), np.broadcast_to(1 / sigma, mu.shape)
+
+    def least(self, low: np.ndarray, high: np.ndarray, theta_low: np.ndarray, theta_high: np.ndarray) -> np.ndarray:
+        """Least −log density that predictions between two limits, (B, N), and θ in a box, (B, p), allow; shape (B,).
+
+        Each datum and each prior by itself, so a bound from below; exact where the limits coincide.
+        """
+        off = np.clip(self.prior_mean[0], theta_low, theta_high) - self.prior_mean[0]
+        total = (self.prior_weight * off**2).sum(axis=1) / 2
+        d, first = self.parameters.discrepancy, 0
+        for block in self.blocks:
+            data = block.data
+            n = len(data.sigma)
+            mu_low, mu_high, first = low[:, first : first + n], high[:, first : first + n], first + n
+            value = data.value[0]
+            # where each cost is least: at the value, in the middle of a count, and ever less beyond a length run past
+            wanted = np.where(data.kind == "whole", value - 0.5, np.where(data.kind == "at_least", np.inf, value))
+            mu = np.clip(wanted, mu_low, mu_high)
+            if self.plain:
+                with np.errstate(invalid="ignore"):
+                    cost = data.weight[0] * ((mu - value) / data.sigma) ** 2 / 2
+                total = total + np.where(np.isfinite(mu), cost, np.inf).sum(axis=1)
+                continue
+            log_scatter = np.full(mu.shape, -np.inf)
+            if d is not None:
+                # the scatter that makes the datum most probable: r itself, where the box has it
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    best = np.log(np.maximum((mu - value) ** 2 - data.sigma**2, 0)) / 2
+                    own = np.clip(best, theta_low[:, [d]] + np.log(np.abs(value)), theta_high[:, [d]] + np.log(np.abs(value)))
+                log_scatter = np.where(data.has_discrepancy, np.nan_to_num(own, nan=-np.inf, neginf=-np.inf), log_scatter)
+            sigma = np.broadcast_to(data.sigma, mu.shape)
+            for kind in COSTS:
+                there = data.kind == kind
+                if there.any():
+                    columns = np.broadcast_arrays(mu, value, sigma, log_scatter)
+                    given = [x[:, there].ravel() for x in columns]
+                    cost = over_lanes(_derivatives(kind, self.loss), given, FEW_OR_MANY)[0].reshape(len(mu), -1)
+                    total = total + (data.weight[0][there] * cost).sum(axis=1)
+        return total
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""

@@ -93,6 +93,13 @@ def _lengths(inputs: Inputs) -> np.ndarray:
     return found
 
 
+def straight_lengths(inputs: Inputs) -> np.ndarray:
+    """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
+    slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
+    relaxed = not (inputs.prestress.any() or inputs.threshold_slope.any())
+    return bulk.lengths(slider, interface=None if relaxed else Interface(inputs.prestress, inputs.threshold_slope))
+
+
 def by_differences(
     values: Callable[[Inputs], np.ndarray], inputs: Inputs, wanted: Collection[str], size: float = 1.0
 ) -> Prediction:

@@ -453,7 +453,7 @@ def _default_bounds(
         "strength": (1.0, 1e12),
         "width": (1e-4, 0.02),
         "poisson": (0.0, 0.5),
-        "prestress": (0.0, 0.95),
+        "prestress": (-0.95, 0.95),
     }
     if name in by_name:
         return by_name[name]

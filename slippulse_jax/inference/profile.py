@@ -12,10 +12,13 @@ import numpy as np
 from scipy.special import fdtri, ndtri
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.optimise import DENSE_NODES, DENSE_SPACING, minimise
+from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.search import Cells, Minimum
 
-NODES = 61  # of a profile over its whole range, where other parameters must be fitted at each
+NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
+STARTS_KEPT = 4  # at each node, of all that are looked at
+STEPS = 25  # of a minimisation at a node
 CROSSING_ROUNDS = 14
 
 
@@ -74,46 +77,71 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
     holding = dataclasses.replace(problem, held=held)
-    found = minimise(holding, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held)
+    found = minimise(
+        holding, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held, max_steps=STEPS
+    )
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
     rows = np.arange(count)
     return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
 
 
-def profile(problem: Problem, j: int, roots: np.ndarray, covariances: list[np.ndarray], seeds: np.ndarray) -> Curve:
-    """Profile of parameter j over its whole range, with nodes crowded around every root.
+def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, cells: Cells | None = None) -> Curve:
+    """Profile of parameter j over its whole range, or where a scan has left it, with nodes crowded around every root.
 
     Parameters
     ----------
-    roots : array, shape (r, p)
-        Minima of the deviance.
-    covariances : list of array
-        Of each root, from its information.
+    roots : list of Minimum
     seeds : array, shape (s, p)
         Other good points to start from.
+    cells : Cells, optional
+        Of a scan: the values that are not excluded.
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     alone = problem.p == 1
-    count = max(DENSE_NODES, int((high - low) / DENSE_SPACING)) if alone else NODES
-    around = [np.linspace(low, high, count), roots[:, j]]
-    for root, covariance in zip(roots, covariances, strict=True):
-        step = min(np.sqrt(covariance[j, j]), (high - low) / 8)
-        around += [root[j] - STEPS_AROUND * step, root[j] + STEPS_AROUND * step]
+    if cells is not None and cells.complete and len(cells.low) and not alone:
+        # what lies beyond has been excluded, except by the little that a minimum's own cell may reach
+        low, high = cells.low[:, j].min(), cells.high[:, j].max()
+    around = [np.linspace(low, high, NODES_ALONE if alone else NODES), [root.theta[j] for root in roots]]
+    for root in roots:
+        step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
+        around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]
+    if cells is not None and len(cells.low):
+        around += [_spread(cells, j, len(cells.low) if alone else NODES)]
     node = np.unique(np.concatenate(around))
     node = node[(node >= low) & (node <= high)]
     held = np.arange(problem.p) == j
-    curve = constrained(problem, held, node[:, None], _predicted(node, j, roots, covariances, seeds, problem))
-    return curve if alone else _from_neighbours(problem, held, curve)
+    if alone:
+        return constrained(problem, held, node[:, None], seeds)
+    starts = _predicted(node, j, roots, seeds, cells, problem)
+    starts[:, :, j] = node[:, None]
+    value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
+    best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
+    curve = constrained(problem, held, node[:, None], np.take_along_axis(starts, best, axis=1))
+    return _from_neighbours(problem, held, curve)
+
+
+def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
+    """Limits of the cells along parameter j; of many, as many as `count`, evenly chosen."""
+    limits = np.unique(np.concatenate([cells.low[:, j], cells.high[:, j]]))
+    return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), 2 * count)).round().astype(int))]
 
 
 def _predicted(
-    node: np.ndarray, j: int, roots: np.ndarray, covariances: list, seeds: np.ndarray, problem: Problem
+    node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray, cells: Cells | None, problem: Problem
 ) -> np.ndarray:
-    """Starts at each node: every root, moved along its own ridge; and the other points; shape (g, s, p)."""
+    """Starts at each node: every root, moved along its own ridge; the other points; and the best cells there; (g, s, p)."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
-    for root, covariance in zip(roots, covariances, strict=True):
-        starts.append(root + (node - root[j])[:, None] * covariance[:, j] / covariance[j, j])
+    for root in roots:
+        moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
+        starts.append(root.theta + moved)
+    if cells is not None and len(cells.low):
+        there = (cells.low[:, j] <= node[:, None]) & (node[:, None] <= cells.high[:, j])
+        ranked = np.argsort(np.where(there, cells.deviance, np.inf), axis=1, kind="stable")
+        # not only the best, which may all lie side by side
+        for rank in (0, 1, 3, 7, 15):
+            if rank < ranked.shape[1]:
+                starts.append(cells.theta[ranked[:, rank]])
     return np.clip(np.stack(starts, axis=1), problem.parameters.low, problem.parameters.high)
 
 

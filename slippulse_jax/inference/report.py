@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.calibrate import can_be_calibrated
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.parameters import STIFFEST, Inputs, softest
 from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
-
-TWO_SIDES = (Identifiability.SEVERAL_ROOTS, Identifiability.SKEWED, Identifiability.AT_MAXIMUM, Identifiability.ONE_SIDED)
 
 
 def report(result: "FitResult") -> str:
@@ -354,14 +352,14 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
 
 
 def _of_intervals(result: "FitResult") -> Iterator[str]:
-    m = result.measurements
-    close = (m.length > PLATEAU * result.attainable).any() and result.identifiability in TWO_SIDES
-    plain = result.request["intervals"] == "profile" and can_be_calibrated(result.problem) and not result.scaled
-    if close and plain and len(set(m.height)) > 1:
+    if result.between_contacts is not None:
+        i = int(np.argmax(result.between_contacts))
         yield (
-            "with the two sides of the peak so close a profile's 68% interval holds the truth in some 60% of studies "
-            "(simulated, of three blocks); intervals = 'calibrated' keep their coverage"
+            f"how a length between two whole contacts is defined moves it by up to {result.between_contacts[i]:.2g} λc "
+            f"({result.measurements.place(i)}): that is added to σ in quadrature"
         )
+    if not result.complete and result.problem.p <= SCANNED:
+        yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
 
 
 def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:

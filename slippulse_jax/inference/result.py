@@ -11,11 +11,11 @@ from slippulse_jax.inference.bayes import Posterior, posterior
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
-from slippulse_jax.inference.optimise import Minimum, describe
 from slippulse_jax.inference.parameters import Inputs, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import to_dict
 from slippulse_jax.inference.report import notes, report
+from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.lengths import arrests
@@ -88,6 +88,8 @@ class FitResult:
     unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
+    between_contacts: np.ndarray | None  # |ℓ − ℓ*| of each length in λc, added to σ in quadrature; None where it is small
+    complete: bool  # whether the search left no part of the range unresolved
 
     @property
     def parameters(self) -> ParameterSet:

@@ -9,9 +9,9 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS
-from slippulse_jax.inference.optimise import Minimum
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.profile import Interval, Rise
+from slippulse_jax.inference.search import Minimum
 
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3

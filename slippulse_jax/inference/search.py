@@ -1,0 +1,371 @@
+"""Search for every minimum of the deviance that the data do not exclude.
+
+With up to `SCANNED` fitted parameters the whole range is scanned. It is divided into cells; the predictions at the corners of a
+cell, widened by how far the centre is from their mean, bound the deviance in it from below; a cell whose bound lies too far
+above the least deviance known is dropped, and the others are halved until the predictions in each are all but linear. A cell
+that is left holds one minimum at most, which is found from a start inside. With more parameters the search starts from
+`SAMPLES` points of a Sobol sequence, and nothing is promised.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.model import attainable_of, distinct_rows
+from slippulse_jax.inference.optimise import Convergence, minimise
+from slippulse_jax.inference.parameters import STIFFNESSES
+
+SCANNED = 3
+"""Largest number of fitted parameters whose range is scanned completely."""
+EDGES = {1: 257, 2: 33, 3: 13}
+"""Number of cell edges to begin with along each parameter, by the number of parameters."""
+SLACK = 16.0
+"""Deviance above the least up to which minima are looked for: four standard errors."""
+LINEAR = 0.3
+"""Departure from a linear model, in σ of all data together, at which a cell is resolved."""
+WIDENED = 2.0
+"""Factor on the departure from the linear model by which the range of the predictions in a cell is widened."""
+NARROWEST = 1e-7
+"""Width of the narrowest cell, over the range searched."""
+ROUNDS = 60
+MOST_ELEMENTS = 40_000_000
+"""Numbers held at once for the corners of all cells."""
+POLISHED = 8
+"""Cells from which the least deviance is improved while the scan goes on."""
+
+SAMPLES = 512
+"""Points at which more parameters are looked at before the best of them are taken as starts."""
+STARTS = 32
+CROWDED = 24
+"""Largest number of different lengths whose peaks are scanned closely on both sides."""
+
+
+class Cells(NamedTuple):
+    """Cells of the range searched that may hold values the data do not exclude."""
+
+    low: np.ndarray  # (c, p)
+    high: np.ndarray  # (c, p)
+    theta: np.ndarray  # (c, p), the best point found in each
+    deviance: np.ndarray  # (c,), there
+    complete: bool  # whether every cell was resolved
+
+
+class Search(NamedTuple):
+    """What a search found."""
+
+    minima: list["Minimum"]  # best first
+    theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
+    deviance: float
+    unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
+    cells: Cells | None  # None with more than `SCANNED` parameters
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Minimum:
+    """Minimum of the deviance D = −2 ln(likelihood × prior)."""
+
+    theta: np.ndarray
+    deviance: float
+    covariance: np.ndarray  # inverse Fisher information
+    singular: np.ndarray  # parameters it does not constrain: their variance is that of the range searched
+    share: float  # least share that the response of the model makes up of the second derivative of D; 1 at a good root
+
+
+def search(
+    problem: Problem, *, method: str, max_steps: int, seed: int, slack: float = SLACK, extra: np.ndarray | None = None
+) -> Search:
+    """Find the minima of the deviance within `slack` of the least one, best first.
+
+    Parameters
+    ----------
+    problem : Problem
+    method : str
+        Of `minimise`.
+    max_steps : int
+        Steps allowed each start.
+    seed : int
+        Seed of the starts with more than `SCANNED` parameters.
+    slack : float
+        Deviance above the least up to which minima are looked for.
+    extra : array, shape (s, p), optional
+        Start here, and nowhere else.
+    """
+    low, high = problem.parameters.low, problem.parameters.high
+    cells = scan(problem, slack) if extra is None and problem.p <= SCANNED else None
+    starts = (
+        extra
+        if extra is not None
+        else _starts(problem, seed)
+        if cells is None
+        else cells.theta[_promising(cells, low, high, slack)]
+    )
+    ends = minimise(problem, starts, low, high, method=method, max_steps=max_steps)
+    good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
+    order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
+    minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
+    unconverged = [
+        (2 * float(value), Convergence(int(how)).message)
+        for value, how in zip(ends.value, ends.convergence, strict=True)
+        if how == Convergence.NOT_CONVERGED
+    ]
+    theta, deviance = ends.theta, 2 * ends.value
+    if cells is not None:
+        theta, deviance = np.concatenate([theta, cells.theta]), np.concatenate([deviance, cells.deviance])
+    if not len(theta):
+        return Search([], (low + high) / 2, np.inf, unconverged, cells)
+    least = int(np.argmin(deviance))
+    return Search(minima, theta[least], float(deviance[least]), unconverged, cells)
+
+
+def scan(problem: Problem, slack: float = SLACK) -> Cells:
+    """Divide the range into cells, drop those that the data exclude, and minimise in each that is left.
+
+    A cell is excluded if its deviance exceeds the least one known by more than `slack` for all predictions in the range that
+    its corners span. What the bound supposes is that predictions between the corners stay within that range, widened by
+    `WIDENED` times the distance of the centre from the mean of the corners.
+    """
+    q, p = problem.parameters, problem.p
+    box = q.low, q.high
+    low, high = _first_cells(problem)
+    upper = _upper(p)
+    corner = _predictions(problem, np.where(upper, high[:, None], low[:, None]))
+    best, done, complete = np.inf, [], True
+    most = max(1, MOST_ELEMENTS // (corner.shape[1] * corner.shape[2]))
+    for round_ in range(ROUNDS):
+        middle = (low + high) / 2
+        centre = _predictions(problem, middle[:, None])[:, 0]
+        value = 2 * problem.least(centre, centre, middle, middle)
+        best = min(best, float(value.min()))
+        if round_ % 3 == 0 and np.isfinite(best):
+            starts = middle[np.argsort(value, kind="stable")[:POLISHED]]
+            best = min(best, 2 * float(minimise(problem, starts, *box, max_steps=20).value.min()))
+        with np.errstate(invalid="ignore"):
+            bent = np.nan_to_num(np.abs(centre - corner.mean(axis=1)), nan=0.0, posinf=0.0)
+            span = np.nan_to_num(np.abs(np.ptp(corner, axis=1)), nan=np.inf)
+        ranges = np.concatenate([corner, centre[:, None]], axis=1)
+        bound = 2 * problem.least(ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent, low, high)
+        live = bound <= best + slack
+        width = ((high - low) / (box[1] - box[0])).max(axis=1)
+        resolved = (_in_sigmas(problem, bent) <= LINEAR) & np.isfinite(span).all(axis=1) | (width <= NARROWEST)
+        ready = live & resolved
+        done.append((low[ready], high[ready], corner[ready], centre[ready], bound[ready]))
+        left = np.nonzero(live & ~resolved)[0]
+        if not len(left):
+            break
+        if 2 * len(left) > most:
+            done.append((low[left], high[left], corner[left], centre[left], bound[left]))
+            complete = False
+            break
+        low, high, corner = _halved(problem, low[left], high[left], corner[left], upper)
+    low, high, corner, centre, bound = (np.concatenate(column) for column in zip(*done, strict=True))
+    live = bound <= best + slack
+    return _minimised(problem, low[live], high[live], corner[live], centre[live], best + slack, complete)
+
+
+def _upper(p: int) -> np.ndarray:
+    """Which corners of a cell lie at its upper limit, along each parameter; bool, (2^p, p)."""
+    return (np.arange(2**p)[:, None] >> np.arange(p)) & 1 == 1
+
+
+def _first_cells(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of the cells to begin with, (c, p)."""
+    edges = first_edges(problem)
+    low = np.stack(np.meshgrid(*(edge[:-1] for edge in edges), indexing="ij"), axis=-1)
+    high = np.stack(np.meshgrid(*(edge[1:] for edge in edges), indexing="ij"), axis=-1)
+    return low.reshape(-1, problem.p), high.reshape(-1, problem.p)
+
+
+def first_edges(problem: Problem) -> list[np.ndarray]:
+    """Edges of the cells to begin with, along each parameter.
+
+    A single parameter is divided closely around the peak of every length: two roots on its two sides may lie closer together
+    than any fixed spacing.
+    """
+    q, p = problem.parameters, problem.p
+    edges = [np.linspace(low, high, EDGES[p]) for low, high in zip(q.low, q.high, strict=True)]
+    if p == 1:
+        offsets = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 24)])
+        near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
+        every = np.unique(np.concatenate([edges[0], *near]))
+        edges = [every[(every >= q.low[0]) & (every <= q.high[0])]]
+    return edges
+
+
+def _predictions(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Predictions at points (c, k, p), each different one once; shape (c, k, N)."""
+    rows, own = distinct_rows(np.ascontiguousarray(theta.reshape(-1, problem.p)))
+    return problem.predictions(rows)[own].reshape(*theta.shape[:2], -1)
+
+
+def _halved(
+    problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both halves of every cell, cut across the parameter along which its predictions change most."""
+    changes = [_in_sigmas(problem, _finite(change)) for change in _changes(corner, upper)]
+    width = (high - low) / (problem.parameters.high - problem.parameters.low)
+    # where nothing changes, or everything is infinite, the widest side
+    along = np.argmax(np.stack(changes, axis=1) * (width > NARROWEST) + 1e-3 * width, axis=1)
+    rows = np.arange(len(low))
+    middle = (low[rows, along] + high[rows, along]) / 2
+    where = np.where(upper, high[:, None], low[:, None])
+    where[rows, :, along] = middle[:, None]
+    face = _predictions(problem, where)
+    above = upper[:, along].T[:, :, None]
+    low_of_upper, high_of_lower = low.copy(), high.copy()
+    low_of_upper[rows, along] = high_of_lower[rows, along] = middle
+    return (
+        np.concatenate([low, low_of_upper]),
+        np.concatenate([high_of_lower, high]),
+        np.concatenate([np.where(above, face, corner), np.where(above, corner, face)]),
+    )
+
+
+def _changes(corner: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
+    """Mean change of the predictions across each cell along each parameter, (c, N); nan or inf where they are infinite."""
+    with np.errstate(invalid="ignore"):
+        return [corner[:, up].mean(axis=1) - corner[:, ~up].mean(axis=1) for up in upper.T]
+
+
+def _finite(x: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _in_sigmas(problem: Problem, change: np.ndarray) -> np.ndarray:
+    """Length of a change of the predictions, (c, N), in standard errors of all data together."""
+    with np.errstate(over="ignore"):
+        return np.sqrt(((change / problem.reach) ** 2).sum(axis=1))
+
+
+def _minimised(
+    problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
+) -> Cells:
+    """Minimise in every cell, from the least-squares solution of its linear model where it has one."""
+    theta = (low + high) / 2
+    worth = np.ones(len(low), dtype=bool)
+    if problem.plain and len(low):
+        upper = _upper(problem.p)
+        slope = np.stack(_changes(corner, upper), axis=2)
+        residual, weight = problem.residuals(centre, theta)
+        known = np.sqrt(problem.prior_weight) * (high - low)
+        matrix = np.concatenate([slope * weight[:, :, None], known[:, :, None] * np.eye(problem.p)], axis=1)
+        finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
+        matrix, residual = np.where(finite[:, None, None], matrix, 0), np.where(finite[:, None], residual, 0)
+        step = -np.einsum("cpn,cn->cp", np.linalg.pinv(matrix, rcond=1e-9), residual)
+        least = ((residual + np.einsum("cnp,cp->cn", matrix, step)) ** 2).sum(axis=1)
+        # an unresolved cell is not judged by its linear model
+        if complete:
+            worth = ~finite | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
+        theta = np.clip(theta + np.where(finite[:, None], step, 0) * (high - low), low, high)
+    low, high, theta = low[worth], high[worth], theta[worth]
+    if not len(theta):
+        return Cells(low, high, theta, np.empty(0), complete)
+    ends = minimise(problem, theta, low, high, max_steps=20)
+    kept = 2 * ends.value <= limit
+    return Cells(low[kept], high[kept], ends.theta[kept], 2 * ends.value[kept], complete)
+
+
+def _promising(cells: Cells, low: np.ndarray, high: np.ndarray, slack: float) -> np.ndarray:
+    """Cells from which a minimum is to be sought: whose best point lies inside, or at an end of the range; and the best."""
+    reach = 1e-9 * (cells.high - cells.low)
+    above = (cells.theta > cells.low + reach) | (cells.low <= low)
+    below = (cells.theta < cells.high - reach) | (cells.high >= high)
+    near = cells.deviance <= cells.deviance.min(initial=np.inf) + slack
+    best = np.arange(len(near)) == (int(np.argmin(cells.deviance)) if len(near) else -1)
+    return (above & below).all(axis=1) & near | best
+
+
+def _starts(problem: Problem, seed: int) -> np.ndarray:
+    from scipy.stats import qmc  # half a second to import, and most fits are of one parameter
+
+    low, high = problem.parameters.low, problem.parameters.high
+    sample = qmc.scale(qmc.Sobol(problem.p, rng=np.random.default_rng(seed)).random(SAMPLES), low, high)
+    known = problem.prior_weight > 0
+    centre = problem.prior_mean[0]
+    # parameters with a prior start where it is: the search is over what is not known beforehand
+    sample[:, known] = np.clip(centre[known], low[known], high[known])
+    value = problem(sample).value
+    ranked = np.argsort(value, kind="stable")
+    ranked = ranked[np.isfinite(value[ranked])]
+    # half the lowest, half spread over the rest, so that a second basin is not crowded out
+    spread = ranked[STARTS // 2 :: max(1, (len(ranked) - STARTS // 2) // (STARTS // 2))][: STARTS // 2]
+    return sample[np.concatenate([ranked[: STARTS // 2], spread])]
+
+
+def _tops(problem: Problem) -> np.ndarray:
+    """θ of the stiffness at which a length is longest, of up to `CROWDED` different lengths.
+
+    With more than that, each with a peak of its own, no one of them makes a pair of roots.
+    """
+    q, block = problem.parameters, problem.blocks[0]
+    _, first = np.unique(block.rows, return_index=True)
+    if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
+        return np.empty(0)
+    rows = block.measurement[first]
+    theta = q.low
+    inputs = q.inputs_at(theta).take(rows)
+    _, ratio = attainable_of(q, theta, rows, inputs)
+    return np.unique(np.log(ratio) - inputs.log_stiffness + theta[0])
+
+
+def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Minimum]:
+    """Each minimum once; of a floor or a valley without a slope the first point found stands for all."""
+    kept: list[Minimum] = []
+    for point, value, is_flat in zip(theta, deviance, flat, strict=True):
+        if is_flat and not problem.predict(point).any():
+            continue  # where no domino starts nothing responds either, and nothing was found
+        if any(same(point, float(value), one, problem) for one in kept):
+            continue
+        kept.append(describe(problem, point, float(value)))
+    return kept
+
+
+def same(point: np.ndarray, deviance: float, one: Minimum, problem: Problem) -> bool:
+    """Whether a point is this minimum, to a fiftieth of its standard errors; or lies in the valley that it lies in."""
+    if abs(deviance - one.deviance) > 1e-3:
+        return False
+    off = point - one.theta
+    if np.all(np.abs(off) <= 1e-4 * (problem.parameters.high - problem.parameters.low)):
+        return True
+    along = np.sqrt(np.diag(one.covariance))
+    return bool(one.singular.any() or np.all(np.abs(off) <= 0.02 * along))
+
+
+def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Minimum:
+    """Covariance and share of the response at a minimum."""
+    at = problem(theta[None], order=2)
+    assert at.metric is not None
+    assert at.curvature is not None
+    information = problem.information(theta)[0]
+    reach = problem.parameters.high - problem.parameters.low
+    singular = undetermined_axes(information * np.outer(reach, reach))
+    # a range as wide as the one searched, as a prior, makes the inverse exist and leaves alone what the data determine
+    vague = information + np.diag(1.0 / reach**2) * bool(singular.any())
+    # the scatter that the data happen to show moves the curvature in `discrepancy`; no prediction responds to that
+    predicted = np.arange(problem.p) != problem.parameters.discrepancy
+    share = _share(at.metric[0][np.ix_(predicted, predicted)], at.curvature[0][np.ix_(predicted, predicted)])
+    return Minimum(theta, deviance, np.linalg.inv(vague), singular, share)
+
+
+def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
+    """Least share of the metric in the second derivative, over all directions that this curves in."""
+    unit = np.sqrt(np.maximum(np.maximum(np.abs(np.diag(curvature)), np.diag(metric)), 1e-300))
+    values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
+    curved = values > 1e-8
+    whitened = vectors[:, curved] / np.sqrt(values[curved])
+    share = np.linalg.eigvalsh(whitened.T @ (metric / np.outer(unit, unit)) @ whitened)
+    return float(share[0]) if len(share) else 1.0
+
+
+def undetermined_axes(information: np.ndarray) -> np.ndarray:
+    """Which parameters take part in a direction that the information leaves open, to rounding; bool, (p,).
+
+    `information` is that of each parameter in units of the range searched for it: a standard error of a million such ranges
+    is rounding as well.
+    """
+    unit = np.sqrt(np.diag(information))
+    empty = unit < 1e-6
+    unit = np.where(empty, 1, unit)
+    values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
+    return empty | (np.abs(vectors[:, values < 1e-10]) > 1e-3).any(axis=1)

@@ -1,0 +1,106 @@
+"""A search that misses no minimum, counts as sets, and intervals that cover where valleys compete."""
+
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from benchmarks.regimes import counts, roots_missed, run, two
+from slippulse_jax.inference.counts import allowed_by_counts
+from slippulse_jax.inference.likelihood import NORMAL, make_problem
+from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.search import scan, search
+from slippulse_jax.inference.verdict import Identifiability
+
+
+def whole(height, length):
+    count = np.size(length)
+    return sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=np.zeros(count), kind=["whole"] * count)
+
+
+def problem_of(m, *free):
+    return make_problem(m, parameter_set(m, free), NORMAL, np.ones(len(m)) if m.length_sigma is None else m.sigma)
+
+
+@pytest.mark.parametrize(
+    ("count", "soft", "stiff"), [(57, (0.002279, 0.002410), (0.4067, 0.4353)), (47, (0.001270, 0.001351), (0.7747, 0.8236))]
+)
+def test_both_sets_of_one_count(count, soft, stiff):
+    result = sp.fit(whole(80.0, float(count)))
+    pieces = result.intervals["stiffness"][0.95]
+    assert result.converged
+    assert result.identifiability is Identifiability.SEVERAL_ROOTS
+    np.testing.assert_allclose([piece[:2] for piece in pieces], [soft, stiff], rtol=1e-3)
+    for piece in pieces:  # just inside the count holds, just outside it does not
+        inside = np.array([piece.low * (1 + 1e-9), piece.high * (1 - 1e-9)])
+        outside = np.array([piece.low * (1 - 1e-9), piece.high * (1 + 1e-9)])
+        assert (np.ceil(sp.exact_lengths(sp.Slider(80.0, inside, 0.3))) == count).all()
+        assert (np.ceil(sp.exact_lengths(sp.Slider(80.0, outside, 0.3))) != count).all()
+
+
+def test_counts_that_exclude_each_other_are_named():
+    height = np.array([20.0, 40.0, 80.0])
+    true = np.ceil(sp.exact_lengths(sp.Slider(height, 0.004, 0.3)))
+    result = sp.fit(whole(height, true - [0.0, 9.0, 0.0]))
+    assert result.identifiability is Identifiability.POOR_FIT
+    assert "measurement 1" in result.reason
+    assert not result.intervals["stiffness"][0.95]
+    assert allowed_by_counts(problem_of(whole(height, true), "stiffness")).pieces
+
+
+def test_a_count_of_one_holds_where_no_domino_starts():
+    result = sp.fit(whole(80.0, 1.0))
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.open_low
+    assert result.identifiability is Identifiability.ONE_SIDED
+
+
+def test_a_root_in_the_last_cell():
+    length = sp.exact_lengths(sp.Slider(60.0, 0.97, 0.3))
+    result = sp.fit(sp.Measurements(height=60.0, poisson=0.3, length=length, length_sigma=0.01))
+    assert sorted(root.values["stiffness"] for root in result.roots) == pytest.approx([0.001313, 0.97], rel=1e-3)
+
+
+def test_every_root_of_a_dense_scan_is_reported():
+    share, total = roots_missed(6, seed=1, nodes=10_001)
+    assert share.hits == share.of
+    assert total > share.of
+
+
+def test_the_scan_keeps_every_point_the_data_do_not_exclude():
+    """Against the deviance on a fine grid: every value that near the least lies in a cell, and the least is found."""
+    study = two(np.random.default_rng(5), 8, 80)
+    problem = problem_of(study.measurements, "stiffness", "correlation_length")
+    cells, q = scan(problem), problem.parameters
+    assert cells.complete
+    axes = [np.linspace(a, b, 160) for a, b in zip(q.low, q.high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    deviance = 2 * problem(grid).value
+    found = search(problem, method="lm", max_steps=60, seed=0)
+    assert found.minima[0].deviance <= deviance.min() + 1e-9
+    near = grid[deviance < found.minima[0].deviance + 12]
+    held = ((cells.low <= near[:, None]) & (near[:, None] <= cells.high)).all(-1).any(-1)
+    assert held.all()
+
+
+def test_counts_always_hold_the_truth():
+    (found,) = run(counts, 6, seed=3).values()
+    assert [share.hits for share in found.holds] == [6, 6]
+    assert found.unconverged == 0
+
+
+def test_prestress_of_either_sign_lies_in_the_default_range():
+    assert parameter_set(whole(80.0, 57.0), ["stiffness", "prestress"]).low[1] < -0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regime", ["counts", "two", "two-tall", "three"])
+def test_regimes(regime):
+    from benchmarks.regimes import REGIMES, STUDIES
+
+    studies = STUDIES[regime]
+    for found in run(REGIMES[regime][1], studies, seed=11).values():
+        assert found.unconverged == 0
+        assert found.worst < 5
+        for share, level in zip(found.holds, (0.6827, 0.95), strict=True):
+            slack = 3 * np.sqrt(level * (1 - level) / studies)
+            assert share.value > level - slack
