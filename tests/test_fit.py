@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
+from slippulse_jax.inference import search
 from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.optimise import Convergence
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.report import interval, value_with_error
@@ -162,11 +164,15 @@ def test_bounds_cut_off_the_minimum():
     assert "upper end" in result.report()
 
 
-def test_unfinished_search_says_so():
-    """With more parameters than are scanned the search starts from afar."""
-    m = study(np.array([15.0, 20.0, 25.0, 30.0, 60.0]), 0.0123, 0.01)
-    free = ["stiffness", "offset", "threshold_slope", Parameter("model_factor", prior=(1.0, 0.05))]
-    result = fit(m, free, max_steps=1)
+def test_unfinished_search_says_so(monkeypatch):
+    minimise = search.minimise
+
+    def unfinished(*arguments, **options):
+        ends = minimise(*arguments, **options)
+        return ends._replace(convergence=np.full(len(ends.value), Convergence.NOT_CONVERGED))
+
+    monkeypatch.setattr(search, "minimise", unfinished)
+    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.0123, 0.01))
     assert not result.converged
     assert "did not converge" in result.report()
     assert result.stderrs["stiffness"] is None

@@ -232,7 +232,7 @@ def test_two_parameters_are_found_and_correlated():
     assert -1 < value < 0  # both lengthen the precursor
     curve = result.curves["prestress"]
     i = len(curve.node) // 3
-    k = np.exp(np.linspace(np.log(1e-4), np.log(0.03), 4001))
+    k = np.exp(np.linspace(np.log(1e-3), np.log(0.03), 20001))
     chi2 = (((model(HEIGHTS, k[:, None], prestress=curve.node[i]) - length) / (0.005 * length)) ** 2).sum(axis=1)
     assert curve.deviance[i] == pytest.approx(chi2.min(), rel=1e-3)
 

@@ -35,6 +35,9 @@ MOST_ELEMENTS = 40_000_000
 POLISHED = 8
 """Cells from which the least deviance is improved while the scan goes on."""
 
+BESIDE = 0.03
+"""Distance in θ at which a search along a single parameter starts on either side of a cell, beside in it."""
+
 SAMPLES = 512
 """Points at which more parameters are looked at before the best of them are taken as starts."""
 STARTS = 32
@@ -94,13 +97,15 @@ def search(
     """
     low, high = problem.parameters.low, problem.parameters.high
     cells = scan(problem, slack) if extra is None and problem.p <= SCANNED else None
-    starts = (
-        extra
-        if extra is not None
-        else _starts(problem, seed)
-        if cells is None
-        else cells.theta[_promising(cells, low, high, slack)]
-    )
+    if extra is not None:
+        starts = extra
+    elif cells is None:
+        starts = _starts(problem, seed)
+    else:
+        starts = cells.theta[_promising(cells, low, high, slack)]
+        if problem.p == 1:
+            # a cell at the peak of a length is so narrow that nothing responds in it
+            starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
     ends = minimise(problem, starts, low, high, method=method, max_steps=max_steps)
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
@@ -166,7 +171,7 @@ def scan(problem: Problem, slack: float = SLACK) -> Cells:
 
 def _upper(p: int) -> np.ndarray:
     """Which corners of a cell lie at its upper limit, along each parameter; bool, (2^p, p)."""
-    return (np.arange(2**p)[:, None] >> np.arange(p)) & 1 == 1
+    return np.array((np.arange(2**p)[:, None] >> np.arange(p)) & 1, dtype=bool)
 
 
 def _first_cells(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -248,9 +253,9 @@ def _minimised(
         upper = _upper(problem.p)
         slope = np.stack(_changes(corner, upper), axis=2)
         residual, weight = problem.residuals(centre, theta)
-        known = np.sqrt(problem.prior_weight) * (high - low)
+        known: np.ndarray = np.sqrt(problem.prior_weight) * (high - low)
         matrix = np.concatenate([slope * weight[:, :, None], known[:, :, None] * np.eye(problem.p)], axis=1)
-        finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
+        finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1))
         matrix, residual = np.where(finite[:, None, None], matrix, 0), np.where(finite[:, None], residual, 0)
         step = -np.einsum("cpn,cn->cp", np.linalg.pinv(matrix, rcond=1e-9), residual)
         least = ((residual + np.einsum("cnp,cp->cn", matrix, step)) ** 2).sum(axis=1)
