@@ -173,7 +173,8 @@ def length_or_reason(status: Array, length: Array) -> Array:
     stopped = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
     none = (status == Outcome.NO_DOMINO) | (status == Outcome.NOTHING_BROKE)
     infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
-    instead = jnp.where(none, 0, jnp.where(infinite, jnp.inf, jnp.nan))
+    # 0 where the length itself is taken too: reverse mode multiplies what is not taken by zero, and NaN stays NaN
+    instead = jnp.where(stopped | none, 0, jnp.where(infinite, jnp.inf, jnp.nan))
     # where nothing is left to break, the straight line may have no end
     return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 0, jnp.abs(length))))
 
