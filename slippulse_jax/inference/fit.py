@@ -112,15 +112,13 @@ def fit(
         "seed": seed,
         "intervals": intervals,
     }
-    explored = _explore(problem, method, max_steps, seed)
+    counts = allowed_by_counts(problem) if are_exact(problem) else None
+    explored = _of_counts(problem, counts) if counts and counts.pieces else _explore(problem, method, max_steps, seed)
     between = None if scaled else _between_contacts(problem, explored.best)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
         explored = _explore(problem, method, max_steps, seed)
     minima, curves, best, deviance, unconverged, complete = explored
-    counts = allowed_by_counts(problem) if are_exact(problem) else None
-    if counts is not None:
-        minima, best, deviance, unconverged = _of_counts(problem, counts, minima, best, deviance)
     rise = _rise(problem, deviance, scaled)
     variance = deviance / (problem.count - problem.p) if scaled else 1.0
     near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
@@ -132,7 +130,8 @@ def fit(
     dof = _testable(problem, scaled)
     longest, longest_at = attainable(parameters, best)
     evidence = Evidence(problem, near, best, deviance, dof, rise, longest)
-    lost = [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
+    # counts at odds are named; how deep the search came into that misfit says nothing
+    lost = [] if counts else [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
     verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
     if counts is not None:
         verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
@@ -256,20 +255,12 @@ def _between_contacts(problem: Problem, theta: np.ndarray) -> np.ndarray | None:
     return typical if (typical > BETWEEN * block.data.sigma).any() else None
 
 
-def _of_counts(
-    problem: Problem, counts: Allowed, minima: list[Minimum], best: np.ndarray, deviance: float
-) -> tuple[list[Minimum], np.ndarray, float, list[tuple[float, str]]]:
-    """A root in the middle of every piece that the counts allow, the softest first; or what the search found."""
-    if not counts.pieces:
-        return minima, best, deviance, []
+def _of_counts(problem: Problem, counts: Allowed) -> Explored:
+    """A root in the middle of every piece that the counts allow, the softest first."""
     middle = np.array([[(piece.low + piece.high) / 2] for piece in counts.pieces])
     value = 2 * problem(middle).value
-    return (
-        [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)],
-        middle[0],
-        float(value.min()),
-        [],
-    )
+    roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
+    return Explored(roots, {0: profile(problem, 0, roots, middle)}, middle[0], float(value.min()), [], True)
 
 
 def _verdict_of_counts(m: Measurements, q: ParameterSet, counts: Allowed) -> Verdict:
