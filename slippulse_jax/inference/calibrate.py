@@ -35,7 +35,7 @@ class Table(NamedTuple):
     best: np.ndarray  # (M,), row of the best value of the other
     theta: np.ndarray  # (G, p)
     column: np.ndarray  # (G,), which of the M values
-    mean: np.ndarray  # (G, n), predictions in σ, the parameters with priors last
+    off: np.ndarray  # (G, n), predictions less what was measured, in σ, the parameters with priors last
 
 
 class Calibration(NamedTuple):
@@ -82,13 +82,12 @@ def calibrated(
 
 def _simulated(problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int) -> Calibration:
     """Simulate measurements at each value of θ_j and fit them by the table."""
-    measured = _measured(problem)
-    deviance = ((measured - table.mean) ** 2).sum(axis=1)
+    deviance = (table.off**2).sum(axis=1)
     rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
     places = np.linspace(0, len(candidates) - 1, MOST_VALUES[problem.p]).round().astype(int)
     chosen = np.unique(np.concatenate([candidates[places], [int(np.argmin(rise))]]))
-    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.mean.shape[1]), np.float32)
+    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.off.shape[1]), np.float32)
     found = [_refitted(table, int(one), noise) for one in chosen]
     critical = np.quantile(np.array([rises for rises, _ in found]), levels, axis=1)
     intervals = {
@@ -102,21 +101,15 @@ def _simulated(problem: Problem, levels: tuple[float, ...], j: int, table: Table
     return Calibration(intervals, (float((off <= 1).mean()), float((off <= 1.96).mean())))
 
 
-def _measured(problem: Problem) -> np.ndarray:
-    columns = [block.data.value[0] / block.data.sigma for block in problem.blocks]
-    return np.concatenate([*columns, np.sqrt(problem.prior_weight) * problem.prior_mean[0]])
+def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Residuals at points (B, p); where the front never stops they are far away instead of infinite."""
+    found, _ = problem.residuals(problem.predictions(theta), theta)
+    return np.where(np.isfinite(found), found, 1e9)
 
 
-def _scaled(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Predictions in σ at points (B, p), the parameters with priors last; inf where the front never stops is far away."""
-    sigma = np.concatenate([block.data.sigma for block in problem.blocks])
-    mean = np.concatenate([problem.predictions(theta) / sigma, theta * np.sqrt(problem.prior_weight)], axis=1)
-    return np.where(np.isfinite(mean), mean, 1e9)
-
-
-def _steps(mean: np.ndarray) -> np.ndarray:
+def _steps(off: np.ndarray) -> np.ndarray:
     """Distance from each row to the next, in σ."""
-    return np.sqrt((np.diff(mean, axis=0) ** 2).sum(axis=1))
+    return np.sqrt((np.diff(off, axis=0) ** 2).sum(axis=1))
 
 
 def _along(problem: Problem) -> Table:
@@ -124,13 +117,13 @@ def _along(problem: Problem) -> Table:
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, 801)
     for _ in range(2):
-        path = np.concatenate([[0], np.cumsum(_steps(_scaled(problem, node[:, None])))])
+        path = np.concatenate([[0], np.cumsum(_steps(_residuals(problem, node[:, None])))])
         count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
         # where nothing responds the values are kept apart too, so that an open side is seen
         path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
         node = np.interp(np.linspace(0, path[-1], count), path, node)
     every = np.arange(len(node))
-    return Table(node, every, node[:, None], every, _scaled(problem, node[:, None]))
+    return Table(node, every, node[:, None], every, _residuals(problem, node[:, None]))
 
 
 def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
@@ -138,7 +131,7 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
-    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(_scaled(problem, curve.theta[profile])), 3.0))])
+    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(_residuals(problem, curve.theta[profile])), 3.0))])
     path += 1e-3 * np.arange(len(path))
     count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
     node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
@@ -149,7 +142,7 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
         there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
         limits = zip(cells.low[there, other], cells.high[there, other], strict=True)
         found.append(np.unique(np.concatenate([[on_ridge], *(np.linspace(a, b, 5) for a, b in limits)])))
-    steps = _steps(_scaled(problem, _points(node, found, j)))
+    steps = _steps(_residuals(problem, _points(node, found, j)))
     starts = np.cumsum([0] + [len(y) for y in found])
     for i, y in enumerate(found):
         # a gap between two cells is not walked across
@@ -157,11 +150,11 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
         count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
         found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
     theta = _points(node, found, j)
-    mean = _scaled(problem, theta)
-    deviance = ((_measured(problem) - mean) ** 2).sum(axis=1)
+    off = _residuals(problem, theta)
+    deviance = (off**2).sum(axis=1)
     starts = np.cumsum([0] + [len(y) for y in found])
     best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
-    return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), mean)
+    return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
 
 
 def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
@@ -175,7 +168,7 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
 def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rise of D at the true value above its minimum over all, and which value has that minimum, in each simulation."""
     # single precision: the table is coarser by far
-    off = (table.mean - table.mean[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
+    off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere
     deviance = np.einsum("gn,gn->g", off, off)[:, None] - 2 * off @ noise.T
     least = deviance.argmin(axis=0)

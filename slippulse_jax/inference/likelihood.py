@@ -425,8 +425,10 @@ class Problem:
             n = len(data.sigma)
             mu_low, mu_high, first = low[:, first : first + n], high[:, first : first + n], first + n
             value = data.value[0]
-            # where each cost is least: at the value, in the middle of a count, and ever less beyond a length run past
-            wanted = np.where(data.kind == "whole", value - 0.5, np.where(data.kind == "at_least", np.inf, value))
+            # where each cost is least: at the value; in the middle of a count, but for one contact ever less with the length;
+            # and ever less beyond a length run past
+            of_count = np.where(value > 1, value - 0.5, -np.inf)
+            wanted = np.where(data.kind == "whole", of_count, np.where(data.kind == "at_least", np.inf, value))
             mu = np.clip(wanted, mu_low, mu_high)
             if self.plain:
                 with np.errstate(invalid="ignore"):

@@ -2,9 +2,9 @@
 
 With up to `SCANNED` fitted parameters the whole range is scanned. It is divided into cells; the predictions at the corners of a
 cell, widened by how far the centre is from their mean, bound the deviance in it from below; a cell whose bound lies too far
-above the least deviance known is dropped, and the others are halved until the predictions in each are all but linear. A cell
-that is left holds one minimum at most, which is found from a start inside. With more parameters the search starts from
-`SAMPLES` points of a Sobol sequence, and nothing is promised.
+above the least deviance known is dropped, and the others are halved until the predictions in each are all but linear. In each
+that is left the deviance is minimised. With more parameters the search starts from `SAMPLES` points of a Sobol sequence, and
+nothing is promised.
 """
 
 import dataclasses
@@ -76,10 +76,8 @@ class Minimum:
     share: float  # least share that the response of the model makes up of the second derivative of D; 1 at a good root
 
 
-def search(
-    problem: Problem, *, method: str, max_steps: int, seed: int, slack: float = SLACK, extra: np.ndarray | None = None
-) -> Search:
-    """Find the minima of the deviance within `slack` of the least one, best first.
+def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Search:
+    """Find the minima of the deviance within `SLACK` of the least one, best first.
 
     Parameters
     ----------
@@ -90,19 +88,17 @@ def search(
         Steps allowed each start.
     seed : int
         Seed of the starts with more than `SCANNED` parameters.
-    slack : float
-        Deviance above the least up to which minima are looked for.
     extra : array, shape (s, p), optional
         Start here, and nowhere else.
     """
     low, high = problem.parameters.low, problem.parameters.high
-    cells = scan(problem, slack) if extra is None and problem.p <= SCANNED else None
+    cells = scan(problem) if extra is None and problem.p <= SCANNED else None
     if extra is not None:
         starts = extra
     elif cells is None:
         starts = _starts(problem, seed)
     else:
-        starts = cells.theta[_promising(cells, low, high, slack)]
+        starts = cells.theta[_promising(cells, low, high)]
         if problem.p == 1:
             # a cell at the peak of a length is so narrow that nothing responds in it
             starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
@@ -271,12 +267,12 @@ def _minimised(
     return Cells(low[kept], high[kept], ends.theta[kept], 2 * ends.value[kept], complete)
 
 
-def _promising(cells: Cells, low: np.ndarray, high: np.ndarray, slack: float) -> np.ndarray:
+def _promising(cells: Cells, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Cells from which a minimum is to be sought: whose best point lies inside, or at an end of the range; and the best."""
     reach = 1e-9 * (cells.high - cells.low)
     above = (cells.theta > cells.low + reach) | (cells.low <= low)
     below = (cells.theta < cells.high - reach) | (cells.high >= high)
-    near = cells.deviance <= cells.deviance.min(initial=np.inf) + slack
+    near = cells.deviance <= cells.deviance.min(initial=np.inf) + SLACK
     best = np.arange(len(near)) == (int(np.argmin(cells.deviance)) if len(near) else -1)
     return (above & below).all(axis=1) & near | best
 
