@@ -86,9 +86,6 @@ def test_what_the_far_series_settles_is_right():
     chosen = long_fronts.which_are_far(lanes)
     assert settled[chosen].mean() > 0.95
     assert chosen[settled].mean() > 0.9
-    order = rng.permutation(lanes.shape[1])
-    ((again, _),) = over_lanes(exact_lanes._far, lanes[:, order], long_fronts.FAR)
-    np.testing.assert_array_equal(again, far[order])
 
 
 def test_fronts_all_but_level_beside_the_threshold_are_found():
@@ -141,16 +138,6 @@ def test_hessian_against_differences_of_the_gradient():
         assert not ok or np.max(np.abs(one[:last])) < 1e-6 * most
     symmetric = (found.hessian - found.hessian.swapaxes(1, 2)) * scale
     assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
-
-
-def test_a_lane_does_not_see_its_neighbours():
-    lanes = random_lanes(130, 62)
-    together = bulk(lanes)
-    order = np.random.default_rng(63).permutation(130)
-    shuffled = bulk(lanes[:, order])
-    np.testing.assert_array_equal(together[order], shuffled)
-    for part in (slice(0, 1), slice(7, 20)):
-        np.testing.assert_array_equal(bulk(lanes[:, part]), together[part])
 
 
 def test_shapes_and_refusals():

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import compiled
@@ -78,11 +79,12 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     arithmetic on them.
     """
     count, fields = len(lanes[0]), len(lanes)
-    results = [np.empty((*x.shape[:-1], count), x.dtype) for x in _shapes(kernel, fields)]
     pieces = list(_pieces(count, layout))
-    many = count > layout.few
+    many = count > layout.few or not layout.few
     program, width = (_chunk_by_chunk, layout.chunk) if many else (_at_once, layout.few)
-    ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices_for(len(pieces))}
+    devices = devices_for(max(len(pieces), 1))  # of no lanes too the shapes of the results are wanted
+    ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
+    results = [np.empty((*x.shape[:-1], count), x.dtype) for x in next(iter(ready.values())).out_info]
 
     def run(where: slice) -> None:
         here = [field[where] for field in lanes]
@@ -122,23 +124,26 @@ def _pieces(count: int, layout: Layout) -> Iterator[slice]:
 
 
 @functools.cache
-def _shapes(kernel: Kernel, fields: int) -> tuple[Any, ...]:
-    """Shapes and types of the kernel's results, of two lanes."""
-    with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
-        return jax.eval_shape(kernel, jax.ShapeDtypeStruct((fields, 2), np.float64))
+def _traced(kernel: Kernel) -> Callable[..., tuple[Array, ...]]:
+    """The kernel, traced once for the shapes of its results and for its place in the loop."""
+    return jax.jit(kernel, inline=True)
 
 
 @functools.cache
-def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Callable[..., tuple[Array, ...]]:
+def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
     """Program for a few lanes; `device` is the one it is compiled for."""
-    return compiled(lambda lanes, _: kernel(lanes), _input(fields, width), _COUNT, device=device, fusion_emitters=emitters)
+    return compiled(
+        lambda lanes, _: _traced(kernel)(lanes), _input(fields, width), _COUNT, device=device, fusion_emitters=emitters
+    )
 
 
 @functools.cache
-def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Callable[..., tuple[Array, ...]]:
+def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
     """Program for any number of chunks up to `PIECE`: the rest of its input is not looked at."""
 
     def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
+        traced = _traced(kernel)
+
         def cut(i: Array | int) -> Array:
             return lax.dynamic_slice(lanes, (0, i * width), (fields, width))
 
@@ -146,10 +151,11 @@ def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitte
         # few arrays: XLA hands some operations to other threads in a loop body of more than eight
         def next_chunk(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
             here, results = carried
-            found = zip(results, kernel(here), strict=True)
+            found = zip(results, traced(here), strict=True)
             return cut(i + 1), tuple(lax.dynamic_update_slice_in_dim(x, y, i * width, -1) for x, y in found)
 
-        empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in _shapes(kernel, fields))
+        shapes = jax.eval_shape(traced, _input(fields, width))
+        empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in shapes)
         return lax.fori_loop(0, chunks, next_chunk, (cut(0), empty))[1]
 
     return compiled(all_chunks, _input(fields, PIECE * width), _COUNT, device=device, fusion_emitters=emitters)

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import jaxlib.version
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
+from jax.stages import Compiled
 from jaxtyping import Array
 
 TRIED = ("0.10.0", "0.10.1", "0.10.2")
@@ -40,8 +41,8 @@ OPTIONS: dict[str, Any] = {
 }
 """For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors.
 
-Whatever the process was given in ``XLA_FLAGS``, they are fully optimised and their loops are never compiled whole, which is
-slower over long arrays: the last digit would depend on either.
+Where ``XLA_FLAGS`` names one of them, its value there holds, as the tests of the package need; the last digit may depend on it.
+Their loops are never compiled whole, which is slower over long arrays.
 """
 
 
@@ -60,14 +61,15 @@ def _say_once(what: str) -> None:
     warnings.warn(what, RuntimeWarning, stacklevel=2)
 
 
-def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Callable[..., Any]:
+def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Compiled:
     """Compile `f` for one device in double precision, with `OPTIONS` on a CPU where this jaxlib knows them."""
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
     if device.platform != "cpu" or not _tried():
         return lowered.compile()
+    asked, flags = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}, os.environ.get("XLA_FLAGS", "")
     try:
-        return lowered.compile(compiler_options={**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters})
+        return lowered.compile(compiler_options={name: value for name, value in asked.items() if f"--{name}=" not in flags})
     except jax.errors.JaxRuntimeError as unknown:
         usual = lowered.compile()  # raises again what has nothing to do with the options
         _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {unknown}")
