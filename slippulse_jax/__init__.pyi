@@ -23,6 +23,7 @@ from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor as first_precursor
 from slippulse_jax.lattice.precursor import precursor_length as precursor_length
+from slippulse_jax.lattice.rebreaking import rebreaking_onset as rebreaking_onset
 from slippulse_jax.lattice.rupture import nucleate as nucleate
 from slippulse_jax.lattice.rupture import rupture as rupture
 from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity

@@ -511,38 +511,80 @@ def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
     return jnp.stack([fall - gap_2 * free, gap_1 * free - fall]) / (gap_1 - gap_2)[None]
 
 
-def stress_sums(series: Series, low: Array, high: Array) -> Float[Array, "2"]:
-    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral. One lane."""
-    system = series.system
-    table = jnp.concatenate([jnp.zeros_like(series.blocks[0][0, :, :])[None].at[0, :, 0].set(1), *series.blocks])
-    k, a = np.arange(table.shape[0])[:, None], np.arange(table.shape[2])[None]
-    rate, span = k * system.level_rate + a * system.column_rate, high - low
+def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lanes"]:
+    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral.
+
+    Of a regular table, which stores every row.
+    """
+    system, span = series.system, high - low
+    table = jnp.concatenate([jnp.zeros_like(series.blocks[0][0])[None].at[0, :, 0].set(1), *series.blocks])
+    k, a = (_column(np.arange(n, dtype=table.dtype), low.ndim) for n in (table.shape[0], table.shape[2]))
+    rate = (k[:, None] * system.level_rate[None, None] + a[None] * system.column_rate[None, None])[None, None]
+    begin, length = low[None, None, None, None], span[None, None, None, None]
+    modes = system.mode_rate[:, None, None, None]
+
+    def of_families(x: Array) -> Array:
+        """Axes for the modes, the table's rows and columns."""
+        return x[None, :, None, None]
 
     def over(every: Array) -> Array:
         """1 − e^{−rate}, what a geometric series is divided by; on a line the rate."""
         return -jnp.expm1(-every) if system.lattice else every
 
-    def one(mode: Array) -> Array:
-        def summed(start: Array) -> Array:
-            """Σ μ^j r_m^{j − low}, μ = e^{−start − rate}."""
-            every = start + rate + mode
-            return -jnp.exp(-low * (start + rate)) * jnp.expm1(-span * every) / over(every)
+    def summed(start: Array) -> Array:
+        """Σ μ^j r_m^{j − low}, μ = e^{−start − rate}."""
+        every = start + rate + modes
+        return -jnp.exp(-begin * (start + rate)) * jnp.expm1(-length * every) / over(every)
 
-        total = jnp.zeros_like(span)
-        for j in range(table.shape[1]):
-            total = total + series.amplitude[j] * (summed(system.rate[j]) * table[:, j]).sum()
-        if series.echo is None:
-            return total
+    total = (summed(of_families(system.rate)) * jnp.swapaxes(table, 0, 1)[None]).sum((2, 3))
+    if series.echo is not None:
         # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
-        D_low, D_high = (_difference(series, s)[0] for s in (low, high))
-        power = jnp.exp(-rate - mode) if system.lattice else 1
-        for j in range(1, table.shape[1]):
-            numerator = jnp.exp(-rate * low) * (D_low[j] - jnp.exp(-span * (rate + mode)) * D_high[j])
-            both = (numerator + summed(series.echo_rate[j]) * power) / over(system.rate[0] + rate + mode)
-            total = total + series.amplitude[j] * series.echo[j] * (both * table[:, 0]).sum()
-        return total
+        D_low, D_high = (of_families(_difference(series, s)[0]) for s in (low, high))
+        difference = jnp.exp(-rate * begin) * (D_low - jnp.exp(-length * (rate + modes)) * D_high)
+        power = jnp.exp(-rate - modes) if system.lattice else 1
+        both = (difference + summed(of_families(series.echo_rate)) * power) / over(of_families(system.rate[:1]) + rate + modes)
+        total = total + series.echo[None] * (both * table[None, None, :, 0]).sum((2, 3))  # ρ_1's own family has κ = 0
+    return (series.amplitude[None] * total).sum(1)
 
-    return jnp.stack([one(mode) for mode in system.mode_rate])
+
+def sums_from_edge(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
+    """Σ_{0 ≤ j < s} r_m^j t(j) on the lattice, as `stress_sums`, of plain tables; NaN where the table does not hold it."""
+    system, last = series.system, series.last
+    rates = system.mode_rate[:, None] + system.rate[None]  # of mode and family at the head of the table
+    spans, steps = decayed(s[None, None] * rates), decayed(rates)
+    total = spans / steps
+    lag, start = (jnp.ones_like(s), s), 1
+    for block in (block for block in series.blocks if block.shape[0]):
+        count, width = block.shape[0], block.shape[2]
+        rows = [power_gaps(decayed(x * system.level_rate), start + count)[start:] for x in lag]
+        columns = [power_gaps(decayed(x * system.column_rate), width) for x in lag]
+
+        def add(k: Array, total: Array, block: Array = block, rows: Any = rows, columns: Any = columns) -> Array:
+            one, whole = (joined(row[k][None], column) for row, column in zip(rows, columns, strict=True))
+            each = joined(spans[:, :, None], whole[None, None]) / joined(steps[:, :, None], one[None, None]) * block[k][None]
+            return total + over_columns(each.reshape(-1, *each.shape[2:])).reshape(total.shape)
+
+        total = lax.fori_loop(0, jnp.clip(last + 1 - start, 0, count), add, total)
+        start += count
+    held = series.sound & (jnp.abs(series.beyond).max(0) <= ROW_TOLERANCE)
+    return jnp.where(held[None], (series.amplitude[None] * total).sum(1), jnp.nan)
+
+
+def edge_stress(series: Series, broken: Lanes) -> Lanes:
+    """Stress on contact 0 when contacts 0 … `broken` − 1 have broken in turn, in σ_s; NaN where a plain table does not hold it.
+
+    Every break adds to it, so that the stress at the arrest is the largest on the way.
+    """
+    ratio = 1 - series.system.gap
+    reached = series.system.coupling / ratio + (series.system.reflected / ratio[:, None]).sum(0)
+    if series.echo is None:
+        return (reached * sums_from_edge(series, broken)).sum(0)
+    return (reached * stress_sums(series, jnp.zeros_like(broken), broken)).sum(0)
+
+
+def whole_contacts(length: Lanes) -> Lanes:
+    """Contacts broken by a front that arrests at `length`."""
+    return jnp.maximum(jnp.ceil(length), 1)
 
 
 def _difference(series: Series, s: Lanes) -> tuple[Array, Array]:
@@ -596,6 +638,11 @@ def _moment(n: int, z: Array) -> Array:
 @_moment.defjvp
 def _moment_moves(n: int, at: tuple[Array], way: tuple[Array]) -> tuple[Array, Array]:
     return _moment(n, at[0]), -_moment(n + 1, at[0]) * way[0]
+
+
+def joined(x: Array, y: Array) -> Array:
+    """1 − XY from 1 − X and 1 − Y."""
+    return x + (1 - x) * y
 
 
 def _column(x: np.ndarray, lanes: int) -> np.ndarray:

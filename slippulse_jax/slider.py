@@ -137,7 +137,10 @@ class Slider(eqx.Module):
     @property
     @quantity("b", "1", "cra42")
     def b(self) -> Array:
-        """Contact over transverse stiffness, k/K_T: the only parameter of the macroscopic limit."""
+        """Contact over transverse stiffness, k/K_T, which is the areal stiffness times H over the shear modulus.
+
+        The only parameter of the macroscopic limit.
+        """
         return 2 * (1 + jnp.asarray(self.poisson)) * self.stiffness * self.height
 
     @property
@@ -182,6 +185,12 @@ class Slider(eqx.Module):
     def kappa_2(self) -> Array:
         """Smaller inverse decay length, from κ_1²κ_2² = κ_T² k/K: the difference of squares would cancel."""
         return self.kappa_T * jnp.sqrt(jnp.asarray(self.stiffness)) / self.kappa_1
+
+    @property
+    @quantity("\\kappa_2^{-1}", "\\lambda_c", "cra18")
+    def slow_decay_length(self) -> Array:
+        """1/κ_2, over which the slow mode decays: a block shorter than three or four of them is not semi-infinite."""
+        return 1 / self.kappa_2
 
     @property
     @quantity("\\alpha_1", "1", "cra18")

@@ -9,7 +9,7 @@ import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import exact_lanes, long_fronts
 from slippulse_jax.lattice.exact import exact_front, exact_length
-from slippulse_jax.lattice.exact_lanes import exact_fronts
+from slippulse_jax.lattice.rebreaking import exact_arrests
 from slippulse_jax.status import Outcome
 
 
@@ -60,7 +60,7 @@ def test_twenty_thousand_lanes_against_the_solution_one_by_one():
         return exact_front(sp.Slider(x[0], x[1], x[2]), sp.Interface(x[3], x[4]))
 
     one_by_one = jax.jit(lambda x: jax.lax.map(jax.vmap(front), x))(lanes.T.reshape(20, 1000, 5))
-    (found, outcome), expected = exact_fronts(lanes), one_by_one.length.ravel()
+    (found, outcome), expected = exact_arrests(lanes), one_by_one.length.ravel()
     np.testing.assert_array_equal(outcome, np.asarray(one_by_one.status).ravel())
     finite = np.isfinite(expected)
     np.testing.assert_array_equal(found[~finite], expected[~finite])

@@ -20,6 +20,7 @@ over cores is a matter of `slippulse_jax.bulk`.
     `lanes`             the front for lanes: chunks that advance in step
     `long_fronts`       lengths ℓ of long fronts by that closed form
     `lengths`, `exact_lanes`                what users call: ℓ and ℓ* by the million
+    `rebreaking`        where the contact at the edge breaks again before the front stops
 
 Any chain: springs, contacts and thresholds may differ from site to site.
     `chain`             the chain, its state, and its O(N) elimination, site after site

@@ -94,6 +94,12 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
     """Length, contacts broken, load at nucleation and status of the first precursor.
 
     Parameters as for `exact_length`.
+
+    Notes
+    -----
+    Each break adds to the stress on contact 0 behind the front, so that the contact is back at its threshold before the front
+    stops if, and only if, it carries at least σ_s at the arrest: ``exact_fields(slider, contacts_broken, 0).stress``. The
+    status is then `REBREAK`, as in `first_precursor`, and ℓ* the length of the front, not of the event.
     """
     return ExactFront(*_map(_front, slider, interface))
 
@@ -232,18 +238,21 @@ def _length(plain: Plain, *theta: Array) -> Array:
 
 
 def _front(plain: Plain, *theta: Array) -> tuple[Array, Array, Array, Array]:
-    both = by_forward_mode(lambda x: jnp.stack(crossing_of(x, plain)))(jnp.stack(theta))
+    both = by_forward_mode(lambda x: jnp.stack(crossing_of(x, plain, rebreaks=True)))(jnp.stack(theta))
     length, status = both[0], both[1].astype(jnp.int32)
     load = lattice_modes(Slider(*theta[:3])).load
     if not plain[0]:
         load = (1 - theta[3]) * load
-    finite = (status == Outcome.ARRESTED) | (status == Outcome.NO_DOMINO)
-    count = jnp.where(finite, jnp.maximum(jnp.ceil(jnp.where(finite, length, 0)), 1), -1).astype(jnp.int32)
+    finite = jnp.isfinite(length)
+    count = jnp.where(finite, series.whole_contacts(jnp.where(finite, length, 0)), -1).astype(jnp.int32)
     return length, count, jnp.where(status == Outcome.INVALID, jnp.nan, load), status
 
 
-def crossing_of(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
-    """(ℓ*, status) with the forward derivatives of an implicit function: dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s."""
+def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = False) -> tuple[Array, Array]:
+    """(ℓ*, status) with the forward derivatives of an implicit function: dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s.
+
+    `REBREAK` is told from `ARRESTED` with `rebreaks` only, since that takes one more sum.
+    """
 
     def excess(theta: Array, s: Array) -> tuple[Array, Array]:
         """t(s) − 1 − εs and its slope in s."""
@@ -252,16 +261,22 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain) -> tuple[Array, Array]:
 
     @jax.custom_jvp
     def crossed(theta: Array) -> tuple[Array, Array]:
-        length, status = crossing(_solve(plain, theta), theta, careful=plain != (True, True))
+        found = _solve(plain, theta)
+        length, status = crossing(found, theta, careful=plain != (True, True))
         valid = in_domain(Slider(theta[0], theta[1], theta[2])) & PRESTRESS.holds(theta[3]) & THRESHOLD_SLOPE.holds(theta[4])
         status = jnp.where(valid, status, Outcome.INVALID)
-        return length_of(length, status), status
+        length = length_of(length, status)
+        if rebreaks:
+            arrested = status == Outcome.ARRESTED
+            edge = series.edge_stress(found, series.whole_contacts(jnp.where(arrested, length, 1)))
+            status = jnp.where(arrested & (edge >= 1), Outcome.REBREAK, status).astype(status.dtype)
+        return length, status
 
     @crossed.defjvp
     def _rule(primals: Any, tangents: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
         # through `crossed` itself, so that the rule can be differentiated again
         length, status = crossed(*primals)
-        arrested = status == Outcome.ARRESTED
+        arrested = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
         at = jnp.where(arrested, length, 1)
         (_, slope), (change, _) = jax.jvp(lambda x: excess(x, at), primals, tangents)
         # a constant where nothing follows contact 0; never a number where there is no length

@@ -69,6 +69,11 @@ class Rupture(NamedTuple):
     drift: Float[Array, ""]  # largest error of a stress, accumulated over the breaks, in σ_s
     status: Int[Array, ""]
 
+    @property
+    def rebreaks(self) -> Array:
+        """Whether a contact broke more than once: for the first precursor of a slider, where its status is `REBREAK`."""
+        return (self.broken > 1).any(-1)
+
 
 def rupture(
     chain: Chain,

@@ -12,9 +12,9 @@ from slippulse_jax import theory
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.exact_lanes import EXACT_OUTCOMES, exact_fronts
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import RightEnd, lattice_modes
+from slippulse_jax.lattice.rebreaking import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -54,7 +54,7 @@ OUTPUTS = {
         "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT
     ),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
-    "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", EXACT_OUTCOMES),
+    "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ARREST_OUTCOMES),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
     "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
@@ -175,7 +175,7 @@ def _gradient(request: Request, columns: Columns) -> Columns:
 
 
 def _exact(_: Request, columns: Columns) -> Columns:
-    length, status = exact_fronts(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
+    length, status = exact_arrests(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
     return {"exact_length": length, "exact_status": status}
 
 

@@ -20,6 +20,7 @@ from slippulse_jax.theory.limits import (
     macroscopic_length,
     runaway_prestress,
 )
+from slippulse_jax.theory.rebreaking import macroscopic_edge_stress, rebreaking_b
 
 __all__ = [
     "appendix",
@@ -35,7 +36,9 @@ __all__ = [
     "length_eq25",
     "length_frozen",
     "macroscopic_correction",
+    "macroscopic_edge_stress",
     "macroscopic_length",
+    "rebreaking_b",
     "runaway_prestress",
     "slow_decay_length",
 ]
