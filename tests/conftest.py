@@ -20,14 +20,15 @@ import hypothesis
 import jax
 import pytest
 
-from slippulse_jax.bulk import chunks
 from slippulse_jax.bulk.compiler import TRIED
 
-# Two of XLA's options reduce the time to compile to a third. Only releases that were tried get them: an unknown option ends the
-# process. Results may differ from users' in the last digit; what tests bits asks for `programs_of_users`, and `XLA_FLAGS= pytest`
+# Three of XLA's options reduce the time to compile to less than a third (the last, because both cores are busy already). Only
+# releases that were tried get them: an unknown option ends the process. Programs for many lanes are optimised as users' are,
+# whatever is said here: they are few, and fits run them much. The rest may differ in the last digit. `XLA_FLAGS= pytest`
 # compiles everything as users' programs are.
 if jax.lib.__version__ in TRIED:
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+    quick = "xla_cpu_use_fusion_emitters=false", "xla_backend_optimization_level=0", "xla_cpu_parallel_codegen_split_count=1"
+    os.environ.setdefault("XLA_FLAGS", " ".join(f"--{option}" for option in quick))
 
 if os.environ.get("SLIPPULSE_CHECK_SHAPES"):  # of every array that passes between functions
     import shapes
@@ -67,21 +68,6 @@ def compiler_flags_stay():
     before = os.environ.get("XLA_FLAGS")
     yield
     assert os.environ.get("XLA_FLAGS") == before
-
-
-@pytest.fixture(scope="module")
-def programs_of_users():
-    """Lengths in bulk, likelihoods and sweeps of this file are compiled as users' are."""
-
-    def forget():
-        for made in (chunks._at_once, chunks._chunk_by_chunk):
-            made.cache_clear()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("XLA_FLAGS", raising=False)
-        forget()
-        yield
-        forget()
 
 
 @pytest.fixture

@@ -1,15 +1,12 @@
-"""No bit of a lane depends on its company: programs for many lanes, compiled as users' programs are."""
+"""No bit of a lane depends on its company: programs for many lanes."""
 
 import numpy as np
-import pytest
 from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.lattice import exact_lanes, lanes, lengths, long_fronts
 from slippulse_jax.lattice.exact_lanes import exact_fronts
-
-pytestmark = pytest.mark.usefixtures("programs_of_users")
 
 
 def alike(f, columns):

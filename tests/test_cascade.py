@@ -229,7 +229,7 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
     np.testing.assert_array_equal(shared.order, one.order)
     np.testing.assert_allclose(shared.after.layer, one.after.layer, rtol=0, atol=1e-12)
     """
-    flags = "--xla_force_host_platform_device_count=2"
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     found = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)],
         env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},

@@ -140,13 +140,30 @@ def test_hessian_against_differences_of_the_gradient():
     assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
 
 
-def test_shapes_and_refusals():
+@pytest.mark.slow  # by its compilation
+def test_second_derivatives_in_the_slider_alone_are_part_of_all():
+    slider = sp.Slider(np.array([10.0, 25.0, 300.0]), np.array([0.003, 0.03, 1e-3]), 0.3)
+    alone, all_of_them = (sp.exact_lengths(slider, interface, derivatives=2) for interface in (None, sp.Interface()))
+    largest = np.abs(alone.hessian).max((1, 2), keepdims=True)
+    np.testing.assert_allclose(alone.hessian / largest, all_of_them.hessian[:, :3, :3] / largest, atol=1e-8)
+
+
+def test_shapes_and_refusals(monkeypatch):
     found = sp.exact_lengths(sp.Slider(np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03]), 0.3), derivatives=1)
     assert found.length.shape == (2, 3)
     assert found.stiffness.shape == (2, 3)
     assert found.prestress is None
     np.testing.assert_allclose(found.length[1, 2], 25.788815261, atol=5e-10)
-    single = sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=2)
+    # their program takes longest to compile: traced alone here, run by the slow test above
+
+    def traced(kernel, lanes, layout):
+        shapes = jax.eval_shape(kernel, jax.ShapeDtypeStruct((len(lanes), len(lanes[0])), np.float64))
+        return [np.zeros(x.shape) for x in shapes]
+
+    monkeypatch.setattr(exact_lanes, "exact_fronts", lambda lanes: (np.array([25.0]), np.array([Outcome.ARRESTED])))
+    monkeypatch.setattr(exact_lanes, "over_lanes", traced)
+    with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
+        single = sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=2)
     assert (single.length.shape, single.height.shape, single.hessian.shape) == ((), (), (3, 3))
     with pytest.raises(ValueError, match="derivatives = 3"):
         sp.exact_lengths(sp.Slider(25.0, 0.03, 0.3), derivatives=3)

@@ -44,7 +44,7 @@ WHOLE = """
 import numpy as np, jax
 import slippulse_jax as sp
 from slippulse_jax.bulk.compiler import compile_loops_whole, loops_are_whole
-{first}
+compile_loops_whole()
 jax.config.update("jax_enable_x64", True)
 chain = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60)
 state, site = sp.nucleate(chain)
@@ -53,18 +53,21 @@ constant = jax.jit(lambda: sp.rupture(chain, state, trigger=site).breaks)()  # a
 batch = jax.vmap(lambda threshold: sp.series(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60, threshold=threshold), events=9).breaks)
 found = batch(np.array([1.0, 2.0]))
 lengths = sp.precursor_lengths(sp.Slider(np.linspace(10, 50, 500), 0.03, 0.3))
-print(loops_are_whole(), *np.asarray(one.order[:30]), int(constant), *np.asarray(found).ravel(), *lengths)
+print(loops_are_whole(), int(constant), *np.asarray(one.order[:30]), *np.asarray(found).ravel(), *lengths)
 """
 
 
-def test_whole_loops_give_the_same():
+def test_whole_loops_give_the_same(breaks):
     """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
-    usual = run(WHOLE.format(first=""), XLA_FLAGS="").split()
-    whole = run(WHOLE.format(first="compile_loops_whole()"), XLA_FLAGS="").split()
-    assert usual[0] == "False"
-    assert whole[0] == str(jax.lib.__version__ in kernel.TRIED)
-    assert usual[1:] == whole[1:]
-    assert int(usual[31]) > 10
+    whole, constant, *found = run(WHOLE, XLA_FLAGS="").split()
+    assert whole == str(jax.lib.__version__ in kernel.TRIED)
+    assert not kernel.loops_are_whole()
+    assert int(constant) == breaks
+    assert breaks > 10
+    batch = jax.vmap(lambda x: sp.series(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=60, threshold=x), events=9).breaks)
+    expected = [*event(CHAIN).order[:30], *batch(np.array([1.0, 2.0])).ravel()]
+    lengths = sp.precursor_lengths(sp.Slider(np.linspace(10, 50, 500), 0.03, 0.3))
+    assert found == [*map(str, map(int, expected)), *map(str, lengths)]
 
 
 def test_options_of_the_user_stay(monkeypatch):

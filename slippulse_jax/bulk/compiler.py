@@ -41,8 +41,8 @@ OPTIONS: dict[str, Any] = {
 }
 """For programs that run side by side, so that nothing in one is to be split, in loops that fill the widest vectors.
 
-Where ``XLA_FLAGS`` names one of them, its value there holds, as the tests of the package need; the last digit may depend on it.
-Their loops are never compiled whole, which is slower over long arrays.
+Whatever the process was given in ``XLA_FLAGS``, they are fully optimised and their loops are never compiled whole, which is
+slower over long arrays: the last digit would depend on either.
 """
 
 
@@ -67,9 +67,8 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emi
         lowered = jax.jit(f).lower(*shapes)
     if device.platform != "cpu" or not _tried():
         return lowered.compile()
-    asked, flags = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}, os.environ.get("XLA_FLAGS", "")
     try:
-        return lowered.compile(compiler_options={name: value for name, value in asked.items() if f"--{name}=" not in flags})
+        return lowered.compile(compiler_options={**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters})
     except jax.errors.JaxRuntimeError as unknown:
         usual = lowered.compile()  # raises again what has nothing to do with the options
         _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {unknown}")
