@@ -27,6 +27,25 @@ def slippulse(*arguments, cwd=ROOT, env=None, **kwargs):
     )  # fmt: skip
 
 
+@pytest.fixture
+def in_this_process(monkeypatch, capsys):
+    """What `slippulse` does, without a process of its own."""
+
+    def run(*arguments):
+        monkeypatch.chdir(ROOT)
+        monkeypatch.setattr(cli, "leave_when_interrupted", lambda: None)
+        monkeypatch.setattr(sys, "argv", ["slippulse", *arguments])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as leaving:
+            code = leaving.code
+        printed = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, code, printed.out, printed.err)
+
+    return run
+
+
 def test_help_and_version_do_not_import_jax():
     code = (
         "import sys; sys.argv = ['slippulse', '--help']\n"
@@ -89,8 +108,8 @@ def test_the_cache_can_be_switched_off_and_may_be_unwritable(own_cache):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_length_in_si_as_json():
-    done = slippulse(
+def test_length_in_si_as_json(in_this_process):
+    done = in_this_process(
         "length", "--json", "--poisson", "0.3", "--height-mm", "75", "--correlation-length-um", "10", "--areal-stiffness", "2e10",
         "--young-gpa", "3",
     )  # fmt: skip
@@ -100,8 +119,8 @@ def test_length_in_si_as_json():
     assert content["status"] == "arrested"
 
 
-def test_length_of_a_front_that_runs_through_is_null_not_a_number():
-    done = slippulse(
+def test_length_of_a_front_that_runs_through_is_null_not_a_number(in_this_process):
+    done = in_this_process(
         "length", "--json", "--height", "50", "--stiffness", "0.03", "--poisson", "0.3", "--right", "free", "--sites", "100"
     )
     content = json.loads(done.stdout)
@@ -117,19 +136,16 @@ def test_numbers_that_are_not_finite_are_null():
 
 
 @pytest.mark.parametrize("arguments", [["fit", PMMA], ["design", *FIG2, "--sigma", "0.5", "--log-sd", "0.3"]])
-def test_what_is_not_found_is_one_line_and_exit_3(arguments, monkeypatch, capsys):
+def test_what_is_not_found_is_one_line_and_exit_3(arguments, monkeypatch, in_this_process):
     """It was never seen to happen, so it is made to."""
 
     def lost(lanes):
         return np.full(lanes.shape[1], np.nan), np.full(lanes.shape[1], Outcome.NOT_CONVERGED)
 
     monkeypatch.setattr("slippulse_jax.inference.model.exact_fronts", lost)
-    monkeypatch.setattr(cli, "leave_when_interrupted", lambda: None)
-    monkeypatch.setattr(sys, "argv", ["slippulse", *arguments])
-    with pytest.raises(SystemExit) as leaving:
-        cli.main()
-    assert leaving.value.code == 3
-    *_, last = capsys.readouterr().err.splitlines()
+    done = in_this_process(*arguments)
+    assert done.returncode == 3
+    *_, last = done.stderr.splitlines()
     assert last.startswith("Error: no exact length")
     assert last.endswith(Outcome.NOT_CONVERGED.message)
 
@@ -145,8 +161,8 @@ def test_fit_reports_and_draws(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["fit.svg"], "no temporary file is left behind"
 
 
-def test_fit_as_json_keeps_stdout_clean(tmp_path):
-    done = slippulse("fit", PMMA, "--json", "--figure", str(tmp_path / "fit.png"))
+def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
+    done = in_this_process("fit", PMMA, "--json", "--figure", str(tmp_path / "fit.png"))
     content = json.loads(done.stdout)
     assert content["identifiability"] == "identified"
     assert abs(content["values"]["areal_stiffness"] / 2e10 - 1) < 0.05
@@ -176,8 +192,8 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path):
         (["slide"], "No such command 'slide'"),
     ],
 )
-def test_bad_input_is_one_clear_line_and_exit_2(arguments, message):
-    done = slippulse(*arguments)
+def test_bad_input_is_one_clear_line_and_exit_2(arguments, message, in_this_process):
+    done = in_this_process(*arguments)
     assert done.returncode == 2
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -185,18 +201,18 @@ def test_bad_input_is_one_clear_line_and_exit_2(arguments, message):
     assert len([line for line in done.stderr.splitlines() if line.startswith("Error: ")]) == 1
 
 
-def test_bad_table_names_file_line_and_column(tmp_path):
+def test_bad_table_names_file_line_and_column(tmp_path, in_this_process):
     path = tmp_path / "lengths.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,26,0.5\n25,0.3,x,0.5\n")
-    done = slippulse("fit", str(path))
+    done = in_this_process("fit", str(path))
     assert done.returncode == 2
     assert done.stderr == f"Error: {path}, line 3, column length: 'x' is not a number\n"
 
 
-def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path):
+def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path, in_this_process):
     path = tmp_path / "lengths.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,40,0.5\n")
-    done = slippulse("fit", str(path))
+    done = in_this_process("fit", str(path))
     assert done.returncode == 0
     assert "not identifiable: the length is at or above the attainable maximum" in done.stdout
 
