@@ -150,9 +150,7 @@ def roots_missed(studies: int, seed: int, nodes: int = 100_001) -> tuple[Share, 
         side = curve >= curve[true]
         roots = np.unique(np.append(node[np.nonzero(side[1:] != side[:-1])[0]], node[true]))
         found = np.log([root.values["stiffness"] for root in result.roots])
-        # two minima nearer than a fiftieth of their standard error are one
-        wide = [0.02 * (root.stderrs["stiffness"] or 0) / root.values["stiffness"] for root in result.roots]
-        reach = np.maximum(wide, 1.5 * (node[1] - node[0]))
+        reach = 1.5 * (node[1] - node[0])
         total += len(roots)
         good += all((np.abs(found - root) < reach).any() for root in roots)
     return Share(good, studies), total

@@ -17,7 +17,7 @@ import numpy as np
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.profile import Curve, Interval
-from slippulse_jax.inference.search import Cells, scan
+from slippulse_jax.inference.search import Cells
 
 SIMULATIONS = {1: 2000, 2: 500}
 """By the number of fitted parameters."""
@@ -25,7 +25,7 @@ RESOLUTION = {1: 0.15, 2: 0.3}
 """Spacing of the table of predictions, in standard errors of all measurements together."""
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
 MOST_OTHERS = 80  # values of a second parameter at each of the first
-HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration
+HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration; the cells of a scan reach farther
 
 
 class Table(NamedTuple):
@@ -51,7 +51,12 @@ def can_be_calibrated(problem: Problem) -> bool:
 
 
 def calibrated(
-    problem: Problem, levels: tuple[float, ...], *, curves: dict[int, Curve] | None = None, seed: int = 0
+    problem: Problem,
+    levels: tuple[float, ...],
+    *,
+    curves: dict[int, Curve] | None = None,
+    cells: Cells | None = None,
+    seed: int = 0,
 ) -> dict[int, Calibration]:
     """Allowed θ, at each level, as intervals in increasing order; and how often a standard error would hold the truth.
 
@@ -62,6 +67,8 @@ def calibrated(
     levels : tuple of float
     curves : dict, optional
         Profile of each θ_j asked for; needed with two parameters.
+    cells : Cells, optional
+        Of a scan; needed with two parameters.
     seed : int
         Of the simulations, `SIMULATIONS` per value looked at.
 
@@ -74,9 +81,8 @@ def calibrated(
         raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
     if problem.p == 1:
         return {0: _simulated(problem, levels, 0, _along(problem), seed)}
-    if curves is None:
-        raise ValueError("calibrated intervals of two parameters need their profiles")
-    cells = scan(problem, HOPELESS + 10)
+    if curves is None or cells is None:
+        raise ValueError("calibrated intervals of two parameters need their profiles and a scan")
     return {j: _simulated(problem, levels, j, _across(problem, j, curve, cells), seed) for j, curve in curves.items()}
 
 

@@ -15,7 +15,7 @@ from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, root_of
-from slippulse_jax.inference.search import SLACK, Minimum, describe, same, search
+from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
 
 Intervals = dict[float, list[Interval]]
@@ -113,12 +113,11 @@ def fit(
         "intervals": intervals,
     }
     counts = allowed_by_counts(problem) if are_exact(problem) else None
-    explored = _of_counts(problem, counts) if counts and counts.pieces else _explore(problem, method, max_steps, seed)
-    between = None if scaled else _between_contacts(problem, explored.best)
+    between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
-        explored = _explore(problem, method, max_steps, seed)
-    minima, curves, best, deviance, unconverged, complete = explored
+    explored = _of_counts(problem, counts) if counts and counts.pieces else _explore(problem, method, max_steps, seed)
+    minima, curves, best, deviance, unconverged, cells = explored
     rise = _rise(problem, deviance, scaled)
     variance = deviance / (problem.count - problem.p) if scaled else 1.0
     near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
@@ -136,7 +135,7 @@ def fit(
     if counts is not None:
         verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
     elif _to_be_simulated(problem, intervals, scaled, minima, deviance, {j: pieces[j] for j in asked}, best):
-        found = calibrated(problem, LEVELS, curves=curves, seed=seed)
+        found = calibrated(problem, LEVELS, curves=curves, cells=cells, seed=seed)
         pieces = {j: one.intervals for j, one in found.items()}
         verdicts = {j: _simulated(verdicts[j], found[j].covered) for j in asked}
     verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
@@ -158,7 +157,7 @@ def fit(
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
-        complete=complete,
+        complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
     )
 
 
@@ -231,25 +230,29 @@ class Explored(NamedTuple):
     best: np.ndarray  # (p,), of least deviance
     deviance: float
     unconverged: list[tuple[float, str]]
-    complete: bool  # whether the whole range was resolved
+    cells: Cells | None  # of the scan, if there was one
 
 
-def _between_contacts(problem: Problem, theta: np.ndarray) -> np.ndarray | None:
-    """Typical |ℓ − ℓ*| of every length in λc about θ, where one of them is not small beside its σ; 0 for counts.
+def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
+    """Typical |ℓ − ℓ*| of every length in λc, where one of them is not small beside its σ; 0 for counts.
 
     ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
     continuation does. A length is measured to neither convention.
     """
     block, q = problem.blocks[0], problem.parameters
     plain = block.data.kind == "length"
-    if not plain.any() or q.smooth:
+    # both end between the same two contacts
+    widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
+    if q.smooth or not (plain & (widest > BETWEEN * block.data.sigma)).any():
         return None
+    theta = first_look(problem, seed)
+    contact = np.exp(q.scales["length"](theta))
     # of several stiffnesses around, lest one length stop just on a contact, where both agree
     inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
     around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
     around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
     with np.errstate(invalid="ignore"):
-        off = (straight_lengths(around) - lengths(around).value).reshape(13, -1) * np.exp(q.scales["length"](theta))
+        off = (straight_lengths(around) - lengths(around).value).reshape(13, -1) * contact
     typical = np.sqrt(np.mean(np.where(np.isfinite(off), off, 0) ** 2, axis=0))
     typical = np.where(plain, typical, 0.0)
     return typical if (typical > BETWEEN * block.data.sigma).any() else None
@@ -260,7 +263,7 @@ def _of_counts(problem: Problem, counts: Allowed) -> Explored:
     middle = np.array([[(piece.low + piece.high) / 2] for piece in counts.pieces])
     value = 2 * problem(middle).value
     roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    return Explored(roots, {0: profile(problem, 0, roots, middle)}, middle[0], float(value.min()), [], True)
+    return Explored(roots, {0: profile(problem, 0, roots, middle)}, middle[0], float(value.min()), [], None)
 
 
 def _verdict_of_counts(m: Measurements, q: ParameterSet, counts: Allowed) -> Verdict:
@@ -364,7 +367,7 @@ def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explor
             break
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in found.unconverged if not known or value < min(known) - 1e-6]
-    return Explored(roots, curves, best, deviance, lost, found.cells is not None and found.cells.complete)
+    return Explored(roots, curves, best, deviance, lost, found.cells)
 
 
 def _ordered(roots: list[Minimum]) -> list[Minimum]:

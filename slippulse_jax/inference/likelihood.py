@@ -343,13 +343,22 @@ class Problem:
         return (second + np.swapaxes(second, 1, 2)) / 2
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
+        return self._of([self._predictions(block, theta, order) for block in self.blocks], theta, lane)
+
+    def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
+        """Evaluate at predictions, (B, N), with derivatives in θ, (B, N, p), that are known already."""
+        ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
+        parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
+        return self._of(list(parts), theta, np.zeros(len(theta), dtype=int))
+
+    def _of(self, predicted: "list[tuple[np.ndarray, np.ndarray | None]]", theta: np.ndarray, lane: np.ndarray) -> Evaluation:
+        """Cost of the predictions for every block, and with their derivatives the gradient and metric."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
         d = self.parameters.discrepancy
-        for block in self.blocks:
-            mu, first = self._predictions(block, theta, order)
+        for block, (mu, first) in zip(self.blocks, predicted, strict=True):
             cost = terms(mu, block.data, lane, self.loss, None if d is None else theta[:, d])
             value = value + cost.value.sum(axis=1)
             if first is None:
@@ -359,7 +368,7 @@ class Problem:
             if d is not None:
                 gradient[:, d] += cost.log_discrepancy_slope.sum(axis=1)
                 metric[:, d, d] += cost.log_discrepancy_information.sum(axis=1)
-        return Evaluation(value, gradient, metric) if order else Evaluation(value)
+        return Evaluation(value) if predicted[0][1] is None else Evaluation(value, gradient, metric)
 
     def _predictions(self, block: Block, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
         """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
@@ -387,6 +396,11 @@ class Problem:
     def plain(self) -> bool:
         """Whether the deviance is a sum of squares: values with known Gaussian errors."""
         return self.exact_values and self.loss.name == "normal" and self.parameters.discrepancy is None
+
+    @property
+    def gauged(self) -> bool:
+        """Whether gauges were read, whose fields go from contact to contact by steps."""
+        return any(block.observable in READINGS for block in self.blocks)
 
     @functools.cached_property
     def reach(self) -> np.ndarray:

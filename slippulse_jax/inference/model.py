@@ -45,6 +45,9 @@ STEPS = {
 FIELD_STEP = 0.1
 """Factor on `STEPS` for fields, which bend from contact to contact more than a length does."""
 
+RISING = 0.01
+"""b up to which every length certainly rises with stiffness."""
+
 FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
 
@@ -84,7 +87,7 @@ def _lengths(inputs: Inputs) -> np.ndarray:
             raise NotConverged(f"no length under the smooth rule at {inputs.names} = ({where})")
         return found
     lanes = np.stack([slider.height, slider.stiffness, slider.poisson, inputs.prestress, inputs.threshold_slope])
-    found, status = exact_fronts(lanes)
+    found, status = exact_fronts(lanes, one_program=True)
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
     if lost.any():
         where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(lost)])
@@ -320,7 +323,12 @@ def attainable_of(
 
 
 def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Maximum of ℓ* over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top."""
+    """Maximum of ℓ* over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top.
+
+    Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
+    """
+    rising = np.log(RISING) - np.log(2 * (1 + inputs.poisson)) - inputs.log_height
+    low = np.minimum(np.maximum(low, rising), high)
     best, where = np.empty(len(low)), np.empty(len(low))
     for count in (129, 17, 17, 17, 17):
         grid = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, count)

@@ -46,6 +46,7 @@ class Starts(NamedTuple):
     high: np.ndarray  # (B, p)
     held: np.ndarray  # (p,), fixed coordinates
     lane: np.ndarray  # (B,), replicate of each
+    tolerance: float
 
 
 class Ends(NamedTuple):
@@ -67,6 +68,7 @@ def minimise(
     lane: np.ndarray | None = None,
     method: str = "lm",
     max_steps: int = 60,
+    tolerance: float = TOLERANCE,
 ) -> Ends:
     """Minimise within the box from every start.
 
@@ -85,6 +87,8 @@ def minimise(
         Levenberg–Marquardt by default; the others are optax's (docs/fitting.md compares them).
     max_steps : int
         Steps allowed each start; optax's Adam gets twenty times as many.
+    tolerance : float
+        Newton decrement at which a minimum is found; as `TOLERANCE`.
     """
     if method not in METHODS:
         raise ValueError(f"method = {method!r}: one of {', '.join(METHODS)}")
@@ -96,12 +100,12 @@ def minimise(
         value = objective(start, lane).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Ends(start, value, ends, np.zeros(len(start), dtype=int))
-    return METHODS[method](Starts(objective, start, low, high, held, lane), max_steps)
+    return METHODS[method](Starts(objective, start, low, high, held, lane, tolerance), max_steps)
 
 
 def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
     """Damped steps; each lane has its own damping, and its own largest metric so far as the measure of a step (Moré)."""
-    objective, theta, low, high, _, lane = given
+    objective, theta, low, high, _, lane, _ = given
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
@@ -117,7 +121,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
         flat = np.all((diagonal == 0) | stuck, axis=1) & ~np.any(g, axis=1)
-        done = flat | (_decrement(g, m, size[work]) <= TOLERANCE * np.maximum(1, np.abs(value[work])))
+        done = flat | (_decrement(g, m, size[work]) <= given.tolerance * np.maximum(1, np.abs(value[work])))
         ends[work[done]] = np.where((flat & ~stuck.all(axis=1))[done], Convergence.FLAT, Convergence.CONVERGED)
         work, g, m = work[~done], g[~done], m[~done]
         if not len(work) or count == max_steps:
@@ -255,7 +259,7 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
     """
     import jax
 
-    objective, theta, low, high, _, lane = given
+    objective, theta, low, high, _, lane, _ = given
     value, gradient, metric = _first_order(objective, theta, lane)
     best, lowest = theta.copy(), value.copy()
     steps = np.zeros(len(theta), dtype=int)

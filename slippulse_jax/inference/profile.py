@@ -18,8 +18,12 @@ from slippulse_jax.inference.search import Cells, Minimum
 NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 4  # at each node, of all that are looked at
+EXCLUDED = 100.0  # deviance expected above the least from which on a node is left out
+CONTENDING = 3.0  # deviance by which a second start at a node may be expected to be worse than the best
 STEPS = 25  # of a minimisation at a node
+AT_NODES = 1e-7  # Newton decrement at which it ends
 CROSSING_ROUNDS = 14
+CROSSED = 1e-5  # deviance off a limit at which the end of an interval is found: 10⁻⁵ of its length
 
 
 class Interval(NamedTuple):
@@ -77,9 +81,8 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
     holding = dataclasses.replace(problem, held=held)
-    found = minimise(
-        holding, starts.reshape(-1, p), problem.parameters.low, problem.parameters.high, held=held, max_steps=STEPS
-    )
+    box = problem.parameters.low, problem.parameters.high
+    found = minimise(holding, starts.reshape(-1, p), *box, held=held, max_steps=STEPS, tolerance=AT_NODES)
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
     rows = np.arange(count)
@@ -99,7 +102,8 @@ def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, c
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     alone = problem.p == 1
-    if cells is not None and cells.complete and len(cells.low) and not alone:
+    scanned = cells is not None and cells.complete and len(cells.low) > 0 and not alone
+    if cells is not None and scanned:
         # what lies beyond has been excluded, except by the little that a minimum's own cell may reach
         low, high = cells.low[:, j].min(), cells.high[:, j].max()
     around = [np.linspace(low, high, NODES_ALONE if alone else NODES), [root.theta[j] for root in roots]]
@@ -107,13 +111,16 @@ def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, c
         step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
         around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]
     if cells is not None and len(cells.low):
-        around += [_spread(cells, j, len(cells.low) if alone else NODES)]
+        around += [_spread(cells, j, 2 * len(cells.low) if alone else NODES)]
     node = np.unique(np.concatenate(around))
     node = node[(node >= low) & (node <= high)]
     held = np.arange(problem.p) == j
     if alone:
         return constrained(problem, held, node[:, None], seeds)
-    starts = _predicted(node, j, roots, seeds, cells, problem)
+    if cells is not None and scanned:
+        node, starts = _of_cells(node, j, cells, problem.p)
+        return constrained(problem, held, node[:, None], starts)
+    starts = _predicted(node, j, roots, seeds, problem)
     starts[:, :, j] = node[:, None]
     value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
     best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
@@ -122,26 +129,38 @@ def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, c
 
 
 def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
-    """Limits of the cells along parameter j; of many, as many as `count`, evenly chosen."""
+    """Limits of the cells along parameter j; of many, `count`, evenly chosen."""
     limits = np.unique(np.concatenate([cells.low[:, j], cells.high[:, j]]))
-    return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), 2 * count)).round().astype(int))]
+    return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), count)).round().astype(int))]
 
 
-def _predicted(
-    node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray, cells: Cells | None, problem: Problem
-) -> np.ndarray:
-    """Starts at each node: every root, moved along its own ridge; the other points; and the best cells there; (g, s, p)."""
+def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts at each node: where the linear models of the cells there, or of the nearest, have the least deviance; (g, 2, p).
+
+    Nodes of which they expect no more than that they are excluded go, except those beside others.
+    """
+    away = np.maximum(np.maximum(cells.low[:, j] - node[:, None], node[:, None] - cells.high[:, j]), 0)
+    row, cell = np.nonzero(away == away.min(axis=1, keepdims=True))
+    at = np.zeros((len(row), p))
+    at[:, j] = node[row]
+    value, point = cells.expected(np.arange(p) == j, at, cell)
+    order = np.lexsort((value, row))
+    first = np.searchsorted(row[order], np.arange(len(node)))
+    second = np.minimum(first + 1, len(order) - 1)
+    best = value[order[first]]
+    contending = (row[order[second]] == row[order[first]]) & (value[order[second]] < best + CONTENDING)
+    starts = np.stack([point[order[first]], point[order[np.where(contending, second, first)]]], axis=1)
+    near = best < best.min() + EXCLUDED
+    kept = near | np.append(near[1:], False) | np.append(False, near[:-1])
+    return node[kept], starts[kept]
+
+
+def _predicted(node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray, problem: Problem) -> np.ndarray:
+    """Starts at each node: every root, moved along its own ridge; and the other points; (g, s, p)."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
     for root in roots:
         moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
         starts.append(root.theta + moved)
-    if cells is not None and len(cells.low):
-        there = (cells.low[:, j] <= node[:, None]) & (node[:, None] <= cells.high[:, j])
-        ranked = np.argsort(np.where(there, cells.deviance, np.inf), axis=1, kind="stable")
-        # not only the best, which may all lie side by side
-        for rank in (0, 1, 3, 7, 15):
-            if rank < ranked.shape[1]:
-                starts.append(cells.theta[ranked[:, rank]])
     return np.clip(np.stack(starts, axis=1), problem.parameters.low, problem.parameters.high)
 
 
@@ -212,7 +231,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
         w_left = np.where(~on_left & (last == -1), w_left / 2, np.where(on_left, value, w_left))
         last = np.where(on_left, 1, -1)
         near = np.where(on_left[:, None, None], np.stack([here.theta, near[:, 1]], 1), np.stack([near[:, 0], here.theta], 1))
-        if (np.abs(value) < 1e-7).all():
+        if (np.abs(value) < CROSSED).all():
             break
     return [float(x) for x in at]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.likelihood import Evaluation, Problem
 from slippulse_jax.inference.model import attainable_of, distinct_rows
 from slippulse_jax.inference.optimise import Convergence, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES
@@ -23,6 +23,8 @@ EDGES = {1: 257, 2: 33, 3: 13}
 """Number of cell edges to begin with along each parameter, by the number of parameters."""
 SLACK = 16.0
 """Deviance above the least up to which minima are looked for: four standard errors."""
+SCANNED_TO = {1: 16.0, 2: 35.0, 3: 16.0}
+"""Deviance above the least up to which cells are kept, by the number of parameters; with two, as far as simulations look."""
 LINEAR = 0.3
 """Departure from a linear model, in σ of all data together, at which a cell is resolved."""
 WIDENED = 2.0
@@ -32,8 +34,15 @@ NARROWEST = 1e-7
 ROUNDS = 60
 MOST_ELEMENTS = 40_000_000
 """Numbers held at once for the corners of all cells."""
+CHORDS = 6
+"""Steps of the minimisation in a cell, whose derivatives are those of its linear model."""
+NEARBY = 0.5
+"""Distance beyond a cell, in its widths, up to which the minimum of its linear model is looked for."""
 POLISHED = 8
 """Cells from which the least deviance is improved while the scan goes on."""
+
+RISEN = 1e-9
+"""Rise of the deviance between two points, over the deviance, by which they lie in two valleys: far above rounding."""
 
 BESIDE = 0.03
 """Distance in θ at which a search along a single parameter starts on either side of a cell, beside in it."""
@@ -52,7 +61,21 @@ class Cells(NamedTuple):
     high: np.ndarray  # (c, p)
     theta: np.ndarray  # (c, p), the best point found in each
     deviance: np.ndarray  # (c,), there
+    gradient: np.ndarray  # (c, p), of half the deviance there, by the linear model of the cell
+    metric: np.ndarray  # (c, p, p), and its second derivative
     complete: bool  # whether every cell was resolved
+
+    def expected(self, held: np.ndarray, at: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least deviance in some cells with the `held` coordinates as in `at`, (n, p), by their linear models; and where."""
+        low, high, gradient, metric = (x[cell] for x in (self.low, self.high, self.gradient, self.metric))
+        off = np.where(held, at - self.theta[cell], 0)
+        slope = np.where(held, 0, gradient + np.einsum("cpq,cq->cp", metric, off))
+        inverse = np.linalg.pinv(np.where(held | held[:, None], 0, metric), rcond=1e-9, hermitian=True)
+        point = self.theta[cell] + off - np.einsum("cpq,cq->cp", inverse, slope)
+        point = np.where(held, at, np.clip(point, low, high))
+        off = point - self.theta[cell]
+        rise = 2 * (gradient * off).sum(axis=1) + np.einsum("cp,cpq,cq->c", off, metric, off)
+        return self.deviance[cell] + rise, point
 
 
 class Search(NamedTuple):
@@ -120,15 +143,30 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
     return Search(minima, theta[least], float(deviance[least]), unconverged, cells)
 
 
-def scan(problem: Problem, slack: float = SLACK) -> Cells:
+def first_look(problem: Problem, seed: int) -> np.ndarray:
+    """Return a point of little deviance, from a coarse grid or sample; shape (p,)."""
+    q = problem.parameters
+    if problem.p > SCANNED:
+        starts = _starts(problem, seed)
+    else:
+        low, high = _first_cells(problem)
+        middle = (low + high) / 2
+        centre = problem.predictions(middle)
+        value = problem.least(centre, centre, middle, middle)
+        starts = middle[np.argsort(value, kind="stable")[:POLISHED]]
+    ends = minimise(problem, starts, q.low, q.high, max_steps=20)
+    return ends.theta[np.argmin(ends.value)]
+
+
+def scan(problem: Problem) -> Cells:
     """Divide the range into cells, drop those that the data exclude, and minimise in each that is left.
 
-    A cell is excluded if its deviance exceeds the least one known by more than `slack` for all predictions in the range that
-    its corners span. What the bound supposes is that predictions between the corners stay within that range, widened by
+    A cell is excluded if its deviance exceeds the least one known by more than `SCANNED_TO` for all predictions in the range
+    that its corners span. What the bound supposes is that predictions between the corners stay within that range, widened by
     `WIDENED` times the distance of the centre from the mean of the corners.
     """
     q, p = problem.parameters, problem.p
-    box = q.low, q.high
+    box, slack = (q.low, q.high), SCANNED_TO[p]
     low, high = _first_cells(problem)
     upper = _upper(p)
     corner = _predictions(problem, np.where(upper, high[:, None], low[:, None]))
@@ -242,37 +280,44 @@ def _in_sigmas(problem: Problem, change: np.ndarray) -> np.ndarray:
 def _minimised(
     problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
 ) -> Cells:
-    """Minimise in every cell, from the least-squares solution of its linear model where it has one."""
-    theta = (low + high) / 2
-    worth = np.ones(len(low), dtype=bool)
-    if problem.plain and len(low):
-        upper = _upper(problem.p)
-        slope = np.stack(_changes(corner, upper), axis=2)
-        residual, weight = problem.residuals(centre, theta)
-        known: np.ndarray = np.sqrt(problem.prior_weight) * (high - low)
-        matrix = np.concatenate([slope * weight[:, :, None], known[:, :, None] * np.eye(problem.p)], axis=1)
-        finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1))
-        matrix, residual = np.where(finite[:, None, None], matrix, 0), np.where(finite[:, None], residual, 0)
-        step = -np.einsum("cpn,cn->cp", np.linalg.pinv(matrix, rcond=1e-9), residual)
-        least = ((residual + np.einsum("cnp,cp->cn", matrix, step)) ** 2).sum(axis=1)
-        # an unresolved cell is not judged by its linear model
-        if complete:
-            worth = ~finite | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
-        theta = np.clip(theta + np.where(finite[:, None], step, 0) * (high - low), low, high)
-    low, high, theta = low[worth], high[worth], theta[worth]
-    if not len(theta):
-        return Cells(low, high, theta, np.empty(0), complete)
-    ends = minimise(problem, theta, low, high, max_steps=20)
-    kept = 2 * ends.value <= limit
-    return Cells(low[kept], high[kept], ends.theta[kept], 2 * ends.value[kept], complete)
+    """Minimise in every cell, with the derivatives of the predictions that its corners give."""
+    change = np.stack(_changes(corner, _upper(problem.p)), axis=2)
+    smooth = np.isfinite(change).all(axis=(1, 2)) & np.isfinite(centre).all(axis=1)
+    slope = np.where(smooth[:, None, None], change, 0) / (high - low)[:, None]
+    if problem.plain and complete:  # an unresolved cell is not judged by its linear model
+        middle = (low + high) / 2
+        at = problem.linearised(np.where(smooth[:, None], centre, 0), slope, middle)
+        assert at.gradient is not None
+        inverse = np.linalg.pinv(at.metric, rcond=1e-9, hermitian=True)
+        least = 2 * at.value - np.einsum("cp,cpq,cq->c", at.gradient, inverse, at.gradient)
+        worth = ~smooth | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
+        low, high, slope, smooth = low[worth], high[worth], slope[worth], smooth[worth]
+
+    def linear(theta: np.ndarray, cell: np.ndarray | None = None, order: int = 0) -> Evaluation:
+        return problem.linearised(problem.predictions(theta), slope if cell is None else slope[cell], theta)
+
+    every = np.arange(len(low))
+    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS)
+    theta, value = ends.theta, ends.value
+    exactly = ~smooth if problem.plain else every >= 0  # the likelihood of a count has corners
+    if exactly.any():
+        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20)
+        theta[exactly], value[exactly] = again.theta, again.value
+    kept = 2 * value <= limit
+    low, high, theta, slope = low[kept], high[kept], theta[kept], slope[kept]
+    at = linear(theta)
+    assert at.gradient is not None
+    assert at.metric is not None
+    return Cells(low, high, theta, 2 * at.value, at.gradient, at.metric, complete)
 
 
 def _promising(cells: Cells, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Cells from which a minimum is to be sought: whose best point lies inside, or at an end of the range; and the best."""
-    reach = 1e-9 * (cells.high - cells.low)
-    above = (cells.theta > cells.low + reach) | (cells.low <= low)
-    below = (cells.theta < cells.high - reach) | (cells.high >= high)
+    """Cells whose linear model has its minimum inside or near, or at an end of the range; and the best."""
     near = cells.deviance <= cells.deviance.min(initial=np.inf) + SLACK
+    step = -np.einsum("cpq,cq->cp", np.linalg.pinv(cells.metric, rcond=1e-9, hermitian=True), cells.gradient)
+    width = cells.high - cells.low
+    above = (cells.theta + step > cells.low - NEARBY * width) | (cells.low <= low)
+    below = (cells.theta + step < cells.high + NEARBY * width) | (cells.high >= high)
     best = np.arange(len(near)) == (int(np.argmin(cells.deviance)) if len(near) else -1)
     return (above & below).all(axis=1) & near | best
 
@@ -323,9 +368,16 @@ def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np
 
 
 def same(point: np.ndarray, deviance: float, one: Minimum, problem: Problem) -> bool:
-    """Whether a point is this minimum, to a fiftieth of its standard errors; or lies in the valley that it lies in."""
+    """Whether a point is this minimum, or lies in the valley that it lies in.
+
+    Of lengths along one parameter, unless the deviance rises between them; else to a fiftieth of its standard errors.
+    """
     if abs(deviance - one.deviance) > 1e-3:
         return False
+    if problem.p == 1 and not problem.gauged:
+        between = 2 * float(problem((point + one.theta)[None] / 2).value[0])
+        higher = max(deviance, one.deviance)
+        return between <= higher + RISEN * max(1, abs(higher))
     off = point - one.theta
     if np.all(np.abs(off) <= 1e-4 * (problem.parameters.high - problem.parameters.low)):
         return True

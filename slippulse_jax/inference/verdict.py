@@ -8,7 +8,6 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.profile import Interval, Rise
 from slippulse_jax.inference.search import Minimum
@@ -124,7 +123,7 @@ def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
 
 def _above_maximum(e: Evidence) -> bool:
     # gauges determine stiffness where the length does not; and what bends there is the step from contact to contact
-    return bool(e.roots) and e.roots[0].share < 0.5 and not _has_gauges(e)
+    return bool(e.roots) and e.roots[0].share < 0.5 and not e.problem.gauged
 
 
 def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
@@ -169,15 +168,11 @@ def _not_alone(j: int, e: Evidence, intervals: dict) -> Verdict | None:
     return None
 
 
-def _has_gauges(e: Evidence) -> bool:
-    return any(block.observable in READINGS for block in e.problem.blocks)
-
-
 def _wrinkle(j: int, e: Evidence) -> float:
     """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields go from
     contact to contact by steps; zero where all is smooth.
     """
-    if not _has_gauges(e) or not e.roots or e.roots[0].singular[j]:
+    if not e.problem.gauged or not e.roots or e.roots[0].singular[j]:
         return 0.0
     return float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j]))
 

@@ -89,11 +89,18 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
 
 
 def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[Lanes, Lanes]:
-    """As `crossing`, of plain tables: lanes not simple, not sound or not found quickly are `NOT_CONVERGED`.
+    """As `crossing`, of plain tables: lanes of which that does not give every digit, or not quickly, are `NOT_CONVERGED`.
 
-    Newton's method on the first rows brings a lane to about 1e-5 of the crossing, and on all rows to the crossing itself.
+    Under a prestress the careful search is made, for a lane that is not simple where the table ends within the rows that are
+    stored, so that it holds from the edge on. Without one, lanes that are not simple are left, and Newton's method on the first
+    rows brings a lane to about 1e-5 of the crossing, on all rows to the crossing itself.
     """
     slope = theta[4]
+    if found.amplitude.shape[0] > 2:
+        length, status = crossing(found, theta, careful=True)
+        from_there = jnp.where(_simple(found, slope) & (status == Outcome.ARRESTED), length, 0)
+        known = found.sound & series.died_out(found, from_there)
+        return jnp.where(known, length, jnp.nan), jnp.where(known, status, jnp.asarray(Outcome.NOT_CONVERGED, status.dtype))
     moves = series.at_edge(found) > slope
     regular = found.sound & _simple(found, slope)
     start = jnp.where(moves & regular, _start(found, theta), 0)

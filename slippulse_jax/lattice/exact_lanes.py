@@ -96,17 +96,21 @@ def exact_lengths(
     return LengthDerivatives(length, *(x.reshape(shape) for x in first), hessian=hessian)
 
 
-def exact_fronts(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def exact_fronts(
+    lanes: Float[np.ndarray, "5 n"], *, one_program: bool = False
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
 
     A lane's own values choose its program, and what one program leaves goes to the next. Relaxed lanes that cross far from the
-    edge go through what is left of the series there; simple ones through a plain series, which has a family of terms more with
-    a prestress. The others, and the few that a pole of the plain series costs digits, go through a regular one, which takes
-    longer.
+    edge go through what is left of the series there; the others through a plain series, which has a family of terms more with
+    a prestress. The few of which that does not give every digit go through a regular one, which takes longer.
+
+    With `one_program` the lanes far from the edge have no program of their own, and their last digits differ: to compile one
+    more takes longer than some thousand lanes do.
     """
     found = np.full((2, lanes.shape[1]), float(Outcome.NOT_CONVERGED))
     prestressed = lanes[3] != 0
-    far = ~prestressed & (lanes[4] == 0) & long_fronts.which_are_far(lanes)
+    far = ~prestressed & (lanes[4] == 0) & (not one_program) & long_fronts.which_are_far(lanes)
     for kernel, layout, rank, wanted in (
         (_far, long_fronts.FAR, None, far),
         (_relaxed, IN_BULK, _effort, ~prestressed),
@@ -173,11 +177,12 @@ def _derivatives(count: int, order: int) -> Kernel:
 def _effort(lanes: Lanes) -> np.ndarray:
     """Rank by the work to expect, so that like lanes share a chunk.
 
-    b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have.
+    b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have. A prestress above
+    1/2 may be more than that of run-away, where the search is another.
     """
-    height, stiffness, poisson = (np.asarray(x, np.float32) for x in lanes[:3])
+    height, stiffness, poisson, prestress = (np.asarray(x, np.float32) for x in lanes[:4])
     transverse = 1 / (2 * (1 + poisson) * height)
     with np.errstate(all="ignore"):
         b = stiffness / transverse
-        rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 512 + 32768
+        rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 256 + 16384 + 32768 * (prestress > 0.5)
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
