@@ -101,6 +101,23 @@ def test_first_event_is_the_first_precursor():
     assert abs(got.length[0] - sp.precursor_length(sp.Slider(*FIG2))) < 1e-10
 
 
+@pytest.mark.parametrize("seed", [47, 196])
+def test_one_length_of_an_event_whose_rightmost_contact_breaks_twice(seed):
+    """Series, rupture and dense program: by the overload of the first break, as no later break makes an event shorter."""
+    rng = np.random.default_rng(seed)
+    height, b, factor = (rng.choice(x) for x in ([5.0, 10.0, 25.0], [1.0, 5.0, 20.0], [1.1, 1.5, 2.5]))
+    slider, theta = (height, b / (2.6 * height), 0.3), rng.uniform(0.7, 1.3, 60)
+    chain = sp.chain(sp.Slider(*slider), sites=60, threshold=theta)
+    load = float(sp.nucleate(chain)[0].load) * factor
+    event = sp.rupture(chain, chain.relaxed(load), max_breaks=200)
+    assert event.broken[int(event.extent) - 1] == 2
+    plain = DenseChain.uniform(slider, theta, np.zeros(60), "semi-infinite")
+    order = plain.event(load)
+    assert order == [int(site) for site in event.order[: int(event.breaks)]]
+    assert float(event.length) == pytest.approx(plain.reach(order), abs=1e-10)
+    assert float(sp.series(chain, sp.Steps(load), events=1).length[0]) == pytest.approx(plain.reach(order), abs=1e-10)
+
+
 def test_a_series_ends_at_a_load():
     """With the first event at or beyond it; the events before it are the same."""
     whole, cut = long_series(CHAIN), sp.series(CHAIN, events=400, until=4.2)

@@ -152,6 +152,23 @@ def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
     return last + behind / (behind - ahead)
 
 
+def event_length(furthest: Any, overload: Any, ahead: Any) -> Any:
+    """ℓ of an event of any number of breaks, by the straight line from the rightmost contact that broke to the next.
+
+    Parameters
+    ----------
+    furthest : array
+        Index of the rightmost contact that broke.
+    overload : array
+        Its excess over the threshold as it broke for the *first* time: as the front passed. By that of a later break ℓ would
+        fall where the event becomes larger, because a contact that just breaks again has no overload.
+    ahead : array
+        Excess on the next contact when the event is over.
+    """
+    # rounding may leave a contact that was made to break just below its threshold
+    return straight_line(furthest, jnp.maximum(overload, 0), jnp.minimum(ahead, 0))
+
+
 def outcome(
     broken: Array, ahead: Array, edge: Array, *, valid: Any = True, through: Any = False, endless: Any = False
 ) -> Int[Array, "..."]:

@@ -26,7 +26,7 @@ from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
-from slippulse_jax.lattice.front import length_or_reason, straight_line
+from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
@@ -121,8 +121,8 @@ def rupture(
     Notes
     -----
     Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
-    that of a first precursor (`slippulse_jax.lattice.front`) to any thresholds: it interpolates between the overload of the
-    rightmost broken contact when it first broke and the final overload of its right neighbour.
+    that of a first precursor to any event (`slippulse_jax.lattice.front.event_length`): it interpolates between the overload of
+    the rightmost broken contact when it first broke and the final overload of its right neighbour.
     """
     check_rule(rule, one=True)
     _check(chain, state)
@@ -240,7 +240,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
         Outcome.RAN_THROUGH: record.furthest == n - 1,
     }
     status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
-    length = straight_line(record.furthest, record.overload, jnp.minimum(short_by, 0))
+    length = event_length(record.furthest, record.overload, short_by)
     return Rupture(
         state=after_state,
         before=before,

@@ -46,7 +46,7 @@ from slippulse_jax.lattice.cascade import (
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
-from slippulse_jax.lattice.front import straight_line
+from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.response import Response, into_blocks, shared_response
 
 
@@ -284,7 +284,7 @@ class Tally(NamedTuple):
     at_peak: Array
     left: Array
     right: Array
-    peak: Array  # overload of the rightmost broken contact as it last broke
+    peak: Array  # overload of the rightmost broken contact as it first broke in the event
     total: Array
     last: Int[Array, " S"]
     log: Int[Array, "L+1 2"]
@@ -458,28 +458,20 @@ def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, giv
 
 
 def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
-    """Interpolate ℓ of the event, where the stress falls to the threshold.
-
-    The straight line joins the overload of the rightmost broken contact as it last broke to that of the contact ahead as the
-    event ends (`slippulse_jax.lattice.front`); ℓ is inf where there is no contact ahead.
-    """
+    """Interpolate ℓ of the event, where the stress falls to the threshold; inf where there is no contact ahead."""
     right, peak = broken.book.right, broken.book.peak
     block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
     limit, _ = _limits(by, now, now.given, load, block, broken.given[block])
     ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
-    return jnp.where(right == by.sites - 1, jnp.inf, straight_line(right, peak, ahead))
+    return jnp.where(right == by.sites - 1, jnp.inf, event_length(right, peak, ahead))
 
 
-def _limit_of(by: Loading, now: Now, load: Array, site: Array, anew: Array) -> Array:
-    """Return the threshold of one contact at this load.
-
-    `anew` says whether it already broke in this event.
-    """
+def _limit_of(by: Loading, now: Now, load: Array, site: Array) -> Array:
+    """Return the threshold at this load of one contact that has not broken in this event."""
     old = by.contacts.threshold.reshape(-1)[site]
     if now.born is None or by.ageing is None:
         return old
-    aged = by.ageing.strength(load - now.born.reshape(-1)[site], by.velocity)
-    return old * jnp.where(anew, by.ageing.newborn, aged)
+    return old * by.ageing.strength(load - now.born.reshape(-1)[site], by.velocity)
 
 
 def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Cascade:
@@ -495,7 +487,6 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
         for j in range(moves.sites.shape[0]):
             lost = lost + gains[moves.sites[j]] * moves.given[j]
         stretch, begins = energy[site] * t, tally.first < 0
-        peak = jnp.maximum(t - _limit_of(by, now, load, site, tally.last[site] == number), 0)
         newer = (site > by.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
         return Tally(
             lost=lost,
@@ -505,7 +496,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
             at_peak=jnp.where(begins, newer.astype(jnp.int32), tally.at_peak),
             left=jnp.minimum(tally.left, site),
             right=jnp.maximum(tally.right, site),
-            peak=jnp.where(site >= tally.right, peak, tally.peak),
+            peak=jnp.where(site > tally.right, t - _limit_of(by, now, load, site), tally.peak),
             total=tally.total + 1,
             last=tally.last.at[site].set(number),
             log=log,

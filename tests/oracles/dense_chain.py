@@ -250,7 +250,7 @@ class DenseChain:
         over = np.where(self.attached & (self.k > 0), self._stress(layer) - self.thresholds(), -np.inf)
         site = int(over.argmax()) if first is None else first
         while not order or (over[site] >= 0 and len(order) < max_breaks):
-            self.overload[site] = over[site]
+            self.overload.setdefault(site, over[site])
             if self.delay:
                 if len(waiting) == self.delay:
                     self._repin(waiting.pop(0), layer)
