@@ -12,6 +12,7 @@ import numpy as np
 from slippulse_jax import theory
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact_lanes import exact_lengths
+from slippulse_jax.lattice.rebreaking import rebreaking_onset
 from slippulse_jax.slider import Slider
 
 FIG2 = Slider(25.0, 0.03, 0.3)
@@ -58,7 +59,7 @@ def errata() -> list[Erratum]:
                 where="cra54, cra54b",
                 printed=r"$-\kappa(\lambda_c\kappa^2+\kappa_2)/(\kappa^2-\kappa_2^2)$ in front of $e^{-(\kappa+\kappa_2)s}$",
                 correct=r"$\frac12\kappa(1-\lambda_c\kappa)/(\kappa+\kappa_2)\,(1/\Psi_2-1)$",
-                check=f"$A_0$ = {float(wrong):.3f} printed: the front could not start; {float(right.A0):.4f} corrected; {float(continuum):.4f} self-consistent",
+                check=f"$A_0$ = {float(wrong):.3f} printed: at these parameters the front could not start; {float(right.A0):.4f} corrected; {float(continuum):.4f} self-consistent",
             ),
         ]
 
@@ -94,6 +95,10 @@ def differences() -> list[Difference]:
             Difference(
                 r"$\Lambda$ grows with $k/K$",
                 rf"it peaks at $k/K$ = {', '.join(f'{x:.3f}' for x in peaks)} for $H/\lambda_c$ = 10, 25, 50 and falls beyond",
+            ),
+            Difference(
+                "the first precursor is one front",
+                rf"up to $b = (k/\lambda_c^2)H/G$ = {', '.join(f'{x:.2f}' for x in rebreaking_onset([10, 25, 100, 1e4], 0.3))} at $H/\lambda_c$ = 10, 25, 100, 10⁴ and {theory.rebreaking_b():.4f} for $\lambda_c \to 0$; beyond, contact 0 is back at its threshold before the front stops, breaks again, and the event goes farther than its first front ([The macroscopic limit](macroscopic.md#where-the-contact-at-the-edge-breaks-again))",
             ),
             Difference(
                 r"$\Lambda(\epsilon) \approx \Lambda(0)(1-\epsilon)$",

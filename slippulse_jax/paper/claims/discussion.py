@@ -92,8 +92,9 @@ def repinning_delay() -> Finding:
 
 
 CONVERGED = 0.05
-"""Step, over the largest stable one, from which on the same contacts break. Breaks are of first order in the step: without damping the
-default of 0.2 breaks contact 40 by a reflected wave, at t = 497, half of it not at all, and this and finer ones at t = 47.8 and less."""
+"""Step, over the largest stable one, from which on the same contacts break. Times of breaks are of first order in the step: without
+damping the 41st contact breaks at t = 47.8 with this step and at 47.6 with half of it; with twice this step it does not break, and
+with the default only at 497, by a wave that the right end reflects."""
 
 
 def _broken(one: Chain, damping: float, rule: SelfHealing | CrackLike) -> tuple[int, float]:

@@ -4,10 +4,11 @@ import numpy as np
 
 from slippulse_jax import theory
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.lengths import precursor_lengths
+from slippulse_jax.lattice.lengths import arrests, precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor
 from slippulse_jax.paper.claims.claim import Finding, Verdict, claim, fig2, judge
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 STRAIGHT = 0.99
 """Smallest R² of points that lie almost on a straight line."""
@@ -89,11 +90,15 @@ def stiffness() -> Finding:
     heights = np.array([10.0, 25.0, 50.0])
     lengths = precursor_lengths(Slider(heights[:, None], drawn, 0.3))
     r2, verdict = _straight(np.log(drawn), lengths)
-    beyond = np.geomspace(0.003, 0.3, 201)
-    peaks = beyond[precursor_lengths(Slider(heights[:, None], beyond, 0.3)).argmax(axis=1)]
+    beyond = np.geomspace(0.003, 0.6, 601)
+    fronts = arrests(Slider(heights[:, None], beyond, 0.3))
+    peaks = beyond[fronts.length.argmax(axis=1)]
+    again = beyond[(fronts.status == Outcome.REBREAK).argmax(axis=1)]
     text = (
         f"{r2}: the taller the slider, the more the line bends; Λ is largest at k/K = "
-        f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond: Λ is not monotonic in k/K"
+        f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond: Λ is not monotonic in k/K. From k/K = "
+        f"{', '.join(f'{first:.3f}' for first in again)} on contact 0 breaks again before the front stops, and the event goes farther than "
+        "that front"
     )
     return Finding(text, verdict)
 
