@@ -3,7 +3,7 @@
 Three uses of each, on studies of one, two and four parameters, of lengths with 2 % errors or of counts of whole contacts:
 
 - starts: 32 points drawn evenly over the range searched, one descent from each, nothing else;
-- search: the starts that a fit chooses (the valleys of a scan, each in its bracket, or the best of 512 Sobol points);
+- search: the starts that a fit chooses (the cells that a scan leaves, or the best of 512 Sobol points);
 - fit: all of `fit`, whose profiles are Levenberg and Marquardt's under every method, and send the search where they go deeper.
 
 Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged. Lengths:
@@ -24,8 +24,9 @@ from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.inference import model
 from slippulse_jax.inference.likelihood import Loss, make_problem
-from slippulse_jax.inference.optimise import METHODS, Convergence, Ends, Starts, descend, minimise, search
+from slippulse_jax.inference.optimise import METHODS, Convergence, Ends, Starts, descend, minimise
 from slippulse_jax.inference.parameters import Inputs, parameter_set
+from slippulse_jax.inference.search import search
 
 STARTS, STEPS, CLOSE = 32, 60, 1e-3
 EVERY = {"adam": 4}  # which studies it is given
@@ -98,9 +99,9 @@ class Tally:
         self.count = 0
         original = model.exact_fronts
 
-        def counted(lanes: np.ndarray, *more: Any) -> Any:
+        def counted(lanes: np.ndarray, **settings: Any) -> Any:
             self.count += lanes.shape[1]
-            return original(lanes, *more)
+            return original(lanes, **settings)
 
         model.exact_fronts = counted
 
@@ -129,8 +130,8 @@ def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> l
         return 2 * end.value, end.convergence == Convergence.CONVERGED
 
     def by_search() -> tuple[np.ndarray, np.ndarray]:
-        found, _ = search(problem, method=method, max_steps=STEPS, seed=0)
-        return np.array([min((one.deviance for one in found), default=np.inf)]), np.array([bool(found)])
+        found = search(problem, method=method, max_steps=STEPS, seed=0)
+        return np.array([found.deviance]), np.array([bool(found.minima)])
 
     def by_fit() -> tuple[np.ndarray, np.ndarray]:
         result = fit(m, kind.free, method=method, max_steps=STEPS)

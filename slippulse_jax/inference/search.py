@@ -282,19 +282,20 @@ def _minimised(
 ) -> Cells:
     """Minimise in every cell, with the derivatives of the predictions that its corners give."""
     change = np.stack(_changes(corner, _upper(problem.p)), axis=2)
-    smooth = np.isfinite(change).all(axis=(1, 2)) & np.isfinite(centre).all(axis=1)
+    smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & np.isfinite(centre).all(axis=1))
     slope = np.where(smooth[:, None, None], change, 0) / (high - low)[:, None]
     if problem.plain and complete:  # an unresolved cell is not judged by its linear model
         middle = (low + high) / 2
         at = problem.linearised(np.where(smooth[:, None], centre, 0), slope, middle)
         assert at.gradient is not None
+        assert at.metric is not None
         inverse = np.linalg.pinv(at.metric, rcond=1e-9, hermitian=True)
         least = 2 * at.value - np.einsum("cp,cpq,cq->c", at.gradient, inverse, at.gradient)
         worth = ~smooth | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
         low, high, slope, smooth = low[worth], high[worth], slope[worth], smooth[worth]
 
-    def linear(theta: np.ndarray, cell: np.ndarray | None = None, order: int = 0) -> Evaluation:
-        return problem.linearised(problem.predictions(theta), slope if cell is None else slope[cell], theta)
+    def linear(theta: np.ndarray, lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
+        return problem.linearised(problem.predictions(theta), slope if lane is None else slope[lane], theta)
 
     every = np.arange(len(low))
     ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS)
