@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps import outputs as table
 from slippulse_jax.sweeps.request import PARAMETERS, make_request
 
@@ -168,6 +169,32 @@ def test_pictures():
     with pytest.raises(ValueError, match="one or two axes"):
         plot.sweep(map_of.isel(height=0, stiffness=0))
     assert map_of.length.sel(height=20).plot()
+
+
+def test_pictures_mark_where_the_edge_breaks_again():
+    """The dashed part of a line begins at its last point before; maps are hatched. Sweeps without a status are not marked."""
+    stiffness = np.geomspace(0.01, 0.3, 12)
+    found = sp.sweep(height=[10.0, 25.0], stiffness=stiffness, poisson=0.3, outputs=("length", "status"))
+    ax = Figure().subplots()
+    plot.sweep(found, ax=ax)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "edge contact breaks again"]
+    (dashed,) = (line for line in ax.lines if line.get_linestyle() == "--")
+    first = np.flatnonzero(found.status.sel(height=25) == Outcome.REBREAK)[0]
+    assert np.flatnonzero(np.isfinite(dashed.get_ydata()))[0] == first - 1
+    over = sp.sweep(height=np.linspace(10, 50, 9), stiffness=stiffness, poisson=0.3, outputs=("exact_length", "exact_status"))
+    ax = Figure().subplots()
+    plot.sweep(over, ax=ax)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["edge contact breaks again"]
+    ax = Figure().subplots()
+    plot.sweep(over[["exact_length"]], ax=ax)
+    assert ax.get_legend() is None
+
+
+def test_numbers_of_the_slider():
+    found = sp.sweep(**AXES, outputs=("b", "slow_decay_length"))
+    slider = sp.Slider(25.0, 0.01, 0.3)
+    assert float(found.b.sel(height=25, stiffness=0.01)) == pytest.approx(float(slider.b), rel=1e-14)
+    assert float(found.slow_decay_length.sel(height=25, stiffness=0.01)) == pytest.approx(1 / float(slider.kappa_2), rel=1e-13)
 
 
 def test_an_interface_gives_the_numbers_that_are_not_swept():

@@ -6,6 +6,7 @@ import numpy as np
 
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import NAMES, axis_label, in_unit, symbol
+from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
 
 UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
+
+AGAIN = "edge contact breaks again"
+"""Legend entry of points beyond the onset of re-breaking, where the length is that of the front, not of the event."""
 
 LINES = 8
 """Largest number of lines in a family; an axis with more values makes a map."""
@@ -22,7 +26,8 @@ LINES = 8
 def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output of a sweep.
 
-    It is a line for each of at most 8 values of an axis, or a map over two axes.
+    It is a line for each of at most 8 values of an axis, or a map over two axes. If the sweep has a status, lines are dashed
+    and maps hatched where the edge contact breaks again.
 
     Parameters
     ----------
@@ -42,10 +47,12 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     if not 1 <= len(axes) <= 2 or "point" in axes:
         raise ValueError(f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'})")
     ax = style.axes(ax)
+    status = next((found[name] for name in ("status", "exact_status") if name in found), None)
+    again = column.copy(data=np.zeros(column.shape, bool)) if status is None else status.squeeze() == Outcome.REBREAK
     if len(axes) == 1 or column.sizes[axes[0]] <= LINES:
-        _lines(ax, column, axes[-1], axes[0] if len(axes) == 2 else None)
+        _lines(ax, column, again, axes[-1], axes[0] if len(axes) == 2 else None)
     else:
-        _map(ax, column, *(axes if axes[0] == column.dims[1] else axes[::-1]))
+        _map(ax, column, again, *(axes if axes[0] == column.dims[1] else axes[::-1]))
     fixed = [
         f"{symbol(name, UNIT_OF.get(name, ''))} = {float(column[name]):g}"
         for name in NAMES
@@ -55,22 +62,35 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     return ax
 
 
-def _lines(ax: "Axes", column: "xr.DataArray", along: str, family: str | None) -> None:
+def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str, family: str | None) -> None:
     import matplotlib as mpl
+    from matplotlib.lines import Line2D
 
-    members = [column] if family is None else [column.isel({family: i}) for i in range(column.sizes[family])]
+    every = [{}] if family is None else [{family: i} for i in range(column.sizes[family])]
+    members = [column.isel(one) for one in every]
     least, most = (0.4, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
     colours = mpl.colormaps["cividis"](np.linspace(least, most, len(members)))
-    for member, colour in zip(members, colours, strict=True):
+    for one, member, colour in zip(every, members, colours, strict=True):
         label = None if family is None else f"{float(member[family]):.4g}"
-        ax.plot(member[along].values, np.where(np.isfinite(member.values), member.values, np.nan), color=colour, label=label)
+        x, y = member[along].values, np.where(np.isfinite(member.values), member.values, np.nan)
+        beyond = again.isel(one).values
+        ax.plot(x, np.where(beyond, np.nan, y), color=colour, label=label)
+        if beyond.any():  # from the last point before on, so that the line has no gap
+            near = beyond | np.append(beyond[1:], False) | np.append(False, beyond[:-1])
+            ax.plot(x, np.where(near, y, np.nan), color=colour, linestyle="--")
     _scale(ax.set_xscale, column[along].values)
     ax.set(xlabel=_axis(along), ylabel=_label(column))
-    if family is not None:
-        ax.legend(title=_axis(family), loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
+    handles = ax.get_legend_handles_labels()[0]
+    if again.any():
+        handles.append(Line2D([], [], color=style.colours(ax).ink, linestyle="--", label=AGAIN))
+    if handles:
+        title = None if family is None else _axis(family)
+        ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
 
 
-def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> None:
+def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: str, horizontal: str) -> None:
+    from matplotlib.patches import Patch
+
     x, y = column[horizontal].values, column[vertical].values
     shown = column.transpose(vertical, horizontal).values.astype(float)
     shown = np.ma.masked_invalid(shown)  # fronts that never stop, or were given up, stay blank
@@ -78,6 +98,11 @@ def _map(ax: "Axes", column: "xr.DataArray", vertical: str, horizontal: str) -> 
     if shown.count() and np.ptp(shown) > 0 and column.dtype.kind == "f":
         lines = ax.contour(x, y, shown, colors="white", linewidths=0.7)
         ax.clabel(lines, fontsize="small")
+    if again.any():
+        shaded = again.transpose(vertical, horizontal).values
+        ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["///"]).set_edgecolor("white")
+        key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="///", label=AGAIN)
+        ax.legend(handles=[key], loc="lower left")
     _scale(ax.set_xscale, x)
     _scale(ax.set_yscale, y)
     ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))

@@ -65,6 +65,8 @@ OUTPUTS = {
         "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})
     ),
     "runaway_prestress": Output("prestress beyond which nothing far from the edge stops a front", "sigma_s", "theory", _FRONT),
+    "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", "slider"),
+    "slow_decay_length": Output("decay length of the slow mode, 1/kappa_2", "lambda_c", "slider"),
     "is_one_domino": Output(
         "the event is one domino from the edge", "1", "front", _FRONT, "int8",
         comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
@@ -232,6 +234,16 @@ def _macroscopic_kernel(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
     return (height * theory.macroscopic_length(b, poisson, prestress=prestress),)
 
 
+def _of_slider(_: Request, columns: Columns) -> Columns:
+    b, slow = over_lanes(_slider_kernel, _fields(columns, *SLIDER), LAYOUT)
+    return {"b": b, "slow_decay_length": slow}
+
+
+def _slider_kernel(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array]:
+    slider = Slider(*lanes)
+    return slider.b, slider.slow_decay_length
+
+
 def _validity(_: Request, columns: Columns) -> Columns:
     continuous, frozen, far = over_lanes(_validity_kernel, _fields(columns, *SLIDER), LAYOUT)
     return {"is_continuous": continuous, "is_frozen": frozen, "is_far_from_edge": far}
@@ -260,5 +272,6 @@ _GROUPS = {
     "smooth": _smooth,
     "theory": _theory,
     "macroscopic": _macroscopic,
+    "slider": _of_slider,
     "validity": _validity,
 }
