@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice.response import Response, carried
+from slippulse_jax.lattice.response import Response, carried, within
 
 SLACK_DIGITS = 4096
 """Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
@@ -234,24 +234,26 @@ def run(
 
 
 def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note) -> Cascade:
-    size = start.given.shape[1]
+    blocks, size = start.given.shape
 
     def triggered(now: Cascade) -> Array:
         return (now.breaks == 0) & (trigger >= 0) & (max_breaks > 0)
 
-    def going(carry: tuple[Cascade, Array]) -> Array:
-        now, bound = carry
+    def chosen(now: Cascade) -> tuple[Cascade, Array, Array]:
+        bound = bounds(resp, now.stresses)
+        return now, bound, jnp.where(triggered(now), trigger // size, most(bound)[0])
+
+    def going(carry: tuple[Cascade, Array, Array]) -> Array:
+        now, bound, _ = carry
         given_up = (now.breaks >= max_breaks) & (now.overload >= 0)
         return ((bound.max() >= 0) | triggered(now)) & ~given_up
 
-    def turn(carry: tuple[Cascade, Array]) -> tuple[Cascade, Array]:
-        now, bound = carry
-        first = triggered(now)
-        block = jnp.where(first, trigger // size, most(bound)[0])
-        others = jnp.where(jnp.arange(bound.shape[0]) == block, -jnp.inf, bound).max()
+    def turn(resp: Response, carry: tuple[Cascade, Array, Array]) -> tuple[Cascade, Array, Array]:
+        now, bound, block = carry
+        others = jnp.where(jnp.arange(blocks) == block, -jnp.inf, bound).max()
         limit, renewed = limits(block, now.given[block])
         opens = begun(opened(resp, now.stresses, block), limit, now.given[block], now.book)
-        forced = jnp.where(first, trigger % size, -1)
+        forced = jnp.where(triggered(now), trigger % size, -1)
         end = burst(resp, block, opens, renewed, others, forced, max_breaks - now.breaks, note)
         arrivals = carried(resp, block, end.left)
         after = Cascade(
@@ -262,9 +264,22 @@ def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: 
             overload=end.overload,
             book=end.book,
         )
-        return after, bounds(resp, after.stresses)
+        return chosen(after)
 
-    return lax.while_loop(going, turn, (start, bounds(resp, start.stresses)))[0]
+    if resp.near.shape[0]:
+        return lax.while_loop(going, partial(turn, resp), chosen(start))[0]
+
+    def in_known_blocks(carry: tuple[Array, Array, tuple]) -> tuple[Array, Array, tuple]:
+        """Compute the block to be opened, and go on until another one must be computed."""
+        near, known, now = carry
+        block = now[2]
+        links = (x[block] for x in (resp.links.right, resp.links.left, resp.links.source, resp.contact))
+        near, known = near.at[block].set(within(*links)), known.at[block].set(True)
+        here = resp._replace(near=near)
+        return near, known, lax.while_loop(lambda now: going(now) & known[now[2]], partial(turn, here), now)
+
+    nothing = jnp.zeros((blocks, size, size), start.given.dtype), jnp.zeros(blocks, bool)
+    return lax.while_loop(lambda carry: going(carry[2]), in_known_blocks, (*nothing, chosen(start)))[2][0]
 
 
 class Delayed(NamedTuple):

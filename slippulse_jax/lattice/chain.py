@@ -323,31 +323,39 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Elimination:
     return Elimination(beyond, floating.any() | (first.layer + first.across <= 0))
 
 
-def respond(chain: Chain, contact: Array, force: Pair) -> Pair:
+def carried_over(held: Springs, bond: Pair) -> tuple[Pair, Pair]:
+    """Displacements of a site per unit displacement beyond a bond of each layer.
+
+    `held` are the springs that hold the site, the bond's included. The first pair is per displacement of the upper layer.
+    """
+    zero = jnp.zeros_like(bond[0])
+    return solve_pair(held, (bond[0], zero)), solve_pair(held, (zero, bond[1]))
+
+
+def respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
     """Solve for the displacements due to given forces, with u_t[0] held.
 
-    Forces are passed from the right end to the left edge, displacements back. The result is zero where a part floats.
+    Forces are passed from the right end to the left edge, displacements back, each by the same 2×2 matrix, which `beyond`
+    determines (`eliminate`, for the same `contact`). The result is zero where a part floats.
     """
-    beyond = eliminate(chain, contact).beyond
     site = beside(beyond, chain.across, contact)
     held = Springs(site.upper[1:] + chain.upper, site.layer[1:] + chain.layer, site.across[1:])
+    by_upper, by_layer = carried_over(held, (chain.upper, chain.layer))
 
     def collect(arriving: Pair, here: tuple) -> tuple[Pair, Pair]:
-        springs, bond, (f, g) = here
-        total = (arriving[0] + f, arriving[1] + g)
-        v, u = solve_pair(springs, total)
-        return (bond[0] * v, bond[1] * u), total
+        (a, b), (c, d), (f, g) = here
+        f, g = arriving[0] + f, arriving[1] + g
+        return (a * f + b * g, c * f + d * g), (f, g)
 
-    bonds = (chain.upper, chain.layer)
     zero = jnp.zeros_like(force[0][0])
-    arriving, total = lax.scan(collect, (zero, zero), (held, bonds, tuple(f[1:] for f in force)), reverse=True)
+    arriving, total = lax.scan(collect, (zero, zero), (by_upper, by_layer, tuple(f[1:] for f in force)), reverse=True)
     stiff = site.layer[0] + site.across[0]
     first = (zero, (force[1][0] + arriving[1]) / jnp.where(stiff > 0, stiff, jnp.inf))
 
     def spread(before: Pair, here: tuple) -> tuple[Pair, Pair]:
-        springs, bond, total = here
-        after = solve_pair(springs, (bond[0] * before[0] + total[0], bond[1] * before[1] + total[1]))
+        (a, b), (c, d), (f, g) = here
+        after = (a * before[0] + c * before[1] + f, b * before[0] + d * before[1] + g)
         return after, after
 
-    _, after = lax.scan(spread, first, (held, bonds, total))
+    _, after = lax.scan(spread, first, (by_upper, by_layer, solve_pair(held, total)))
     return jnp.append(first[0], after[0]), jnp.append(first[1], after[1])

@@ -6,7 +6,7 @@ input come from the equations that the solution satisfies (implicit function the
 solve in forward mode, one with the transposed matrix, which is the same, in reverse mode.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice.chain import Chain, Pair, State, eliminate, respond
+from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
 from slippulse_jax.status import Status
+
+T = TypeVar("T")
 
 MAX_NEWTON_STEPS = 50
 DAMPING = tuple(0.5**n for n in range(12))
@@ -75,16 +77,30 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     short chain that moves as a rigid body under a load much smaller than K_L u_t cannot be in balance to better than that.
     """
     valid = all_numbers(chain, state)
-    safe, state = or_harmless(valid, chain, state)
-    (upper, layer), converged = solve(safe, state)
+    safe, state = or_harmless(valid, (chain, state))
+    return in_balance(valid, safe, state, eliminate(safe, safe.contact))
+
+
+def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> Equilibrium:
+    """Solve for the `equilibrium` of a chain that has been eliminated.
+
+    Parameters
+    ----------
+    valid : bool array, shape ()
+        Whether the chain and the state are those that were given, or have been replaced (`or_harmless`).
+    safe : Chain
+    state : State
+    right : Elimination
+        Of `safe` with its contacts.
+    """
+    (upper, layer), converged = solve(safe, state, lax.stop_gradient(right.beyond))
     pull = imbalance(safe, state, (upper, layer))
     force = safe.contact_force(layer - state.pinning)
     push = safe.upper[0] * (upper[0] - upper[1]) + safe.across[0] * (upper[0] - layer[0])
     scale = jnp.maximum(jnp.abs(push), jnp.abs(force).max())
     worst = jnp.maximum(jnp.abs(pull[0]).max(), jnp.abs(pull[1]).max())
-    floating = eliminate(safe, safe.contact).floating
     status = jnp.select(
-        [~valid, floating, ~converged],
+        [~valid, right.floating, ~converged],
         [EquilibriumStatus.INVALID, EquilibriumStatus.SINGULAR, EquilibriumStatus.NOT_CONVERGED],
         EquilibriumStatus.SOLVED,
     ).astype(jnp.int32)
@@ -93,12 +109,15 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
 
 
 @jax.custom_jvp
-def solve(chain: Chain, state: State) -> tuple[Pair, Array]:
-    """Solve for the displacements; also return whether Newton's method converged."""
+def solve(chain: Chain, state: State, beyond: Springs) -> tuple[Pair, Array]:
+    """Solve for the displacements; also return whether Newton's method converged.
+
+    `beyond` is the elimination of the chain with linear contacts; the derivative takes it as constant.
+    """
     start = (jnp.zeros_like(chain.contact).at[0].set(state.load), jnp.zeros_like(chain.contact))
     if chain.law is not None:
         return _newton(chain, state, start)
-    moved = respond(chain, chain.contact, imbalance(chain, state, start))
+    moved = respond(chain, chain.contact, beyond, imbalance(chain, state, start))
     return (start[0] + moved[0], moved[1]), jnp.ones((), bool)
 
 
@@ -108,11 +127,15 @@ def _implicit_derivative(primals, tangents):
 
     0 = d imbalance = −(tangent stiffness) dx + ∂imbalance at the solution x, which can itself be differentiated again.
     """
-    chain, state = primals
-    x, converged = solve(chain, state)
+    chain, state, beyond = primals
+    x, converged = solve(chain, state, beyond)
     unmoved = (jnp.zeros_like(x[0]).at[0].set(tangents[1].load), jnp.zeros_like(x[1]))
-    forces = jax.jvp(imbalance, (chain, state, x), (*tangents, unmoved))[1]
-    moved = _solve_linear(chain, _tangent(chain, x[1] - state.pinning), forces)
+    forces = jax.jvp(imbalance, (chain, state, x), (*tangents[:2], unmoved))[1]
+    if chain.law is None:
+        moved = _solve_linear(chain, chain.contact, beyond, forces)
+    else:
+        contact = _tangent(chain, x[1] - state.pinning)
+        moved = _solve_linear(chain, contact, eliminate(chain, contact).beyond, forces)
     none = np.zeros(np.shape(converged), jax.dtypes.float0)
     return (x, converged), ((unmoved[0] + moved[0], moved[1]), none)
 
@@ -142,7 +165,7 @@ def _springs(chain: Chain, x: Pair) -> Pair:
     )
 
 
-def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
+def _solve_linear(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
     """`respond` as a linear map that JAX can differentiate and transpose."""
 
     # one array for both layers: custom_linear_solve fails on a pair in which one tangent is a symbolic zero
@@ -151,15 +174,15 @@ def _solve_linear(chain: Chain, contact: Array, force: Pair) -> Pair:
         return jnp.stack([(-forces[0]).at[0].set(x[0, 0]), contact * x[1] - forces[1]])
 
     def solver(_, b: Array) -> Array:
-        return jnp.stack(_respond(chain, contact, (b[0], b[1])))
+        return jnp.stack(_respond(chain, contact, beyond, (b[0], b[1])))
 
     upper, layer = lax.custom_linear_solve(stiffness, jnp.stack(force), solver, symmetric=True)
     return upper, layer
 
 
-def _respond(chain: Chain, contact: Array, force: Pair) -> Pair:
+def _respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
     """`respond`, extended symmetrically by the identity on u_t[0]."""
-    upper, layer = respond(chain, contact, force)
+    upper, layer = respond(chain, contact, beyond, force)
     return upper.at[0].set(force[0][0]), layer
 
 
@@ -177,7 +200,8 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
 
     def step(carry):
         x, now, n, _ = carry
-        dx = respond(chain, _tangent(chain, x[1] - state.pinning), imbalance(chain, state, x))
+        contact = _tangent(chain, x[1] - state.pinning)
+        dx = respond(chain, contact, eliminate(chain, contact).beyond, imbalance(chain, state, x))
         tried = jax.vmap(lambda part: size(jax.tree.map(lambda a, b: a + part * b, x, dx)))(parts)
         best = jnp.nanargmin(tried)
         after = jnp.where(jnp.isnan(tried[best]), jnp.inf, tried[best])
@@ -207,9 +231,9 @@ def all_numbers(chain: Chain, state: State) -> Array:
     return finite & jnp.stack(positive).all() & (chain.stiffness > 0)
 
 
-def or_harmless(valid: Array, chain: Chain, state: State) -> tuple[Chain, State]:
-    """Replace an invalid chain and state by ones.
+def or_harmless(valid: Array, given: T) -> T:
+    """Replace what belongs to an invalid chain or state by ones.
 
     This keeps NaN out of loops and derivatives.
     """
-    return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), (chain, state))
+    return jax.tree.map(lambda x: jnp.where(valid, x, jnp.ones_like(x)), given)

@@ -5,22 +5,24 @@ the interfacial layer at i per force at j). Displacements are carried from site 
 entries, P_i to the right and Q_i to the left, so that beyond the source G_ij is a product of propagators: G is
 block-semiseparable. The sites are divided into blocks of about √N:
 
-* within the block of the source, G is stored as it is (`near`);
+* within the block of the source, G is stored as it is (`near`), computed when a contact of the block first breaks;
 * any other block receives two displacements per edge, u_t and u, whatever happened in the source's block. The stress on one of
   its contacts is computed from these when it is needed (`read`).
 
 A break thus costs O(√N), or O(N) where every stress is wanted, and the chain is never solved again. Nothing is subtracted.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.independence import lane_by_lane
-from slippulse_jax.lattice.chain import Chain, Pair, Springs, beside, eliminate, solve_pair, through
+from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
 
 
 class Response(NamedTuple):
@@ -29,7 +31,9 @@ class Response(NamedTuple):
     The last block is padded with sites without contact.
     """
 
-    near: Float[Array, "B M M"]  # q_i G_ij within a block; the middle axis is the source j
+    links: "Propagators"  # of every site, in blocks
+    contact: Float[Array, "B M"]  # q_i
+    near: Float[Array, "blocks M M"]  # q_i G_ij within a block, source j first; of no block where `within` is left to be called
     read: Float[Array, "B 4 M"]  # stress at i per u_t, u at the block's left edge and per u_t, u at its right edge
     leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress released at j
     pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: edge values per edge value of the neighbour
@@ -37,7 +41,7 @@ class Response(NamedTuple):
     spill: Float[Array, "B 4"]  # most that any contact of another block receives, per unit that leaves this block
     at_load: Float[Array, "B 4"]  # received by a block per load: k⁻¹ (u_t, u) at its left edge, nothing at its right edge
     edge_stiffness: Float[Array, ""]  # force on the left edge per load, in K
-    floating: Bool[Array, ""]  # whether a part of the chain is unattached
+    right: Elimination  # of the chain from its right end
 
 
 class Propagators(NamedTuple):
@@ -51,7 +55,6 @@ class Propagators(NamedTuple):
     source: Array  # displacements at site i per force on its interfacial layer
     follow: Array  # u[0] per u_t[0], shape ()
     edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
-    floating: Array  # whether a part of the chain is unattached
 
 
 def block_size(sites: int) -> int:
@@ -65,9 +68,8 @@ def block_size(sites: int) -> int:
     return size
 
 
-def propagators(chain: Chain) -> Propagators:
-    """Compute a chain's propagators from one elimination per end."""
-    right = eliminate(chain, chain.contact)
+def propagators(chain: Chain, right: Elimination) -> Propagators:
+    """Compute a chain's propagators, given its elimination from the right end."""
     site = beside(right.beyond, chain.across, chain.contact)
 
     def step(near: Springs, here: tuple) -> tuple[Springs, Springs]:
@@ -85,10 +87,7 @@ def propagators(chain: Chain) -> Propagators:
     behind = Springs(*(jnp.concatenate([n[None], f[None], r]) for n, f, r in zip(none, first, rest, strict=True)))
 
     def columns(held: Springs, bond: Pair) -> Array:
-        """Response to unit displacements beyond a bond, a 2×2 matrix."""
-        zero = jnp.zeros_like(bond[0])
-        by_upper, by_layer = solve_pair(held, (bond[0], zero)), solve_pair(held, (zero, bond[1]))
-        return jnp.stack([jnp.stack([by_upper[0], by_layer[0]], -1), jnp.stack([by_upper[1], by_layer[1]], -1)], -2)
+        return jnp.stack([jnp.stack(column, -1) for column in carried_over(held, bond)], -1)
 
     bond = (chain.upper, chain.layer)
     after = Springs(site.upper[1:] + bond[0], site.layer[1:] + bond[1], site.across[1:])
@@ -110,7 +109,6 @@ def propagators(chain: Chain) -> Propagators:
         source=source.at[0].set(at_edge),
         follow=follow,
         edge_stiffness=right.beyond.upper[0] + site.across[0] * apart,
-        floating=right.floating,
     )
 
 
@@ -121,22 +119,19 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain) -> Response:
+def response(chain: Chain, *, near: bool = True) -> Response:
     """Compute the response of a chain with linear contacts.
 
-    It does not depend on thresholds and prestress.
+    It does not depend on thresholds and prestress. Without `near`, the response inside a block is left to `within`.
     """
-    links = propagators(chain)
+    right = eliminate(chain, chain.contact)
+    sites = propagators(chain, right)
     size = block_size(chain.sites)
-    P, Q, v = (into_blocks(x, size) for x in links[:3])
+    links = sites._replace(**{name: into_blocks(getattr(sites, name), size) for name in ("right", "left", "source")})
     q = into_blocks(chain.contact, size)
-    blocks = q.shape[0]
-    # propagation to the left is the mirror image of propagation to the right
-    both = _one_way(jnp.concatenate([P, Q[::-1, ::-1]]), jnp.concatenate([v, v[::-1, ::-1]]))
-    near, read, leave, across = (x[:blocks] for x in both)
-    near_left, read_left, leave_left, across_left = (x[blocks:][::-1] for x in both)
-    near = near + jnp.where(jnp.eye(size, dtype=bool)[None], 0, near_left[:, ::-1, ::-1])
-    read = jnp.concatenate([read, read_left[:, :, ::-1]], 1) * q[:, None, :]
+    read, leave, across = _through_blocks(links.right, links.source, reverse=False)
+    read_left, leave_left, across_left = _through_blocks(links.left, links.source, reverse=True)
+    read = jnp.concatenate([read, read_left], 1) * q[:, None, :]
     pass_on = jnp.concatenate([_between_blocks(across), _between_blocks(across_left[::-1])[::-1, ::-1]], 2)
     reach = read.max(-1)
 
@@ -147,26 +142,28 @@ def response(chain: Chain) -> Response:
     _, at_load = lax.scan(load_step, start, across)
     felt = pass_on * reach[None, :, :, None]
     return Response(
-        near=near * q[:, None, :],
+        links=links,
+        contact=q,
+        near=jax.vmap(within)(links.right, links.left, links.source, q) if near else jnp.zeros((0, size, size), q.dtype),
         read=read,
-        leave=jnp.concatenate([leave, leave_left[:, ::-1]], -1),
+        leave=jnp.concatenate([leave, leave_left], -1),
         pass_on=pass_on,
         reach=reach,
         spill=jnp.concatenate([felt[:, :, :2].sum(2), felt[:, :, 2:].sum(2)], -1).max(1),
         at_load=jnp.concatenate([at_load, jnp.zeros_like(at_load)], -1),
         edge_stiffness=links.edge_stiffness,
-        floating=links.floating,
+        right=right,
     )
 
 
-def shared_response(chain: Chain) -> Response:
+def shared_response(chain: Chain, *, near: bool = True) -> Response:
     """Compute `response` once for lanes that share their springs.
 
     Such lanes differ in thresholds or prestress only.
     """
     none = jnp.ones(chain.sites, chain.contact.dtype)
     springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
-    return lane_by_lane(response, springs)
+    return lane_by_lane(partial(response, near=near), springs)
 
 
 def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
@@ -177,25 +174,45 @@ def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
     return a[..., :, :1] * b[..., :1, :] + a[..., :, 1:] * b[..., 1:, :]
 
 
-def _one_way(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"]) -> tuple[Array, Array, Array, Array]:
-    """Compute `near`, `read` and `leave` to the right of a source.
+def within(
+    P: Float[Array, "M 2 2"], Q: Float[Array, "M 2 2"], source: Float[Array, "M 2"], contact: Float[Array, " M"]
+) -> Float[Array, "M M"]:
+    """Compute q_i G_ij inside one block, source first.
 
-    The fourth result is the propagator across each block. Pieces of a block are joined in pairs, from single sites to the
-    whole block; terms that cross a joint are products.
+    The displacements due to all sources are carried through the block together, site by site, in each direction. What arrives
+    at a site from every source is, by reciprocity, what every site receives from a source there.
     """
-    near, across = v[:, :, None, 1:], P
-    read = jnp.broadcast_to(jnp.array([[0.0], [1.0]], P.dtype), (*P.shape[:2], 2, 1))
-    leave = _mul(P, v[..., None])[:, :, None, :, 0]
-    while near.shape[1] > 1:
-        (near_a, near_b), (read_a, read_b), (leave_a, leave_b), (across_a, across_b) = (
-            (x[:, 0::2], x[:, 1::2]) for x in (near, read, leave, across)
-        )
-        joint = _mul(leave_a, read_b)
-        near = jnp.concatenate([jnp.concatenate([near_a, joint], -1), jnp.concatenate([jnp.zeros_like(joint), near_b], -1)], -2)
-        read = jnp.concatenate([read_a, _mul(jnp.swapaxes(across_a, -1, -2), read_b)], -1)
-        leave = jnp.concatenate([_mul(leave_a, jnp.swapaxes(across_b, -1, -2)), leave_b], -2)
-        across = _mul(across_b, across_a)
-    return near[:, 0], read[:, 0], leave[:, 0], across[:, 0]
+    sites = jnp.arange(contact.size, dtype=jnp.int32)
+
+    def arriving(P: Array, *, reverse: bool) -> Array:
+        def step(arriving: Pair, here: tuple) -> tuple[Pair, Array]:
+            P, source, site = here
+            upper, layer = (jnp.where(sites == site, source[edge], arriving[edge]) for edge in (0, 1))
+            after = P[0, 0] * upper + P[0, 1] * layer, P[1, 0] * upper + P[1, 1] * layer
+            return after, arriving[1] if reverse else layer  # the source itself counts once
+
+        nothing = jnp.zeros_like(contact)
+        return lax.scan(step, (nothing, nothing), (P, source, sites), reverse=reverse)[1]
+
+    return (arriving(P, reverse=False) + arriving(Q, reverse=True)) * contact[None]
+
+
+def _through_blocks(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"], *, reverse: bool) -> tuple[Array, Array, Array]:
+    """Compute `read`, `leave` and the propagator across each block, in one direction."""
+    along, source = jnp.moveaxis(P, 0, -1), jnp.moveaxis(v, 0, -1)  # blocks last: arithmetic on rows
+    unit = jnp.broadcast_to(jnp.eye(2, dtype=P.dtype)[..., None], along.shape[1:])
+
+    def product(a: Array, b: Array) -> Array:
+        return a[:, 0, None] * b[None, 0] + a[:, 1, None] * b[None, 1]
+
+    across, read = lax.scan(lambda so_far, P: (product(P, so_far), so_far[1]), unit, along, reverse=reverse)
+
+    def back(rest: Array, here: tuple) -> tuple[Array, Array]:
+        rest = product(rest, here[0])
+        return rest, rest[:, 0] * here[1][None, 0] + rest[:, 1] * here[1][None, 1]
+
+    _, leave = lax.scan(back, unit, (along, source), reverse=not reverse)
+    return jnp.moveaxis(read, -1, 0).swapaxes(1, 2), jnp.moveaxis(leave, -1, 0), jnp.moveaxis(across, -1, 0)
 
 
 def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:

@@ -24,8 +24,15 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
-from slippulse_jax.lattice.chain import Chain, State
-from slippulse_jax.lattice.equilibrium import Equilibrium, EquilibriumStatus, equilibrium, or_harmless
+from slippulse_jax.lattice.chain import Chain, State, eliminate
+from slippulse_jax.lattice.equilibrium import (
+    Equilibrium,
+    EquilibriumStatus,
+    all_numbers,
+    equilibrium,
+    in_balance,
+    or_harmless,
+)
 from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
@@ -188,6 +195,7 @@ class Record(NamedTuple):
 
     order: Int[Array, " L"]  # sites in order of breaking, −1 where none
     released: Float[Array, " L"]  # stress each break released
+    broken: Float[Array, " N"]  # how often each contact broke
     breaks: Int[Array, ""]
     energy: Float[Array, ""]  # released, in K u_s²
     furthest: Int[Array, ""]  # rightmost site broken so far
@@ -197,16 +205,18 @@ class Record(NamedTuple):
 def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Cascade:
     """Run the cascade and record every break."""
     max_breaks, delay = limits
-    size = resp.near.shape[1]
+    size = resp.contact.shape[1]
     soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
     none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
-    start = Record(jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), zero, none, zero - 1, none)
+    empty = jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), jnp.zeros_like(stress)
+    start = Record(*empty, zero, none, zero - 1, none)
 
     def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
         site = moves.sites[-1]
         return Record(
             order=record.order.at[record.breaks].set(site),
             released=record.released.at[record.breaks].set(t),
+            broken=record.broken.at[site].add(1),
             breaks=record.breaks + 1,
             energy=record.energy + t * (t + after) * soft[site],
             furthest=jnp.maximum(site, record.furthest),
@@ -219,9 +229,10 @@ def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array
 
 
 def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
-    before = equilibrium(chain, state)
+    valid = all_numbers(chain, state)
+    safe, state, right = or_harmless(valid, (chain, state, resp.right))
+    before = in_balance(valid, safe, state, right)
     good = before.status == EquilibriumStatus.SOLVED
-    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
     n = chain.sites
     # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
@@ -229,7 +240,8 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
     record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
     slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
+    finite = jnp.isfinite(slip).all()
+    after = in_balance(finite, safe, or_harmless(finite, after_state), right)
     ahead = jnp.minimum(record.furthest + 1, n - 1)
     short_by = stress[ahead] - safe.threshold[ahead]
     endings = {
@@ -248,7 +260,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
         order=record.order,
         released=record.released,
         breaks=record.breaks,
-        broken=jnp.zeros_like(slip).at[record.order].add(record.order >= 0, mode="drop"),
+        broken=record.broken,
         slip=slip,
         stress_drop=before.stress - after.stress,
         energy=record.energy,
@@ -260,7 +272,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    resp = shared_response(chain)
+    resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
     return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
 
 
@@ -292,10 +304,12 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
         `broken` the fraction of each contact that broke, and `length` is ℓ_w, from the left edge to where p has faded.
         `breaks` and `extent` count the contacts of which more than half broke; RAN_THROUGH if the last one is among them.
     """
-    before = equilibrium(chain, state)
+    valid = all_numbers(chain, state)
+    safe, state = or_harmless(valid, (chain, state))
+    right = eliminate(safe, safe.contact)
+    before = in_balance(valid, safe, state, right)
     good = before.status == EquilibriumStatus.SOLVED
-    safe, state = or_harmless(before.status != EquilibriumStatus.INVALID, chain, state)
-    links, n = propagators(safe), chain.sites
+    links, n = propagators(safe, right), chain.sites
     attached = safe.contact > 0
 
     def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
@@ -310,7 +324,8 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     given_up = p * t
     slip = given_up * safe.stiffness / jnp.where(attached, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
-    after = equilibrium(safe, after_state)
+    finite = jnp.isfinite(slip).all()
+    after = in_balance(finite, safe, or_harmless(finite, after_state), right)
 
     theta = safe.threshold
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])

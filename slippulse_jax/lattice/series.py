@@ -186,7 +186,7 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     )
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # the only stress in a relaxed chain
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
-    valid = all_numbers(chain, chain.relaxed()) & ~resp.floating & holds
+    valid = all_numbers(chain, chain.relaxed()) & ~resp.right.floating & holds
     end = load_through(by, start(by, into_blocks(prestress, resp.near.shape[1]), valid))
     pinning = by.contacts.gains[:, :, 1] * end.given
     state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)
