@@ -132,7 +132,7 @@ def burst(
     """
     size = start.stress.shape[0]
     spill = resp.spill[block] * slack(start.stress)
-    sites = jnp.arange(size)
+    sites = jnp.arange(size, dtype=jnp.int32)
     start = start._replace(site=jnp.where(forced >= 0, forced, start.site))
 
     def going(b: Burst) -> Array:
@@ -250,7 +250,7 @@ def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: 
 
     def turn(resp: Response, carry: tuple[Cascade, Array, Array]) -> tuple[Cascade, Array, Array]:
         now, bound, block = carry
-        others = jnp.where(jnp.arange(blocks) == block, -jnp.inf, bound).max()
+        others = jnp.where(jnp.arange(blocks, dtype=jnp.int32) == block, -jnp.inf, bound).max()
         limit, renewed = limits(block, now.given[block])
         opens = begun(opened(resp, now.stresses, block), limit, now.given[block], now.book)
         forced = jnp.where(triggered(now), trigger % size, -1)
@@ -297,7 +297,7 @@ class Delayed(NamedTuple):
 def _one_by_one(
     delay: int, max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note
 ) -> Cascade:
-    all_blocks = jnp.arange(start.given.shape[0])
+    all_blocks = jnp.arange(start.given.shape[0], dtype=jnp.int32)
 
     def overloads(stress: Array, given: Array) -> Array:
         return stress - jax.vmap(limits)(all_blocks, given)[0]
@@ -334,8 +334,8 @@ def _given_up(resp: Response, moving: Int[Array, " n"], t: Array) -> Float[Array
     arrived = jax.vmap(partial(carried, resp))(block, resp.leave[block, place])[:, block]  # source, target, edge value
     far = (arrived * resp.read[block, :, place][None]).sum(-1)
     near = resp.near[block[:, None], place[:, None], place[None, :]]
-    green = jnp.where(block[:, None] == block[None, :], near, far) * there[:, None] * there[None, :]
-    return jnp.linalg.solve(jnp.eye(n) - green.T, jnp.zeros(n, t.dtype).at[-1].set(t))
+    green = jnp.where(there[:, None] & there[None, :], jnp.where(block[:, None] == block[None, :], near, far), 0)
+    return jnp.linalg.solve(jnp.eye(n, dtype=t.dtype) - green.T, jnp.zeros(n, t.dtype).at[-1].set(t))
 
 
 def _moved(

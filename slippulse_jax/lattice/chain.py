@@ -193,7 +193,7 @@ def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Fl
     sites = (chain.across * (upper - layer) ** 2).sum() + (chain.contact * (layer - pinning) ** 2).sum()
     end = chain.end.upper * upper[-1] ** 2 + chain.end.layer * layer[-1] ** 2
     end = end + chain.end.across * (upper[-1] - layer[-1]) ** 2
-    return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning * (chain.contact > 0)).sum()
+    return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning).sum(where=chain.contact > 0)
 
 
 def endless(bonds: Springs, contact: Array) -> Springs:

@@ -46,7 +46,7 @@ def passage(modes: Modes, contacts: Interface | Profile) -> Passage:
 
     def edge(front: DelayedFront) -> Array:
         """Stress on contact 0; 0 while it is detached."""
-        site = front.position - n + jnp.arange(n)
+        site = front.position - n + jnp.arange(n, dtype=front.position.dtype)
         y = jnp.where((site >= 0)[:, None], _from(modes, front.rest, site), 0)
         layer = front.rest.edge[0] + (y * front.rest.reach[None] * front.window[:, None]).sum().real
         return jnp.where(front.position <= n, 0, threshold - front.first + layer)
@@ -67,7 +67,7 @@ def _from(modes: Modes, rest: Front, site: Array) -> Float[Array, "sites modes"]
 def _window(modes: Modes, contacts: Interface | Profile, rest: Front, s: Array) -> tuple[Array, Array]:
     """Pinning points of the detached contacts behind contact s, and the stress on it."""
     n = contacts.repin_delay
-    offset = jnp.arange(n + 1)
+    offset = jnp.arange(n + 1, dtype=s.dtype)
     site = s - n + offset  # the last is the contact ahead
     inside = site >= 0
     y = _from(modes, rest, site)
@@ -99,7 +99,7 @@ def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Arra
 @partial(jax.jit, static_argnames="count")
 def pinning(modes: Modes, contacts: Interface | Profile, count: int, position: Array) -> Float[Array, " count"]:
     """u_b of the first `count` sites when contacts before `position` have broken; detached ones follow the layer."""
-    over, n, site = passage(modes, contacts), contacts.repin_delay, jnp.arange(count)
+    over, n, site = passage(modes, contacts), contacts.repin_delay, jnp.arange(count, dtype=jnp.int32)
 
     def step(carry: tuple[DelayedFront, Array], _: None) -> tuple[tuple[DelayedFront, Array], None]:
         front, held = carry

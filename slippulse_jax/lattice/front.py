@@ -166,7 +166,7 @@ def event_length(furthest: Any, overload: Any, ahead: Any) -> Any:
         Excess on the next contact when the event is over.
     """
     # rounding may leave a contact that was made to break just below its threshold
-    return straight_line(furthest, jnp.maximum(overload, 0), jnp.minimum(ahead, 0))
+    return straight_line(furthest.astype(ahead.dtype), jnp.maximum(overload, 0), jnp.minimum(ahead, 0))
 
 
 def outcome(
@@ -267,7 +267,9 @@ def let_run(over: Passage, valid: Array, end: Array, sites: int | None, max_cont
     front = lax.while_loop(lambda f: (excess(f) >= 0) & (f.position < limit), over.advance, over.start)
     s0, ahead, edge = front.position, excess(front), over.edge(front)
     through = s0 == (-1 if sites is None else sites)
-    status = outcome(s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0 >= end)
+    status = outcome(
+        s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0.astype(end.dtype) >= end
+    )
     length = straight_line((s0 - 1).astype(ahead.dtype), front.behind, ahead)
     return Arrest(s0, length_or_reason(status, length), status, edge)
 

@@ -170,7 +170,7 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
 @jax.jit
 def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     now = equilibrium(chain, state).stress
-    per_load = (equilibrium(chain, State(state.pinning, state.load + 1)).stress - now) * (chain.contact > 0)
+    per_load = jnp.where(chain.contact > 0, equilibrium(chain, State(state.pinning, state.load + 1)).stress - now, 0)
     pulled = per_load > 0
     missing = jnp.where(pulled, (chain.threshold - now) / jnp.where(pulled, per_load, 1), jnp.inf)
     overloaded = ((now >= chain.threshold) & (chain.contact > 0)).any()
@@ -315,10 +315,10 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
         P, source, stress, threshold, contact, site = here
         t = stress + contact * arriving[1]
-        p = jnp.where(site == trigger, 1, rule.broken(t, threshold)) * (contact > 0)
+        p = jnp.where(contact > 0, jnp.where(site == trigger, 1, rule.broken(t, threshold)), 0)
         return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
 
-    sites = jnp.arange(n)
+    sites = jnp.arange(n, dtype=jnp.int32)
     along = (links.right, links.source, before.stress, safe.threshold, safe.contact, sites)
     _, (p, t) = lax.scan(step, jnp.zeros(2, safe.contact.dtype), along)
     given_up = p * t
@@ -332,10 +332,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     from_trigger = jax.vmap(rule.broken)(
         t[1:], theta[1:]
     )  # the step from the trigger, which breaks completely, to its neighbour
-    reached = sites[:-1] >= jnp.where(trigger >= 0, trigger, 0)
-    length = (
-        jnp.where(trigger >= 0, trigger, 0) + jnp.where(reached, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0).sum()
-    )
+    first = jnp.maximum(trigger, 0)
+    along_steps = jnp.where(sites[:-1] >= first, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0)
+    length = first.astype(steps.dtype) + along_steps.sum()
 
     most = p > 0.5
     endings = {

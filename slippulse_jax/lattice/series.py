@@ -193,7 +193,8 @@ def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, 
     solved = equilibrium(chain, state)
     columns = recorded(by, end)
     stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
-    booked = (columns["stored"] * (jnp.arange(events) == columns["number"] - 1)).sum(where=columns["kind"] >= 0)
+    last = jnp.arange(events, dtype=jnp.int32) == columns["number"] - 1
+    booked = columns["stored"].sum(where=last & (columns["kind"] >= 0))
     return Catalogue(
         **columns,
         state=State(state.pinning[ahead:], state.load),
