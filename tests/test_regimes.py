@@ -10,6 +10,7 @@ from slippulse_jax.inference.likelihood import NORMAL, make_problem
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search import scan, search
 from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.status import Outcome
 
 
 def whole(height, length):
@@ -116,3 +117,17 @@ def test_regimes(regime):
         for share, level in zip(found.holds, (0.6827, 0.95), strict=True):
             slack = 3 * np.sqrt(level * (1 - level) / studies)
             assert share.value > level - slack
+
+
+@pytest.mark.parametrize(("b", "again"), [(1.0, False), (2.9, True)])
+def test_no_standard_error_where_the_edge_breaks_again(b, again):
+    """b of the middle height; that of the tallest reaches beyond b* = 3.09 in the second case."""
+    height = np.array([300.0, 500.0, 800.0])
+    slider = sp.Slider(height, b / (2.6 * 500), 0.3)
+    length = sp.precursor_lengths(slider)
+    result = sp.fit(sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.01 * length))
+    assert result.identifiability is (Identifiability.REBREAKS if again else Identifiability.IDENTIFIED)
+    assert (result.stderrs["stiffness"] is None) == again
+    assert (int(sp.first_precursor(sp.Slider(800.0, b / (2.6 * 500), 0.3)).status) == Outcome.REBREAK) == again
+    np.testing.assert_allclose(result.regime.b, slider.b, rtol=0.01)
+    assert "Regime: b = " in result.report()

@@ -14,9 +14,10 @@ from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
-from slippulse_jax.inference.result import FitResult, common_ratio, root_of
+from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
+from slippulse_jax.status import Outcome
 
 Intervals = dict[float, list[Interval]]
 """Pieces by confidence level."""
@@ -25,6 +26,8 @@ SIGMAS = ("absolute", "relative")
 INTERVALS = ("auto", "profile", "calibrated")
 MOST_ROOTS = 4  # followed along a profile
 SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
+WITHIN = 7
+"""Values within a piece of an interval at which is asked whether a contact breaks again."""
 BETWEEN = 0.5
 """Difference between ℓ* and the straight-line length, in σ, from which on the fit allows for it."""
 STRAIGHT = 1.15
@@ -139,6 +142,7 @@ def fit(
         pieces = {j: one.intervals for j, one in found.items()}
         verdicts = {j: _simulated(verdicts[j], found[j].covered) for j in asked}
     verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
+    verdicts = {j: _one_front(problem, verdicts[j], pieces[j][LEVELS[-1]], curves[j]) for j in asked}
     pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
     names = parameters.names
     return FitResult(
@@ -327,6 +331,27 @@ def _alone(j: int, verdict: Verdict, minima: list[Minimum], deviance: float, q: 
                 f"another valley, at {value}, is worse by a deviance of only {one.deviance - deviance:.3g}; use the intervals",
             )
     return verdict
+
+
+def _one_front(problem: Problem, verdict: Verdict, pieces: list[Interval], curve: Curve) -> Verdict:
+    """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
+    number = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL)
+    q = problem.parameters
+    if verdict.identifiability not in number or q.smooth:
+        return verdict
+    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces] + [np.empty(0)])
+    theta = np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1)
+    inputs = [q.inputs_at(one) for one in theta]
+    again = [(recursion_status(one) == Outcome.REBREAK).any() for one in inputs]
+    if not any(again):
+        return verdict
+    share = "within the 95 % interval" if not all(again) else "everywhere in the 95 % interval"
+    b = max(regime(one).b.max() for one in inputs)
+    return Verdict(
+        Identifiability.REBREAKS,
+        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "
+        "goes on, and the length fitted is that of the front alone",
+    )
 
 
 def _simulated(verdict: Verdict, covered: tuple[float, float]) -> Verdict:

@@ -18,6 +18,7 @@ from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.plain import plain
 from slippulse_jax.status import Outcome
+from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult, Root
@@ -62,6 +63,11 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
                 one.places, one.value.tolist(), one.sigma.tolist(), one.fitted.tolist(), strict=True
             )
         ],
+        "regime": {
+            "b": result.regime.b,
+            "rebreaking_b": rebreaking_b(),
+            "slow_decay_length": result.regime.slow_decay_length,
+        },
         "notes": result.notes,
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),

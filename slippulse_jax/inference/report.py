@@ -12,6 +12,7 @@ from slippulse_jax.inference.parameters import STIFFEST, Inputs, softest
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -39,6 +40,7 @@ def report(result: "FitResult") -> str:
         *_roots(result),
         "",
         _quality(result),
+        _regime(result),
         "",
         *_table(result),
         *_further(result),
@@ -158,6 +160,22 @@ def _quality(result: "FitResult") -> str:
         return f"Fit: {name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
     degrees = _plural(result.dof, "degree") + " of freedom"
     return f"Fit: {name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
+
+
+def _regime(result: "FitResult") -> str:
+    """b, against where contacts break again, and the length a block must exceed."""
+    at, m = result.regime, result.measurements
+    scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
+    return (
+        f"Regime: b = {_range(at.b)} (the edge of a tall slider breaks again from {rebreaking_b():.3g} on); "
+        f"1/κ₂ = {_range(at.slow_decay_length * scale)} {unit}, and the block must be 3 to 4 times as long"
+    )
+
+
+def _range(x: np.ndarray) -> str:
+    """``0.42 to 1.3``, or one number."""
+    low, high = (f"{float(f'{end:.2g}'):g}" for end in (x.min(), x.max()))
+    return low if low == high else f"{low} to {high}"
 
 
 def _scatter(result: "FitResult") -> str:
@@ -375,8 +393,9 @@ def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any():
-        ceiling = np.sqrt(2 * (1 + m.poisson[plateau][0])) * np.log(2)
+        poisson = m.poisson[plateau][0]
+        ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
         yield (
             f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
-            f"constrain stiffness little (for a tall slider no length exceeds {ceiling:.3f} H at ν = {m.poisson[plateau][0]:g})"
+            f"constrain stiffness little (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})"
         )

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from typing import Any
 
+import jax
 import numpy as np
 from scipy.special import chdtrc
 
@@ -52,6 +53,14 @@ class Fitted:
     length: np.ndarray  # in λc
     contacts_broken: np.ndarray
     status: np.ndarray  # `Outcome`
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Regime:
+    """Where in the model's range each measurement lies, at the best fit."""
+
+    b: np.ndarray  # areal stiffness times H over the shear modulus
+    slow_decay_length: np.ndarray  # 1/κ_2, in λc
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -189,6 +198,11 @@ class FitResult:
         return Fitted(length, counted.astype(int), recursion_status(self.parameters.inputs_at(self.theta)))
 
     @functools.cached_property
+    def regime(self) -> Regime:
+        """B and 1/κ_2 of each measurement at the best fit."""
+        return regime(self.parameters.inputs_at(self.theta))
+
+    @functools.cached_property
     def further(self) -> list[Further]:
         """Data beside the lengths, and the model there."""
         m, found = self.measurements, []
@@ -276,6 +290,13 @@ def common_ratio(q: ParameterSet, theta: np.ndarray) -> float | None:
     ratio = q.ratio(theta)
     fitted = any("stiffness" in one.label for one in q.free if not one.nuisance)
     return float(ratio[0]) if fitted and np.ptp(ratio) <= 1e-12 * ratio[0] else None
+
+
+def regime(inputs: Inputs) -> Regime:
+    """B and 1/κ_2 of each row of the inputs."""
+    with jax.enable_x64(True):
+        slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
+        return Regime(np.asarray(slider.b), np.asarray(slider.slow_decay_length))
 
 
 def recursion_status(inputs: Inputs) -> np.ndarray:

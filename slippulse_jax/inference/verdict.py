@@ -28,6 +28,7 @@ class Identifiability(enum.Enum):
     ONE_SIDED = "bounded on one side only"
     AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
     SKEWED = "identified, but not with a symmetric error"
+    REBREAKS = "identified only if the event ends with its first front, which in the model it does not"
     EQUAL = "bounded, without a best value: all values inside the interval fit equally"
     UNINFORMATIVE = "not identifiable: no value is preferred"
     POOR_FIT = "the model does not describe these data"
@@ -37,7 +38,7 @@ class Identifiability(enum.Enum):
 GRAVITY = (
     Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
     Identifiability.AT_MAXIMUM, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED, Identifiability.EQUAL,
-    Identifiability.SKEWED, Identifiability.IDENTIFIED,
+    Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
 )  # fmt: skip
 
 

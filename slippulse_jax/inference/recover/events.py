@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
+from slippulse_jax.lattice.front import Front, advance, event_length, straight_line, stress_ahead
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -109,8 +109,11 @@ def follow(of: Blocks, theta: Float[np.ndarray, " sites"], phi: Float[np.ndarray
     stress = phi + wait[start] * drive
     excess, overload, again = stress - theta, np.full(sites, np.nan), False
     for _ in range(MOST_BREAKS * sites):
-        again |= not np.isnan(overload[site])
-        overload[site], released = max(excess[site], 0.0), stress[site]
+        if np.isnan(overload[site]):
+            overload[site] = excess[site]
+        else:
+            again = True
+        released = stress[site]
         stress = stress + released * transfer(of, profile, site)
         stress[site] -= released
         excess = stress - theta
@@ -120,7 +123,7 @@ def follow(of: Blocks, theta: Float[np.ndarray, " sites"], phi: Float[np.ndarray
     broken = np.flatnonzero(~np.isnan(overload))
     last = int(broken[-1])
     stopped = excess[site] < 0 and last < sites - 1
-    length = float(straight_line(last, overload[last], excess[last + 1])) if stopped else np.nan
+    length = float(event_length(last, overload[last], excess[last + 1])) if stopped else np.nan
     return Event(length, start, int(broken[0]), bool(again))
 
 
