@@ -139,7 +139,7 @@ def test_numbers_that_are_not_finite_are_null():
 def test_what_is_not_found_is_one_line_and_exit_3(arguments, monkeypatch, in_this_process):
     """It was never seen to happen, so it is made to."""
 
-    def lost(lanes):
+    def lost(lanes, **_):
         return np.full(lanes.shape[1], np.nan), np.full(lanes.shape[1], Outcome.NOT_CONVERGED)
 
     monkeypatch.setattr("slippulse_jax.inference.model.exact_fronts", lost)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from slippulse_jax.lattice.front import Front, advance, event_length, straight_line, stress_ahead
+from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -123,7 +123,8 @@ def follow(of: Blocks, theta: Float[np.ndarray, " sites"], phi: Float[np.ndarray
     broken = np.flatnonzero(~np.isnan(overload))
     last = int(broken[-1])
     stopped = excess[site] < 0 and last < sites - 1
-    length = float(event_length(last, overload[last], excess[last + 1])) if stopped else np.nan
+    # as `event_length`, in double precision whatever the flag
+    length = float(straight_line(last, max(overload[last], 0.0), excess[last + 1])) if stopped else np.nan
     return Event(length, start, int(broken[0]), bool(again))
 
 
