@@ -1,5 +1,6 @@
 """The fit: honest errors, every root, and plain words where the data cannot tell."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
 from slippulse_jax.inference import search
+from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.optimise import Convergence
 from slippulse_jax.inference.parameters import Inputs
@@ -17,6 +19,7 @@ from slippulse_jax.inference.search import undetermined_axes
 from slippulse_jax.inference.verdict import Identifiability
 
 ROOT = Path(__file__).resolve().parent.parent
+PMMA = ROOT / "fit_examples/pmma_block/lengths.csv"
 
 
 def exact(height, stiffness, poisson=0.3):
@@ -180,7 +183,7 @@ def test_unfinished_search_says_so(monkeypatch):
 
 def test_bundled_pmma_block_gives_back_its_stiffness():
     """Data made by an independent banded solver with 2.0e10 Pa/m: within two standard errors, and a sensible χ²."""
-    result = fit(read_measurements(ROOT / "fit_examples/pmma_block/lengths.csv"))
+    result = fit(read_measurements(PMMA))
     value, error = result.values["areal_stiffness"], result.stderrs["areal_stiffness"]
     assert result.identifiability is Identifiability.IDENTIFIED
     assert abs(value - 2.0e10) < 2 * error
@@ -328,3 +331,37 @@ def test_figure(tmp_path):
         assert {"best fit", "longer than the model allows", measured} <= labels
         assert any(label.startswith("95% band") for label in labels)
         figure.savefig(tmp_path / f"{name}.png")
+
+
+@pytest.mark.parametrize("name", ["height", "length", "young", "poisson", "correlation_length"])
+def test_budget_is_what_fits_of_moved_inputs_give(name):
+    m, by = read_measurements(PMMA), 0.004
+
+    def stiffness(sign):
+        change = {"poisson": m.poisson + sign * by} if name == "poisson" else {name: getattr(m, name) * (1 + sign * by)}
+        if name == "correlation_length":  # heights and lengths were measured in mm
+            for one in ("height", "length", "length_sigma"):
+                change[one] = getattr(m, one) / (1 + sign * by)
+        return fit(dataclasses.replace(m, **change)).values["areal_stiffness"]
+
+    result = fit(m, "areal_stiffness")
+    moved = np.log(stiffness(1) / stiffness(-1)) / (2 * by)
+    assert result.budget[name].slope["areal_stiffness"] == pytest.approx(moved, rel=0.02)
+
+
+def test_inputs_with_errors_of_their_own_are_not_taken_as_exact():
+    m = read_measurements(PMMA)
+    stated = dataclasses.replace(m, poisson_sigma=np.full(6, 0.02), young_sigma=0.05 * m.young)
+    exact, known = fit(m, "areal_stiffness"), fit(stated, "areal_stiffness")
+    assert set(exact.budget) - set(known.budget) == {"poisson", "young"}
+    # the budget foretold what is in the standard error now
+    of_both = {name: exact.budget[name] for name in ("poisson", "young")}
+    assert known.stderrs["areal_stiffness"] == pytest.approx(total(exact, "areal_stiffness", of_both), rel=0.05)
+
+
+def test_report_adds_what_usual_errors_of_the_inputs_do():
+    result = fit(read_measurements(PMMA), "areal_stiffness")
+    whole = total(result, "areal_stiffness", result.budget)
+    assert whole > 4 * result.stderrs["areal_stiffness"]
+    assert "Taken as exact, with an error that is usual" in result.report()
+    assert set(result.to_dict()["budget"]) == set(result.budget)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.parameters import STIFFEST, Inputs, softest
@@ -44,6 +45,7 @@ def report(result: "FitResult") -> str:
         "",
         *_table(result),
         *_further(result),
+        *_budget(result),
     ]
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
@@ -234,6 +236,34 @@ def _further(result: "FitResult") -> list[str]:
             f"worst at {one.places[worst]}: (fit-meas)/σ = {off[worst]:+.2f}"
         )
     return rows
+
+
+INPUTS = {"height": "H", "length": "every length", "young": "E", "poisson": "ν", "correlation_length": "λc"}
+
+
+def _budget(result: "FitResult") -> list[str]:
+    """What usual errors of the inputs taken as exact would add, and the error with them."""
+    moved = result.budget
+    if not moved:
+        return []
+    names = list(next(iter(moved.values())).slope)
+    q = result.parameters
+    free = {name: q.free[q.index(name)] for name in names}
+    heads = ["input", "if larger by", *(f"moves {_symbol(name, one.symbol)} by" for name, one in free.items())]
+    rows = [heads]
+    for name, one in moved.items():
+        by = {"poisson": f"{one.error:g}", "correlation_length": "a factor 2"}.get(name, f"{one.error:.0%}")
+        changes = [f"{one.by(j):+.1%}" if free[j].log else f"{one.by(j):+.2g}" for j in names]
+        rows.append([INPUTS[name], by, *changes])
+    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
+    lines = ["", "Taken as exact, with an error that is usual"]
+    lines += ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    for name in names:
+        whole = total(result, name, moved)
+        if whole is not None:
+            value = value_with_error(result.values[name], whole)
+            lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip())
+    return lines
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:

@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.bayes import Posterior, posterior
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
+from slippulse_jax.inference.budget import Moved, budget
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.parameters import Inputs, ParameterSet
@@ -201,6 +202,11 @@ class FitResult:
     def regime(self) -> Regime:
         """B and 1/κ_2 of each measurement at the best fit."""
         return regime(self.parameters.inputs_at(self.theta))
+
+    @functools.cached_property
+    def budget(self) -> dict[str, Moved]:
+        """What usual errors of the inputs that are taken as exact would change, by the input."""
+        return budget(self)
 
     @functools.cached_property
     def further(self) -> list[Further]:

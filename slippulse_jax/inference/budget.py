@@ -1,0 +1,94 @@
+"""How far the inputs of a fit move its result, beside the errors of the measured lengths.
+
+An input without a standard error of its own is taken as exact. What that leaves out is found by fitting again, near the best
+fit, with one input moved: that of all measurements alike, as by a wrong ruler or modulus.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slippulse_jax.inference.likelihood import make_problem
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.verdict import Identifiability
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
+
+STEP = 1e-3
+"""Half of the relative change of an input between two fits; of ν the change itself."""
+
+USUAL = {"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correlation_length": float(np.log(2))}
+"""Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
+known better than to a factor of two."""
+
+GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED)
+"""Verdicts with a value that an input can move."""
+
+
+class Moved(NamedTuple):
+    """What an error of one input does to the fitted parameters."""
+
+    error: float  # of the input, as in `USUAL`
+    slope: dict[
+        str, float
+    ]  # by parameter, d ln(parameter)/d ln(input); of ν, and of a parameter of either sign, the change itself
+
+    def by(self, name: str) -> float:
+        """Change of a parameter, relative where it is positive, if the input is larger by its error."""
+        return self.slope[name] * self.error
+
+
+def budget(result: "FitResult") -> dict[str, Moved]:
+    """Changes of the fitted parameters with each input that is taken as exact, by the name of its column."""
+    names = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+    m = result.measurements
+    fitted = {one.name for one in result.parameters.free}
+    exact = [name for name in USUAL if name not in fitted and _taken_as_exact(m, name)]
+    found = {}
+    for name in exact if names else ():
+        up, down = (_refitted(result, _moved(m, name, sign * STEP), name, sign * STEP) for sign in (1, -1))
+        each = (up - down) / (2 * STEP)
+        found[name] = Moved(USUAL[name], {one: float(each[result.parameters.index(one)]) for one in names})
+    return found
+
+
+def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | None:
+    """Standard error of a parameter with those of the inputs taken as exact; as that, None where there is none."""
+    stderr = result.stderrs[name]
+    if stderr is None:
+        return None
+    q = result.parameters
+    unit = result.values[name] if q.free[q.index(name)].log else 1.0
+    return float(np.hypot(stderr, unit * np.linalg.norm([one.by(name) for one in moved.values()])))
+
+
+def _taken_as_exact(m: Measurements, name: str) -> bool:
+    """Whether the table has this input, without an error."""
+    if name == "length":
+        return True
+    errors = getattr(m, f"{name}_sigma")
+    return getattr(m, name) is not None and (errors is None or not np.any(errors))
+
+
+def _moved(m: Measurements, name: str, by: float) -> Measurements:
+    """Measurements with one input of all of them larger by `by`; a length in metres stays what it is where λc moves."""
+    if name == "poisson":
+        return dataclasses.replace(m, poisson=np.minimum(m.poisson + by, 0.5))
+    moved = dataclasses.replace(m, **{name: getattr(m, name) * np.exp(by)})
+    if name != "correlation_length":
+        return moved
+    columns = ("height", "height_sigma", "length", "length_sigma")
+    shorter = {one: getattr(m, one) * np.exp(-by) for one in columns if getattr(m, one) is not None}
+    return dataclasses.replace(moved, **shorter)
+
+
+def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.ndarray:
+    """θ of the least deviance near the best fit, of other measurements."""
+    sigma = result.problem.blocks[0].data.sigma * (np.exp(-by) if name == "correlation_length" else 1)
+    q = parameter_set(m, result.request["free"])
+    problem = make_problem(m, q, result.problem.loss, sigma)
+    return minimise(problem, result.theta[None], q.low, q.high).theta[0]
