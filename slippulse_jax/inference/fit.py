@@ -255,9 +255,11 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
     around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
     around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
-    with np.errstate(invalid="ignore"):
-        off = (straight_lengths(around) - lengths(around).value).reshape(13, -1) * contact
-    typical = np.sqrt(np.mean(np.where(np.isfinite(off), off, 0) ** 2, axis=0))
+    exact = lengths(around).value
+    stops, off = np.isfinite(exact), np.zeros(len(exact))
+    off[stops] = straight_lengths(around.take(stops)) - exact[stops]
+    off = np.where(np.isfinite(off), off, 0).reshape(13, -1) * contact
+    typical = np.sqrt(np.mean(off**2, axis=0))
     typical = np.where(plain, typical, 0.0)
     return typical if (typical > BETWEEN * block.data.sigma).any() else None
 

@@ -182,7 +182,8 @@ def scan(problem: Problem) -> Cells:
             best = min(best, 2 * float(minimise(problem, starts, *box, max_steps=20).value.min()))
         with np.errstate(invalid="ignore"):
             bent = np.nan_to_num(np.abs(centre - corner.mean(axis=1)), nan=0.0, posinf=0.0)
-            span = np.nan_to_num(np.abs(np.ptp(corner, axis=1)), nan=np.inf)
+            # infinite at every corner, a prediction does not change
+            span = np.nan_to_num(np.ptp(corner, axis=1), nan=0.0, posinf=np.inf)
         ranges = np.concatenate([corner, centre[:, None]], axis=1)
         bound = 2 * problem.least(ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent, low, high)
         live = bound <= best + slack
@@ -281,8 +282,9 @@ def _minimised(
     problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
 ) -> Cells:
     """Minimise in every cell, with the derivatives of the predictions that its corners give."""
-    change = np.stack(_changes(corner, _upper(problem.p)), axis=2)
-    smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & np.isfinite(centre).all(axis=1))
+    endless = np.isinf(corner).all(axis=1)  # runs away everywhere in the cell
+    change = np.where(endless[:, :, None], 0, np.stack(_changes(corner, _upper(problem.p)), axis=2))
+    smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & (np.isfinite(centre) | endless).all(axis=1))
     slope = np.where(smooth[:, None, None], change, 0) / (high - low)[:, None]
     if problem.plain and complete:  # an unresolved cell is not judged by its linear model
         middle = (low + high) / 2
