@@ -282,7 +282,7 @@ def _minimised(
     problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
 ) -> Cells:
     """Minimise in every cell, with the derivatives of the predictions that its corners give."""
-    endless = np.isinf(corner).all(axis=1)  # runs away everywhere in the cell
+    endless = np.asarray(np.isinf(corner).all(axis=1))  # runs away everywhere in the cell
     change = np.where(endless[:, :, None], 0, np.stack(_changes(corner, _upper(problem.p)), axis=2))
     smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & (np.isfinite(centre) | endless).all(axis=1))
     slope = np.where(smooth[:, None, None], change, 0) / (high - low)[:, None]
