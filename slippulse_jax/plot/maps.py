@@ -1,5 +1,6 @@
 """Pictures of sweeps: maps, and families of lines."""
 
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,8 @@ UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per si
 
 AGAIN = "edge contact breaks again"
 """Legend entry of points beyond the onset of re-breaking, where the length is that of the front, not of the event."""
+WIDEST = 36
+"""Characters in a line of the label of a colour bar."""
 
 LINES = 8
 """Largest number of lines in a family; an axis with more values makes a map."""
@@ -102,11 +105,12 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
         shaded = again.transpose(vertical, horizontal).values
         ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["///"]).set_edgecolor("white")
         key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="///", label=AGAIN)
-        ax.legend(handles=[key], loc="lower left")
+        # over any colour of the map, on a page of any
+        ax.legend(handles=[key], loc="lower left", frameon=True, facecolor="white", framealpha=0.85, labelcolor="black")
     _scale(ax.set_xscale, x)
     _scale(ax.set_yscale, y)
     ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))
-    ax.figure.colorbar(mesh, ax=ax, label=_label(column))
+    ax.figure.colorbar(mesh, ax=ax, label=fill(_label(column), WIDEST))
 
 
 def _scale(set_scale: Any, values: np.ndarray) -> None:
