@@ -365,3 +365,15 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     assert whole > 4 * result.stderrs["areal_stiffness"]
     assert "Taken as exact, with an error that is usual" in result.report()
     assert set(result.to_dict()["budget"]) == set(result.budget)
+
+
+def test_counts_have_no_scale():
+    """A count stays whole whatever λc, and H/λc may lie next to one."""
+    height = np.array([1.0005, 30.0, 50.0, 70.0])
+    count = np.maximum(np.ceil(exact(height, 0.005, 0.5)), 1)
+    m = Measurements(
+        height=height, poisson=0.5, length=count, length_sigma=1.0, kind=["whole"] * 4, correlation_length=1e-5, young=3e9
+    )
+    found = fit(m, "areal_stiffness").budget
+    assert set(found) == {"height", "young", "poisson", "correlation_length"}
+    assert found["young"].slope["areal_stiffness"] == pytest.approx(1, rel=1e-4)

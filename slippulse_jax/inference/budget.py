@@ -18,8 +18,8 @@ from slippulse_jax.inference.verdict import Identifiability
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-STEP = 1e-3
-"""Half of the relative change of an input between two fits; of ν the change itself."""
+STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "correlation_length": -1e-3}
+"""Relative change of an input for a fit, of ν the change itself: upward where H/λc then grows, so that it stays above one."""
 
 USUAL = {"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correlation_length": float(np.log(2))}
 """Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
@@ -50,8 +50,8 @@ def budget(result: "FitResult") -> dict[str, Moved]:
     exact = [name for name in USUAL if name not in fitted and _taken_as_exact(m, name)]
     found = {}
     for name in exact if names else ():
-        up, down = (_refitted(result, _moved(m, name, sign * STEP), name, sign * STEP) for sign in (1, -1))
-        each = (up - down) / (2 * STEP)
+        step = STEPS[name]
+        each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
         found[name] = Moved(USUAL[name], {one: float(each[result.parameters.index(one)]) for one in names})
     return found
 
@@ -67,9 +67,9 @@ def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | No
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
-    """Whether the table has this input, without an error."""
+    """Whether the table has this input, without an error; contacts that were counted have no scale."""
     if name == "length":
-        return True
+        return set(m.kind) != {"whole"}
     errors = getattr(m, f"{name}_sigma")
     return getattr(m, name) is not None and (errors is None or not np.any(errors))
 
@@ -77,18 +77,26 @@ def _taken_as_exact(m: Measurements, name: str) -> bool:
 def _moved(m: Measurements, name: str, by: float) -> Measurements:
     """Measurements with one input of all of them larger by `by`; a length in metres stays what it is where λc moves."""
     if name == "poisson":
-        return dataclasses.replace(m, poisson=np.minimum(m.poisson + by, 0.5))
-    moved = dataclasses.replace(m, **{name: getattr(m, name) * np.exp(by)})
+        return dataclasses.replace(m, poisson=m.poisson + by)
+    factor, counted = np.exp(by), np.array(m.kind) == "whole"
+    if name == "length":
+        return dataclasses.replace(m, length=np.where(counted, m.length, m.length * factor))
+    moved = dataclasses.replace(m, **{name: getattr(m, name) * factor})
     if name != "correlation_length":
         return moved
-    columns = ("height", "height_sigma", "length", "length_sigma")
-    shorter = {one: getattr(m, one) * np.exp(-by) for one in columns if getattr(m, one) is not None}
+    shorter = {"height": m.height / factor, "length": np.where(counted, m.length, m.length / factor)}
+    if m.height_sigma is not None:
+        shorter["height_sigma"] = m.height_sigma / factor
+    if m.length_sigma is not None:
+        shorter["length_sigma"] = np.where(counted, m.length_sigma, m.length_sigma / factor)
     return dataclasses.replace(moved, **shorter)
 
 
 def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.ndarray:
     """θ of the least deviance near the best fit, of other measurements."""
-    sigma = result.problem.blocks[0].data.sigma * (np.exp(-by) if name == "correlation_length" else 1)
+    sigma = result.problem.blocks[0].data.sigma
+    if name == "correlation_length":
+        sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
     q = parameter_set(m, result.request["free"])
     problem = make_problem(m, q, result.problem.loss, sigma)
     return minimise(problem, result.theta[None], q.low, q.high).theta[0]
