@@ -10,7 +10,7 @@ import pytest
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
 from slippulse_jax.inference import search
 from slippulse_jax.inference.budget import total
-from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.model import RISING, lengths
 from slippulse_jax.inference.optimise import Convergence
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.profile import Interval
@@ -365,6 +365,18 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     assert whole > 4 * result.stderrs["areal_stiffness"]
     assert "Taken as exact, with an error that is usual" in result.report()
     assert set(result.to_dict()["budget"]) == set(result.budget)
+
+
+def test_soft_lengths_rise_with_stiffness():
+    """Below `RISING`, where the longest length is not looked for."""
+    height, phi = np.array([1.01, 1.5, 3.0, 10.0, 100.0, 1e4]), np.array([-0.9, -0.4, 0.0, 0.3, 0.49, 0.9])
+    b = np.geomspace(1e-6, RISING, 60)[:, None, None]
+    for poisson in (-0.9, 0.3, 0.5):
+        at = Inputs.of(height[:, None], b / (2 * (1 + poisson) * height[:, None]), poisson, phi)
+        found = lengths(at.ravel()).value.reshape(at.poisson.shape)
+        assert np.isfinite(found).sum() > 1000
+        rounding = 1e-11 * np.where(np.isfinite(found[:-1]), found[:-1], 0)
+        assert (found[1:] >= found[:-1] - rounding).all()
 
 
 def test_counts_have_no_scale():

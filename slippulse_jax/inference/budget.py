@@ -1,4 +1,4 @@
-"""How far the inputs of a fit move its result, beside the errors of the measured lengths.
+"""Error budget of a fit: shifts of its result with each input, beside the errors of the measured lengths.
 
 An input without a standard error of its own is taken as exact. What that leaves out is found by fitting again, near the best
 fit, with one input moved: that of all measurements alike, as by a wrong ruler or modulus.

@@ -339,16 +339,15 @@ def _one_front(problem: Problem, verdict: Verdict, pieces: list[Interval], curve
     """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
     number = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL)
     q = problem.parameters
-    if verdict.identifiability not in number or q.smooth:
+    if verdict.identifiability not in number or q.smooth or not pieces:
         return verdict
-    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces] + [np.empty(0)])
-    theta = np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1)
-    inputs = [q.inputs_at(one) for one in theta]
-    again = [(recursion_status(one) == Outcome.REBREAK).any() for one in inputs]
-    if not any(again):
+    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
+    inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
+    again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1).any(axis=1)
+    if not again.any():
         return verdict
-    share = "within the 95 % interval" if not all(again) else "everywhere in the 95 % interval"
-    b = max(regime(one).b.max() for one in inputs)
+    share = "everywhere in the 95 % interval" if again.all() else "within the 95 % interval"
+    b = regime(inputs).b.max()
     return Verdict(
         Identifiability.REBREAKS,
         f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "

@@ -1,4 +1,4 @@
-"""Where the contact at the edge breaks again before the front stops.
+"""Onset of re-breaking: the contact at the edge is back at its threshold before the front stops.
 
 Contact 0 repins as the front starts, and every later break adds to the stress that it carries. Beyond an onset of the areal
 stiffness it is back at its threshold before the front stops, and the event has more breaks than one front.

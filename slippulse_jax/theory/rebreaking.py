@@ -1,4 +1,4 @@
-"""Where the contact at the edge breaks again before the front stops, for λc → 0.
+"""Onset of re-breaking at the edge, for λc → 0.
 
 Derivation in ``docs/macroscopic.md``. Within a few 1/κ of the edge the slow mode is level, and the front stress obeys, with
 y = κs and λ = (1 − β)/2,
