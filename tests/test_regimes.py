@@ -8,7 +8,7 @@ from benchmarks.regimes import counts, roots_missed, run, two
 from slippulse_jax.inference.counts import allowed_by_counts
 from slippulse_jax.inference.likelihood import NORMAL, make_problem
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.search import scan, search
+from slippulse_jax.inference.search import _minimised, scan, search
 from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
@@ -82,6 +82,21 @@ def test_the_scan_keeps_every_point_the_data_do_not_exclude():
     assert len(near) > 3
     held = ((cells.low <= near[:, None]) & (near[:, None] <= cells.high)).all(-1).any(-1)
     assert held.all()
+
+
+@pytest.mark.parametrize("kind", ["length", "whole"])
+def test_no_cell_may_be_left(kind):
+    """Where rounding or the linear models leave none, the search ends without, and does not fail."""
+    m = sp.Measurements(height=[20.0, 40.0], poisson=0.3, length=[9.0, 21.0], length_sigma=0.1, kind=[kind] * 2)
+    problem = problem_of(m, "stiffness")
+    none = _minimised(problem, *np.empty((2, 0, 1)), np.empty((0, 2, 2)), np.empty((0, 2)), 1.0, True)
+    assert none.theta.shape == (0, 1)
+    cells = scan(problem)
+    edges = np.stack([cells.low, cells.high])
+    corner = np.moveaxis([problem.predictions(edge) for edge in edges], 0, 1)
+    # no deviance is below zero
+    lost = _minimised(problem, *edges, corner, problem.predictions(edges.mean(axis=0)), -1.0, True)
+    assert len(lost.low) == 0
 
 
 def test_counts_always_hold_the_truth():

@@ -414,7 +414,7 @@ class Problem:
     def predictions(self, theta: np.ndarray) -> np.ndarray:
         """Predictions for the data of all observables, one after another, shape (B, N)."""
         at_once = max(1, ELEMENTS // max(len(block.rows) for block in self.blocks))
-        parts = [theta[start : start + at_once] for start in range(0, len(theta), at_once)]
+        parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
             [np.concatenate([self._predictions(block, part, 0)[0] for block in self.blocks], axis=1) for part in parts]
         )
