@@ -141,6 +141,9 @@ def test_sliders_and_play_button_in_jupyterlab(browser, address, tmp_path):
     wait(lambda _: "ℓ = 25.79" not in numbers() and picture() != before, 30)
     assert float(re.search(r"ℓ = ([\d.]+)", numbers())[1]) == pytest.approx(expected, abs=0.006)
 
+    # what the kernel sends after the picture: the new end, which would stop a front that runs already
+    wait(lambda _: count() == 27, 30)
+
     # run the front: the count on the last slider goes from 0 to the end, and the picture follows
     find(".jupyter-widgets.widget-play button")[0].click()
     wait(lambda _: count() < 27, 30)

@@ -48,6 +48,8 @@ def budget(result: "FitResult") -> dict[str, Moved]:
     m = result.measurements
     fitted = {one.name for one in result.parameters.free}
     exact = [name for name in USUAL if name not in fitted and _taken_as_exact(m, name)]
+    if "model_factor" in fitted:  # it contains a scale of all lengths
+        exact = [name for name in exact if name != "length"]
     found = {}
     for name in exact if names else ():
         step = STEPS[name]

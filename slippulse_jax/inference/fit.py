@@ -12,7 +12,7 @@ from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
-from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, parameter_set
+from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
@@ -62,7 +62,8 @@ def fit(
     free : sequence of str or Parameter
         Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
         are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
-        Inputs that come with an error of their own are fitted beside them, with that error as prior.
+        Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths of
+        provenance "measured" also an "offset" and a "model_factor" (`errors_of_measuring`), unless they are named or held.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
@@ -101,8 +102,10 @@ def fit(
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
-    parameters = parameter_set(measurements, wanted)
     scaled = sigma == "relative" or measurements.length_sigma is None
+    named = {one.name for one in wanted}
+    wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]
+    parameters = parameter_set(measurements, wanted)
     errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(problem, scaled)

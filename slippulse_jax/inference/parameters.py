@@ -104,6 +104,8 @@ class Parameter:
         One value per specimen instead of one that all share.
     value : float, optional
         Held at this value, not fitted.
+    nuisance : bool
+        Fitted only because it has an error: it needs a prior, and gets neither a verdict nor an interval of its own.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Parameter:
     prior: tuple[float, float] | None = None
     each: str | None = None
     value: float | None = None
+    nuisance: bool = False
 
     def __post_init__(self) -> None:
         if self.name not in PARAMETERS:
@@ -127,6 +130,8 @@ class Parameter:
             mean, sigma = self.prior
             if not (np.isfinite(mean) and np.isfinite(sigma) and sigma > 0 and (mean > 0 or not positive)):
                 raise ValueError(f"prior = ({mean:g}, {sigma:g}) of {self.name}: a mean{' > 0' * positive} and a deviation > 0")
+        if self.nuisance and self.prior is None:
+            raise ValueError(f"parameter {self.name}: nuisance = True, but no prior says what its error is")
         if self.value is not None and not (np.isfinite(self.value) and (self.value > 0 or not positive)):
             raise ValueError(f"value = {self.value:g} of {self.name}: must be {'positive and ' * positive}finite")
 
@@ -143,7 +148,7 @@ class Free(NamedTuple):
     high: float
     prior_mean: float
     prior_sigma: float  # inf without a prior
-    nuisance: bool  # an input fitted only because it has an error of its own
+    nuisance: bool  # fitted only because it has an error of its own
 
     def value(self, theta: Any) -> Any:
         """Convert θ, a number or an array, to the parameter in its unit."""
@@ -248,6 +253,9 @@ STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
 ARREST = (0.5, 12**-0.5)
 """Mean and deviation of the difference between ℓ* and the number of contacts that break, ceil(ℓ*): uniform from 0 to 1."""
 NEEDS_SI = ("correlation_length", "young", "strength")
+MODEL_ERROR = 0.1
+"""Relative error of a length of the model for blocks that were measured, if nothing else is said: about what a block under
+two-dimensional elasticity, pushed over all but the lowest quarter of its side, differs by. Other pushers: docs/validity.md."""
 
 
 def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
@@ -286,6 +294,21 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> Paramet
         builder.add_uncertain(name, sigma)
     builder.add_arrests()
     return builder.build()
+
+
+def errors_of_measuring(m: Measurements) -> list[Parameter]:
+    """Errors that all measured lengths share: where the edge and the tip were read, and what the model leaves out.
+
+    Only for lengths of provenance "measured" with a standard error: an offset as large as the median of these, and a model
+    factor of 1 ± `MODEL_ERROR`.
+    """
+    of_lengths = np.array([kind == "length" for kind in m.kind])
+    if "measured" not in m.provenance or m.length_sigma is None or not of_lengths.any():
+        return []
+    metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
+    offset = float(np.median((m.length_sigma * metres)[of_lengths]))
+    priors = {"offset": (0.0, offset), "model_factor": (1.0, MODEL_ERROR)}
+    return [Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items()]
 
 
 def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:
@@ -352,7 +375,7 @@ class _Builder:
     def hold(self, parameter: Parameter) -> None:
         """Hold a parameter at its value."""
         name = parameter.name
-        if name in ("offset", "discrepancy"):
+        if name == "discrepancy":
             raise ValueError(f"parameter {name}: it is fitted or absent, not held; add it to the stated errors instead")
         assert parameter.value is not None
         theta = np.log(parameter.value) if PARAMETERS[name].log else parameter.value
@@ -360,7 +383,7 @@ class _Builder:
         self._shift(name, rows, theta - self._reference(name))
         self.held[name] = parameter.value
 
-    def add(self, parameter: Parameter, label: str, rows: np.ndarray, nuisance: bool = False) -> None:
+    def add(self, parameter: Parameter, label: str, rows: np.ndarray) -> None:
         """Add a parameter to θ."""
         name = parameter.name
         kind = PARAMETERS[name]
@@ -373,8 +396,8 @@ class _Builder:
             low, high = np.log(low), np.log(high)
             prior_mean, prior_sigma = np.log(prior_mean), prior_sigma / prior_mean
         unit = kind.unit[self.m.correlation_length is not None]
-        one = Free(label, name, kind.symbol, unit, kind.log, float(low), float(high), prior_mean, prior_sigma, nuisance)
-        self.free.append(one)
+        limits = float(low), float(high)
+        self.free.append(Free(label, name, kind.symbol, unit, kind.log, *limits, prior_mean, prior_sigma, parameter.nuisance))
         self.slopes.append(self._acts(name, rows))
 
     def add_uncertain(self, name: str, sigma: np.ndarray) -> None:
@@ -389,7 +412,8 @@ class _Builder:
             _, value, error = key
             if error > 0:
                 rows = np.array([one == key for one in keys])
-                self.add(Parameter(name, prior=(float(value), float(error))), _input_label(name, key), rows, nuisance=True)
+                prior = float(value), float(error)
+                self.add(Parameter(name, prior=prior, nuisance=True), _input_label(name, key), rows)
 
     def add_arrests(self) -> None:
         """Add a θ per precursor whose gauges were read and whose contacts were not counted."""
@@ -398,9 +422,8 @@ class _Builder:
         for i in dict.fromkeys(self.m.gauges.row):
             if self.m.kind[i] != "whole":
                 rows = np.arange(len(self.m)) == i
-                self.add(
-                    Parameter("arrest", prior=ARREST), f"arrest[{self.m.label[i] if self.m.label else i}]", rows, nuisance=True
-                )
+                label = f"arrest[{self.m.label[i] if self.m.label else i}]"
+                self.add(Parameter("arrest", prior=ARREST, nuisance=True), label, rows)
 
     def build(self) -> ParameterSet:
         """Finish the map; check its limits against the domain of the model."""

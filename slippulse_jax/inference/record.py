@@ -108,7 +108,7 @@ def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
     """Convert the arguments of a fit to the form of a request file."""
     free = {
-        one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value is not None}
+        one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value not in (None, False)}
         for one in request["free"]
     }
     return {"parameters": free, **{key: value for key, value in request.items() if key != "free"}}

@@ -109,7 +109,7 @@ def _inputs(result: "FitResult") -> list[str]:
     ]
     if not pulls:
         return []
-    rows = ["  inputs with errors of their own, fitted beside:"]
+    rows = ["  what has an error of its own, fitted beside:"]
     for one, t, pull in pulls:
         stated = value_with_error(
             float(one.value(one.prior_mean)), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
@@ -379,6 +379,12 @@ def _of_data(result: "FitResult") -> Iterator[str]:
     rows = set(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.sigma, m.kind, strict=True))
     if len(rows) < len(m) and m.length_sigma is not None:
         yield f"{len(m) - len(rows)} measurement(s) repeat another one exactly: each counts as a measurement of its own"
+    beside = {one.name for one in result.parameters.free if one.nuisance}
+    if "model_factor" in beside:
+        yield (
+            "as the lengths were measured, an offset and a model factor are fitted beside, with the priors shown; hold them "
+            "(--fix offset=0 --fix model_factor=1) to see the error of the lengths alone"
+        )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
 

@@ -1,0 +1,74 @@
+"""Errors that all measured lengths share: an offset and a model factor beside the fit, unless they are held."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.inference.parameters import MODEL_ERROR
+
+HEIGHT = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]) * 10
+STIFFNESS = 3e-4
+
+
+@pytest.fixture(scope="module")
+def lengths():
+    """Lengths of the recursion, read with an error of two per cent of the median."""
+    length = sp.precursor_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3))
+    sigma = 0.02 * np.median(length)
+    length = length + sigma * np.random.default_rng(4).standard_normal(6)
+    return sp.Measurements(HEIGHT, 0.3, length, sigma, provenance=["measured"] * 6)
+
+
+def test_standard_error_is_that_of_correlated_lengths(lengths):
+    """By generalised least squares: the two errors are covariances of the lengths."""
+    result = sp.fit(lengths)
+    found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
+    slope = found.stiffness * result.values["stiffness"]
+    sigma, factor = lengths.sigma, np.exp(result.theta[result.parameters.index("model_factor")])
+    shared = MODEL_ERROR * factor * found.length
+    covariance = np.diag(sigma**2) + np.median(sigma) ** 2 + np.outer(shared, shared)
+    stderr = 1 / np.sqrt(factor * slope @ np.linalg.solve(covariance, factor * slope))
+    assert result.stderrs["stiffness"] / result.values["stiffness"] == pytest.approx(stderr, rel=0.02)
+    assert list(result.verdicts) == list(result.intervals) == ["stiffness"]
+    assert set(result.inputs) == {"offset", "model_factor"}
+    assert "length" not in result.budget
+    assert "--fix offset=0 --fix model_factor=1" in result.report()
+
+
+def test_held_they_leave_the_error_of_the_lengths(lengths):
+    plain = sp.fit(dataclasses.replace(lengths, provenance=()))
+    held = sp.fit(lengths, fixed={"offset": 0, "model_factor": 1})
+    assert held.values == plain.values
+    assert held.intervals == plain.intervals
+    assert held.stderrs["stiffness"] < 0.2 * sp.fit(lengths).stderrs["stiffness"]
+
+
+def test_a_fit_repeated_from_its_record_is_the_same(lengths):
+    from slippulse_jax.inference.record import from_request
+
+    result = sp.fit(lengths)
+    again = sp.fit(lengths, **from_request(result.to_dict()["request"]))
+    assert again.theta.tolist() == result.theta.tolist()
+    assert again.names == result.names
+
+
+@pytest.mark.parametrize("case", ["relative", "no errors", "counts", "digitised"])
+def test_only_beside_measured_lengths_with_errors(lengths, case):
+    options = {}
+    if case == "relative":
+        options["sigma"] = "relative"
+    elif case == "no errors":
+        lengths = dataclasses.replace(lengths, length_sigma=None)
+    elif case == "counts":
+        count = np.ceil(sp.exact_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)))
+        lengths = dataclasses.replace(lengths, length=count, length_sigma=0 * count, kind=("whole",) * 6)
+    else:
+        lengths = dataclasses.replace(lengths, provenance=("digitised",) * 6)
+    assert sp.fit(lengths, **options).parameters.names == ["stiffness"]
+
+
+def test_a_nuisance_needs_a_prior():
+    with pytest.raises(ValueError, match=r"parameter offset: nuisance = True, but no prior"):
+        sp.Parameter("offset", nuisance=True)
