@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
+from slippulse_jax.lattice.events import Event, check_event, event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
 from slippulse_jax.lattice.precursor import (
@@ -41,6 +42,7 @@ class Options(TypedDict, total=False):
     right: RightEnd
     sites: int | None
     max_contacts: int
+    event: Event
 
 
 @overload
@@ -59,6 +61,7 @@ def precursor_lengths(
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
+    event: Event = "domino",
     derivatives: Literal[0, 1] = 0,
 ) -> np.ndarray | LengthDerivatives:
     """Lengths ℓ of a batch of any size, and their derivatives.
@@ -75,6 +78,10 @@ def precursor_lengths(
         Fields of any shapes that broadcast.
     interface, rule, right, sites, max_contacts
         As for `precursor_length`; the numbers of a smooth rule broadcast with the slider.
+    event : {"domino", "full"}
+        Length of the first front, in which each contact breaks once; or of the whole event, in which contacts may break again.
+        The two differ where the edge contact is back at its threshold before the front stops (`REBREAK`,
+        `rebreaking_onset`). For contacts that repin at once.
     derivatives : {0, 1}
         Highest order of derivatives.
 
@@ -84,8 +91,23 @@ def precursor_lengths(
         ℓ, float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where it was given
         up, with a warning. With ``derivatives=1`` a `LengthDerivatives`: the derivatives of `precursor_length` (its kinks at
         whole contacts included) in every parameter of slider and interface, or of slider and smooth rule.
+
+    Notes
+    -----
+    A whole event takes some 10 µs per break by the general cascade, and a program per number of sites that takes seconds to
+    compile: 80 breaks at H/λc = 50 and b = 6, 14 000 at 10⁴ and b = 5, 85 000 at 10⁴ and b = 40. Its length steps where the
+    order of breaks changes; the derivatives are those at a fixed order, which differ from its trend.
     """
-    found = lengths(slider, interface, rule=rule, right=right, sites=sites, max_contacts=max_contacts, derivatives=derivatives)
+    found = lengths(
+        slider,
+        interface,
+        rule=rule,
+        right=right,
+        sites=sites,
+        max_contacts=max_contacts,
+        event=event,
+        derivatives=derivatives,
+    )
     _warn_of_missing(found.length if isinstance(found, LengthDerivatives) else found, slider, max_contacts)
     return found
 
@@ -98,9 +120,13 @@ def lengths(
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
+    event: Event = "domino",
     derivatives: int = 0,
 ) -> Any:
     """`precursor_lengths` without warnings."""
+    check_event(event)
+    if event == "full":
+        return _whole(slider, interface, rule, right, sites, max_contacts, derivatives)
     check_rule(rule)
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
@@ -132,6 +158,28 @@ def lengths(
     if interface is not None:
         return LengthDerivatives(length, *numbers, by_interface.prestress, by_interface.threshold_slope)
     return LengthDerivatives(length, *numbers, rule=by_rule if smooth else None)
+
+
+def _whole(
+    slider: Slider,
+    interface: Interface | None,
+    rule: BreakRule,
+    right: RightEnd,
+    sites: int | None,
+    max_contacts: int,
+    derivatives: int,
+) -> Any:
+    """Lengths of fronts, and of whole events where contacts break again."""
+    if rule is not HARD or (interface is not None and interface.repin_delay):
+        raise ValueError("event = 'full': needs the hard rule, and contacts that repin at once")
+    front = lengths(slider, interface, right=right, sites=sites, max_contacts=max_contacts, derivatives=derivatives)
+    rows = np.stack([x for x in front[:-2] if x is not None]) if derivatives else front[None]
+    status = arrests(slider, interface, right=right, sites=sites, max_contacts=max_contacts).status
+    again = status == Outcome.REBREAK
+    if again.any():
+        columns = np.stack(_columns(slider, interface, rule)[0])[:, again.ravel()]
+        rows[:, again] = event_lengths(columns, rows[0][again], right, sites, derivatives)
+    return LengthDerivatives(*rows) if derivatives else rows[0]
 
 
 def arrests(

@@ -228,7 +228,8 @@ def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array
     return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
 
 
-def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
+    """Follow the rupture of one chain whose response is known; `limits` are those on the breaks, and the delay."""
     valid = all_numbers(chain, state)
     safe, state, right = or_harmless(valid, (chain, state, resp.right))
     before = in_balance(valid, safe, state, right)
@@ -273,7 +274,7 @@ def _one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: S
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
     resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
-    return lane_by_lane(partial(_one_rupture, limits), resp, chain, state, trigger)
+    return lane_by_lane(partial(one_rupture, limits), resp, chain, state, trigger)
 
 
 _undifferentiated = without_derivative(
