@@ -18,7 +18,6 @@ from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
 from slippulse_jax.lattice.exact import exact_front as exact_front
 from slippulse_jax.lattice.exact import exact_length as exact_length
 from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
-from slippulse_jax.lattice.inertia import CrackLike as CrackLike
 from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor as first_precursor
@@ -30,6 +29,7 @@ from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity
 from slippulse_jax.lattice.series import Spring as Spring
 from slippulse_jax.lattice.series import Steps as Steps
 from slippulse_jax.lattice.series import series as series
+from slippulse_jax.rules import CrackLike as CrackLike
 from slippulse_jax.rules import SmoothBreak as SmoothBreak
 from slippulse_jax.slider import Slider as Slider
 from slippulse_jax.sweeps.run import open_sweep as open_sweep

@@ -81,6 +81,34 @@ class SmoothBreak(eqx.Module):
         return (_mean_sigmoid(a, b) - cut) / (1 - cut)
 
 
+class SelfHealing(eqx.Module):
+    """The paper's rule with inertia: contacts break at their threshold and repin with zero stretch.
+
+    Parameters
+    ----------
+    break_time : float
+        Shortest time between two breaks anywhere in the chain, in √(m/K), 0 or more; the most overloaded contact breaks
+        first. The paper's hierarchy of times, sound much faster than the front, is a break time much longer than the
+        relaxation time of the chain. With 0 a contact breaks as soon as it reaches its threshold.
+    """
+
+    break_time: Float[AnyArrayLike, ""] = 0.0
+
+
+class CrackLike(eqx.Module):
+    """Amontons–Coulomb rule: contacts slide at constant friction.
+
+    A contact slides from its threshold on, and repins when its slip rate vanishes.
+
+    Parameters
+    ----------
+    friction : float
+        σ_k, the stress on a sliding contact, in σ_s; 0 or more, and below every threshold.
+    """
+
+    friction: Float[AnyArrayLike, ""] = 0.5
+
+
 def _mean_sigmoid(a: Array, b: Array) -> Array:
     """Mean of σ between a and b, which may coincide, and may be as large as 10⁶."""
     d, m = b - a, (a + b) / 2

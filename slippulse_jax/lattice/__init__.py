@@ -14,6 +14,7 @@ The uniform chain, one slider: everything rests on its two modes.
 The same front in closed form (the series itself is `slippulse_jax.double_series`).
     `crossing`          the search for where the front stress first falls to the threshold
     `exact`             what users call: length, record, stress and fields
+    `crack`             the crack-like front, whose contacts slide until it stops
 
 Many sliders at once. A *lane* is one slider of a batch; its result depends on it alone. How lanes are cut, padded and spread
 over cores is a matter of `slippulse_jax.bulk`.

@@ -28,9 +28,11 @@ from slippulse_jax import double_series as series
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.interface import Interface
+from slippulse_jax.lattice import crack
 from slippulse_jax.lattice.crossing import crossing, length_of, system_of
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
 
@@ -55,7 +57,7 @@ class ExactFields(NamedTuple):
     stress: Float[Array, "..."]  # σ_c
 
 
-def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Array, "..."]:
+def exact_length(slider: Slider, interface: Interface | None = None, *, rule: CrackLike | None = None) -> Float[Array, "..."]:
     """Exact length ℓ* of the first precursor, in λc.
 
     ℓ* is the real crossing t(ℓ*) = 1 + ε ℓ*.
@@ -68,6 +70,9 @@ def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Ar
         Uniform prestress φ and threshold slope ε, which broadcast with `slider`; relaxed and level by default. With ε < 0 the
         thresholds vanish at i = 1/|ε|: the length is then that of the front that starts at contact 0, for chains that end
         before. The closed form has no repinning delay and no `Profile`.
+    rule : CrackLike, optional
+        Length of the quasi-static crack-like front instead, behind which contacts slide at constant friction, on thresholds
+        that are level; its friction broadcasts too (`slippulse_jax.lattice.crack`).
 
     Returns
     -------
@@ -79,7 +84,8 @@ def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Ar
     Raises
     ------
     TypeError, ValueError
-        If `interface` is a `Profile`, or has a repinning delay: use `precursor_length` or `first_precursor`.
+        If `interface` is a `Profile`, or has a repinning delay: use `precursor_length` or `first_precursor`. If a crack-like
+        front is to meet thresholds with a slope, or its friction lies outside [0, 1).
 
     Notes
     -----
@@ -87,7 +93,19 @@ def exact_length(slider: Slider, interface: Interface | None = None) -> Float[Ar
     `precursor_length` have the same ceiling beyond 1, and differ by the curvature of t between two contacts: by less than
     0.2 λc, most on soft interfaces where two contacts break.
     """
-    return _map(_length, slider, interface)
+    if rule is None:
+        return _map(_length, slider, interface)
+    prestress, threshold_slope = uniform(interface)
+    if not _is_zero(threshold_slope):
+        raise ValueError("a crack-like front has a closed form on level thresholds only: interface.threshold_slope must be 0")
+    _require(
+        "CrackLike.friction", rule.friction, lambda x: (x >= 0) & (x < 1), "must be 0 or more and below the threshold of 1"
+    )
+    return _each(_crack_length, (True, True), *of_one_type(slider, rule.friction, prestress))
+
+
+def _crack_length(_: Plain, *numbers: Array) -> Array:
+    return crack.length(Slider(*numbers[:3]), *numbers[3:])[0]
 
 
 def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFront:

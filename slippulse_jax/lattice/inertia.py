@@ -16,7 +16,6 @@ a break would have the derivative of the step, and so would all that follows.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +29,7 @@ from slippulse_jax.domains import check_domain
 from slippulse_jax.lattice.chain import Chain, State, potential_energy
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
 from slippulse_jax.lattice.rupture import nucleate
+from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.status import Outcome
 
 MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Outcome.INVALID)
@@ -37,36 +37,6 @@ MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Out
 
 In this order: at rest, the last contact broke, still moving at the end, invalid.
 """
-
-
-class SelfHealing(eqx.Module):
-    """Rule of the paper: contacts break and repin with zero stretch.
-
-    A contact breaks when its stress reaches its threshold.
-
-    Parameters
-    ----------
-    break_time : float
-        Shortest time between two breaks anywhere in the chain, in √(m/K), 0 or more; the most overloaded contact breaks
-        first. The paper's hierarchy of times, sound much faster than the front, is a break time much longer than the
-        relaxation time of the chain. With 0 a contact breaks as soon as it reaches its threshold.
-    """
-
-    break_time: Float[AnyArrayLike, ""] = 0.0
-
-
-class CrackLike(eqx.Module):
-    """Amontons–Coulomb rule: contacts slide at constant friction.
-
-    A contact slides from its threshold on, and repins when its slip rate vanishes.
-
-    Parameters
-    ----------
-    friction : float
-        σ_k, the stress on a sliding contact, in σ_s; 0 or more, and below every threshold.
-    """
-
-    friction: Float[AnyArrayLike, ""] = 0.5
 
 
 class Motion(NamedTuple):

@@ -17,6 +17,7 @@ from slippulse_jax.theory.limits import (
     envelope_length,
     length_ceiling,
     macroscopic_correction,
+    macroscopic_crack_length,
     macroscopic_length,
     runaway_prestress,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "length_eq25",
     "length_frozen",
     "macroscopic_correction",
+    "macroscopic_crack_length",
     "macroscopic_edge_stress",
     "macroscopic_length",
     "rebreaking_b",

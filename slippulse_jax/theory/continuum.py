@@ -17,9 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slippulse_jax import double_series as series
-from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.derivatives import by_forward_mode, crossing
 from slippulse_jax.slider import Slider, each_slider
-from slippulse_jax.theory.crossing import crossing
 
 
 class ContinuumFields(NamedTuple):

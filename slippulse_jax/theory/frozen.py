@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.derivatives import crossing
 from slippulse_jax.double_series import overlap
 from slippulse_jax.slider import Slider, each_slider
-from slippulse_jax.theory.crossing import crossing
 
 TERMS = 20
 """Terms of e^{gz}, |gz| ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.derivatives import crossing
 from slippulse_jax.domains import POISSON, PRESTRESS, Domain
 from slippulse_jax.double_series import overlap
 from slippulse_jax.slider import Slider, each_slider
-from slippulse_jax.theory.crossing import crossing
 
 _DOMAIN = {
     "b": Domain(0, np.inf, "must be positive: areal stiffness times height over shear modulus"),
@@ -119,6 +119,35 @@ def _held(beta: Array, z: Array) -> Array:
     n = np.arange(TERMS)
     power = jnp.concatenate([jnp.ones_like(g)[None], jnp.cumprod(-g / n[1:])])  # (−g)ⁿ/n!
     return power @ overlap(1 / (1 + beta), 2 * jnp.arange(TERMS, dtype=z.dtype), z) * jnp.exp(g * jnp.exp(-2 * z))
+
+
+def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array, "..."]:
+    """ℓ/H of the crack-like first precursor for λc → 0 at fixed b, without prestress; NaN outside the domain.
+
+    Parameters
+    ----------
+    b : array_like
+        As for `macroscopic_length`.
+    poisson : array_like
+        ν.
+    friction : array_like
+        σ_k of the contacts that slide behind the tip, in σ_s; in [0, 1).
+
+    Notes
+    -----
+    The upper layer is held at u_t = 1/β and bends under the friction as far as the tip; there the layer hands on half of a
+    step, as in a pulse, so that u_t = V = [1 + σ_k (1 − √β)/√β]/√β where the contact carries its threshold. With z = κ_2ℓ:
+
+        (σ_k/2β) z² + V (1 + z) = 1/β;    without friction  z = √(1 + b) − 1,  which has no ceiling.
+    """
+    b, nu, friction = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, friction)))
+    beta = 1 / (1 + b)
+    root, step = jnp.sqrt(beta), -jnp.expm1(-jnp.log1p(b) / 2)  # √β and 1 − √β
+    V = (1 + friction * step / root) / root
+    excess = (1 - friction) * step / beta  # 1/β − V
+    z = 2 * excess / (V + jnp.sqrt(V**2 + 2 * friction / beta * excess))
+    inside = (b > 0) & POISSON.holds(nu) & (friction >= 0) & (friction < 1)
+    return jnp.where(inside, z * jnp.sqrt(2 * (1 + nu) * (1 + b) / b), jnp.nan)
 
 
 def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:

@@ -10,13 +10,14 @@ from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, chain
 from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.lattice.front import runaway_prestress
-from slippulse_jax.lattice.inertia import CrackLike, SelfHealing, quasi_static_break_time, simulate_inertial
+from slippulse_jax.lattice.inertia import quasi_static_break_time, simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.series import Steps, series
 from slippulse_jax.paper.claims.claim import Finding, claim, fig2, judge
+from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider
 
 ROUGHLY = 0.2
