@@ -28,6 +28,7 @@ class Domain(NamedTuple):
 HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
 STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in units of K = Eλc")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
+MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
 POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed=True)
 PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
 """At 1 a contact breaks without a push; at −1 it breaks backwards."""

@@ -17,8 +17,17 @@ from numpy.typing import ArrayLike
 Numbers = Array | ArrayLike
 """Types that a constructor accepts as numbers, including sequences."""
 
-SI = {"N_per_mm": 1e3, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
+SI = {"N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""
+
+
+def machine_ratio(per_width: Any, young: Any) -> Any:
+    """M/K of a machine, from its stiffness over the width of the block, in N/m², and Young's modulus, in Pa.
+
+    A block of width W is W/λc slices in parallel, each λc wide. Of a machine of S N/m each slice has M = S λc/W, and K = Eλc
+    (label cra04): M/K = (S/W)/E, whatever λc.
+    """
+    return per_width / young
 
 
 def split_unit(name: str) -> tuple[str, float]:

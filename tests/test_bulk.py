@@ -9,6 +9,7 @@ from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.lattice import lanes, long_fronts
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
+from slippulse_jax.lattice.modes import ENDLESS
 from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 
@@ -25,14 +26,14 @@ def by_recursion(lanes_):
 
 
 def kind(numbers):
-    """What puts so many numbers of a lane together to slider, interface and rule."""
-    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak()))
+    """What puts so many numbers of a lane together to slider, interface, rule and ends."""
+    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak(), ENDLESS))
 
 
 @pytest.fixture(scope="module")
 def general():
     """Length and derivatives in five numbers a lane by the general recursion; compiled once."""
-    kernel = bulk.general_kernel(kind(5), ("semi-infinite", None, 5000), 1)
+    kernel = bulk.general_kernel(kind(5), 5000, 1)
     return lambda five: batch.over_lanes(kernel, five, bulk.ANY)[0]
 
 
@@ -73,9 +74,7 @@ def test_arrests_equal_the_general_recursion(numbers):
     five = np.concatenate([random_lanes(n, 7, 2.3), rng.uniform(0, 0.8, (1, n)), rng.choice([0, 0.0, -1e-2, 1e-2], (1, n))])
     five[0, :20], five[1, :20] = 8.0, 0.5  # short enough to run away before they are given up
     endings = set(FRONT_OUTCOMES) - {Outcome.INVALID, Outcome.RAN_THROUGH}
-    general = batch.over_lanes(
-        bulk.general_arrest_kernel(kind(numbers), ("semi-infinite", None, most)), five[:numbers], bulk.ANY
-    )
+    general = batch.over_lanes(bulk.general_arrest_kernel(kind(numbers), most), five[:numbers], bulk.ANY)
     got = batch.over_lanes(lanes.arrest_kernel(most), five[:numbers], bulk.WITH_MORE)
     np.testing.assert_array_equal(got[0], general[0])
     np.testing.assert_array_equal(got[2], general[2])

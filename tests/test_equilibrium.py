@@ -12,7 +12,7 @@ from scipy.optimize import fsolve
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import Chain, Springs, State, chain, eliminate, endless, respond
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, imbalance
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.modes import Ends, lattice_modes
 
 ENDS = ("semi-infinite", "free", "clamped")
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
@@ -62,7 +62,7 @@ def test_against_dense_matrices(sites, right):
 @pytest.mark.parametrize("right", ENDS)
 def test_uniform_chain_against_its_lattice_modes(right):
     sites = None if right == "semi-infinite" else 100
-    modes = lattice_modes(FIG2, right, sites)
+    modes = lattice_modes(FIG2, Ends(right, sites))
     exact = jax.vmap(lambda i: modes.drive @ modes.profile(i))(jnp.arange(100.0))
     found = jax.jit(equilibrium)(chain(FIG2, sites=100, right=right), relaxed_at(FIG2, modes.load))
     np.testing.assert_allclose(found.layer, exact, rtol=1e-12)

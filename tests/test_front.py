@@ -15,6 +15,7 @@ from slippulse_jax import Slider, first_precursor, precursor_length
 from slippulse_jax.lattice import precursor
 from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
 from slippulse_jax.lattice.lengths import arrests
+from slippulse_jax.lattice.modes import Ends
 from slippulse_jax.lattice.precursor import FrontNotArrested, arrest
 from slippulse_jax.status import Outcome
 
@@ -42,7 +43,7 @@ def test_against_dense_chain(right, number):
     """Random sliders on chains of 400 sites and on the endless one: same count, length, edge stress and status."""
     sliders = random_sliders(number, seed=number)
     sites = 140 if right == "semi-infinite" else 400  # what lies beyond the matrix of an endless chain is eliminated exactly
-    got = arrests(sliders, right=right, sites=None if right == "semi-infinite" else sites)
+    got = arrests(sliders, ends=Ends(right, None if right == "semi-infinite" else sites))
     for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
         count, length, _, behind = dense_chain.first_precursor(*slider, sites, right)
         assert got.contacts_broken[i] == count, slider

@@ -9,6 +9,7 @@ from slippulse_jax import Slider, SmoothBreak, first_precursor, precursor_length
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import Arrest
+from slippulse_jax.lattice.modes import ENDLESS
 from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 
@@ -119,8 +120,8 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     n = 3000
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
     columns = [sliders.height, sliders.stiffness, sliders.poisson]
-    kind = jax.tree.structure((Slider(25.0, 0.03, 0.3), None, HardBreak()))
-    general = over_lanes(bulk.general_arrest_kernel(kind, ("semi-infinite", None, 10_000_000)), columns, bulk.ANY)
+    kind = jax.tree.structure((Slider(25.0, 0.03, 0.3), None, HardBreak(), ENDLESS))
+    general = over_lanes(bulk.general_arrest_kernel(kind, 10_000_000), columns, bulk.ANY)
     together, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == Outcome.NO_DOMINO).any()
     assert arrests.length.max() > 1000

@@ -19,8 +19,20 @@ SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
 @right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
+@click.option("--block-length-mm", type=float, metavar="MM", help="Length of the block; its end is free by default.")
+@click.option(
+    "--machine", type=float, metavar="M/K", help="Stiffness of the machine per width of the block, over E. Infinite by default."
+)
 @as_json
-def command(poisson: float, right: str, sites: int | None, as_json: bool, **given: float | None) -> None:
+def command(
+    poisson: float,
+    right: str,
+    sites: int | None,
+    block_length_mm: float | None,
+    machine: float | None,
+    as_json: bool,
+    **given: float | None,
+) -> None:
     """Compute the first precursor of one slider.
 
     Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
@@ -28,8 +40,11 @@ def command(poisson: float, right: str, sites: int | None, as_json: bool, **give
     import jax
 
     form = _form(given)
+    length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
+    if length is not None and right == "semi-infinite":
+        right = "free"
     with jax.enable_x64(True):
-        result = _length(form, poisson, right, sites)
+        result = _length(form, poisson, right, sites if length is None else length, machine)
     if as_json:
         print_json(result)
     else:
@@ -48,18 +63,27 @@ def _form(given: dict[str, float | None]) -> dict[str, float]:
     return {name: value for name, value in form.items() if value is not None}
 
 
-def _length(form: dict[str, float], poisson: float, right: Any, sites: int | None) -> dict[str, Any]:
+def _in_sites(block_length_mm: float, sites: int | None, form: dict[str, float]) -> float:
+    """Length of the block over λc."""
+    if sites is not None:
+        raise click.UsageError("--sites and --block-length-mm both say where the block ends: give one")
+    if "correlation_length_um" not in form:
+        raise click.UsageError("--block-length-mm belongs to the SI form of the slider; give --sites")
+    return block_length_mm / (form["correlation_length_um"] * 1e-3)
+
+
+def _length(form: dict[str, float], poisson: float, right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
     import jax
 
     from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-    from slippulse_jax.lattice.modes import check_right_end, lattice_modes
+    from slippulse_jax.lattice.modes import ends_of, lattice_modes
     from slippulse_jax.lattice.precursor import arrest
     from slippulse_jax.slider import Slider
     from slippulse_jax.status import NotConverged, Outcome
     from slippulse_jax.units import split_unit
 
     try:
-        check_right_end(right, sites)
+        ends = ends_of(right, sites, machine)
         if "height" in form:
             slider = Slider(form["height"], form["stiffness"], poisson)
         else:
@@ -68,8 +92,8 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
     except ValueError as error:
         refuse(error)
     ended, load = jax.jit(  # one program: step by step JAX would compile sixty
-        lambda slider: (arrest(slider, None, right, sites), lattice_modes(slider, right, sites).load)
-    )(slider)
+        lambda slider, ends: (arrest(slider, None, ends), lattice_modes(slider, ends).load)
+    )(slider, ends)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
@@ -81,6 +105,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
         "poisson": poisson,
         "right": right,
         "sites": sites,
+        "machine": machine,
         "length": float(ended.length),
         "contacts_broken": int(ended.contacts_broken),
         "load": float(load),
@@ -96,12 +121,15 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: int | Non
 def _text(result: dict[str, Any]) -> str:
     in_mm = f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""
     count = f"Λ   = {result['contacts_broken']} λc"
+    driven = "machine" if result["machine"] else "left edge"
     lines = [
         f"slider: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
-        f"right end {result['right']}" + (f", {result['sites']} sites" if result["sites"] else ""),
+        f"right end {result['right']}"
+        + (f", {result['sites']:g} sites" if result["sites"] else "")
+        + (f"; machine M/K = {result['machine']:g}" if result["machine"] else ""),
         f"ℓ   = {result['length']:.6f} λc{in_mm}" if math.isfinite(result["length"]) else "ℓ   = none",
         f"{count:20s} whole contacts broken",
-        f"U0  = {result['load']:.6g} u_s".ljust(20) + " displacement of the left edge at nucleation",
+        f"U0  = {result['load']:.6g} u_s".ljust(20) + f" displacement of the {driven} at nucleation",
         f"status: {result['message']}",
     ]
     return "\n".join(lines)

@@ -87,6 +87,8 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
     if name != "correlation_length":
         return moved
     shorter = {"height": m.height / factor, "length": np.where(counted, m.length, m.length / factor)}
+    if m.block_length is not None:
+        shorter["block_length"] = m.block_length / factor
     if m.height_sigma is not None:
         shorter["height_sigma"] = m.height_sigma / factor
     if m.length_sigma is not None:

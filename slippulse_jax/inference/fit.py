@@ -258,6 +258,7 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
     around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
     around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
+    around = around.endless  # as it is there
     exact = lengths(around).value
     stops, off = np.isfinite(exact), np.zeros(len(exact))
     off[stops] = straight_lengths(around.take(stops)) - exact[stops]

@@ -4,7 +4,7 @@
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -127,6 +127,11 @@ class Measurements:
         One of `KINDS` per measurement; "length" by default.
     prestress, threshold_slope : array_like, shape (n,), optional
         Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
+    block_length : array_like, shape (n,), optional
+        L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end.
+    machine_stiffness : array_like, shape (n,), optional
+        Stiffness of the drive over the width of the block, in Pa, or in E where `young` is not given; NaN, like None, for an
+        edge that is held while the front runs.
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
         Standard errors of the inputs, in their units (of the height in λc). 0 means exactly known.
     displacement, displacement_sigma : array_like, shape (n,), optional
@@ -160,6 +165,8 @@ class Measurements:
     kind: tuple[str, ...] = ()
     prestress: np.ndarray | None = None
     threshold_slope: np.ndarray | None = None
+    block_length: np.ndarray | None = None
+    machine_stiffness: np.ndarray | None = None
     height_sigma: np.ndarray | None = None
     poisson_sigma: np.ndarray | None = None
     correlation_length_sigma: np.ndarray | None = None
@@ -189,6 +196,8 @@ class Measurements:
             kind: Sequence[str] = (),
             prestress: ArrayLike | None = None,
             threshold_slope: ArrayLike | None = None,
+            block_length: ArrayLike | None = None,
+            machine_stiffness: ArrayLike | None = None,
             height_sigma: ArrayLike | None = None,
             poisson_sigma: ArrayLike | None = None,
             correlation_length_sigma: ArrayLike | None = None,
@@ -228,6 +237,8 @@ class Measurements:
             raise MeasurementError(
                 f"{self.source}: young is given without correlation_length: no areal stiffness can be formed"
             )
+        if self.machine_stiffness is not None and self.in_si and self.young is None:
+            raise MeasurementError(f"{self.source}: machine_stiffness needs young, beside which it is stiff or not")
         for name in ("displacement", "force"):
             if getattr(self, name) is None:
                 continue
@@ -244,6 +255,11 @@ class Measurements:
         for i, row in enumerate(self.gauges.row):
             if not 0 <= row < len(self):
                 raise MeasurementError(f"{self.gauges.place(i)}: row = {row}: there are {len(self)} measurements")
+            if self.block_length is not None and self.correlation_length is not None:
+                end = self.block_length[row] * self.correlation_length[row]
+                if self.gauges.position[i] > end:
+                    where = f"{self.gauges.position[i]:g} m: beyond the end of the block, at {end:g} m"
+                    raise MeasurementError(f"{self.gauges.place(i)}: position = {where}")
             if self.kind[row] == "at_least":
                 raise MeasurementError(f"{self.gauges.place(i)}: that front did not stop, so nothing was read after its arrest")
 
@@ -268,6 +284,13 @@ class Measurements:
         """Column `name`, or zeros where it was not given; shape (n,)."""
         column = getattr(self, name)
         return np.zeros(len(self)) if column is None else column
+
+
+def refuse_ends(m: Measurements, what: str) -> None:
+    """Refuse blocks that end and machines that give way, for what takes neither into account."""
+    for name in ("block_length", "machine_stiffness"):
+        if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
+            raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
 
 
 def set_columns(table: Any, names: Sequence[str]) -> list[str]:
@@ -316,13 +339,19 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
     "young": (lambda x: 0 < x <= 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's"),
     "prestress": (PRESTRESS.holds, PRESTRESS.requirement),
     "threshold_slope": (THRESHOLD_SLOPE.holds, THRESHOLD_SLOPE.requirement),
+    "block_length": (lambda x: x >= 2, "a block must be at least two correlation lengths λc long"),
+    "machine_stiffness": (lambda x: x > 0, "the stiffness of a machine must be positive"),
+    "block_width": (lambda x: x > 0, "the width of a block must be positive"),
     "displacement": (lambda x: x > 0, "a displacement at nucleation must be positive"),
     "force": (lambda x: x > 0, "a driving force must be positive"),
     "displacement_sigma": (lambda x: x > 0, "the standard error must be positive"),
     "force_sigma": (lambda x: x > 0, "the standard error must be positive"),
 }
 _ERROR_OF_INPUT = (lambda x: x >= 0, "a standard error cannot be negative")
-MAY_BE_BLANK = ("displacement", "displacement_sigma", "force", "force_sigma")
+MAY_BE_BLANK = (
+    *("displacement", "displacement_sigma", "force", "force_sigma"),
+    *("block_length", "machine_stiffness", "block_width"),
+)
 
 
 def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Mapping[str, tuple[str, str]]) -> None:
@@ -350,8 +379,15 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
         inside, requirement = _DOMAIN.get(name, _ERROR_OF_INPUT)
         if not (np.isfinite(value) and inside(value)):
             refuse(name, requirement)
+    _check_kind(values, kind, refuse)
+
+
+def _check_kind(values: Mapping[str, float], kind: str, refuse: Callable[[str, str], None]) -> None:
+    """Check the length and its error, which depend on how it was measured."""
     if kind == "whole" and abs(values["length"] - round(values["length"])) > 1e-9 * values["length"]:
         refuse("length", "a count of whole contacts must be a whole number of λc")
+    if values["length"] > values.get("block_length", np.inf) * (1 + 1e-9):
+        refuse("length", "longer than the block; of a front that ran through it, the block's length as kind at_least")
     sigma = values.get("length_sigma", 1.0)
     if kind == "length" and sigma == 0:
         refuse("length_sigma", "the standard error of a length must be positive")

@@ -21,7 +21,9 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.lattice.modes import Ends, lattice_modes
+from slippulse_jax.lattice.precursor import quantity
 from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
@@ -39,6 +41,8 @@ STEPS = {
     "log_width": 1e-4,
     "log_position": 1e-4,
     "beyond": 1e-4,
+    "log_sites": 1e-4,
+    "log_machine": 1e-4,
 }
 """Half-widths of central differences."""
 
@@ -47,6 +51,9 @@ FIELD_STEP = 0.1
 
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
+
+NO_END = 1e30
+"""L/λc and M/K for a block without end and an edge that is held: finite, so that derivatives are."""
 
 FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
@@ -61,6 +68,9 @@ class Prediction(NamedTuple):
 
 def lengths(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
     """ℓ*, in λc, or ℓ_w of the smooth rule where `log_width` is given; 0 where no domino starts, inf where nothing stops.
+
+    The closed form is that of a block without end whose edge is held. Where a block ends or a machine gives way it is ℓ of the
+    recursion, which has a kink at every whole contact: the slope jumps there by about the curvature of the front's stress.
 
     Parameters
     ----------
@@ -81,10 +91,13 @@ def lengths(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
 def _lengths(inputs: Inputs) -> np.ndarray:
     slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
     if inputs.log_width is not None:
-        found = bulk.lengths(slider, rule=SmoothBreak(np.exp(inputs.log_width)))
-        if np.isnan(found).any():
-            where = ", ".join(f"{x:.9g}" for x in inputs.table()[np.argmax(np.isnan(found))])
-            raise NotConverged(f"no length under the smooth rule at {inputs.names} = ({where})")
+        return _all_found(bulk.lengths(slider, rule=SmoothBreak(np.exp(inputs.log_width))), inputs, "under the smooth rule")
+    ended = np.isfinite([x for x in (inputs.log_sites, inputs.log_machine) if x is not None]).any(axis=0)
+    if ended.any():
+        inputs, found = inputs.of_front, np.empty(ended.shape)
+        found[ended] = _all_found(straight_lengths(inputs.take(ended)), inputs.take(ended), "by the recursion")
+        if not ended.all():
+            found[~ended] = _lengths(inputs.endless.take(~ended))
         return found
     lanes = np.stack([slider.height, slider.stiffness, slider.poisson, inputs.prestress, inputs.threshold_slope])
     found, status = exact_fronts(lanes, one_program=True)
@@ -96,11 +109,32 @@ def _lengths(inputs: Inputs) -> np.ndarray:
     return found
 
 
+def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
+    lost = np.isnan(length)
+    if lost.any():
+        where = ", ".join(f"{x:.9g}" for x in inputs.table()[np.argmax(lost)])
+        raise NotConverged(f"no length {how} at {inputs.names} = ({where})")
+    return length
+
+
 def straight_lengths(inputs: Inputs) -> np.ndarray:
     """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
+    slider, interface, ends = contacts_of(inputs)
+    return bulk.lengths(slider, interface, ends=ends)
+
+
+def contacts_of(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
+    """Sliders, interfaces and ends for the recursion."""
     slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
     relaxed = not (inputs.prestress.any() or inputs.threshold_slope.any())
-    return bulk.lengths(slider, interface=None if relaxed else Interface(inputs.prestress, inputs.threshold_slope))
+    return slider, None if relaxed else Interface(inputs.prestress, inputs.threshold_slope), _ends(inputs, np.exp)
+
+
+def _ends(inputs: Inputs, exp: Callable = jnp.exp) -> Ends:
+    """Free end and machine; where there is none, one so far, or so stiff, that every digit is that without it."""
+    most = np.log(NO_END)
+    sites, machine = (x if x is None else exp(x.clip(max=most)) for x in (inputs.log_sites, inputs.log_machine))
+    return Ends("semi-infinite" if sites is None else "free", sites, machine)
 
 
 def by_differences(
@@ -135,8 +169,8 @@ def by_differences(
         # beside run-away one side has no value
         up, down = (np.where(np.isfinite(end), end, value) for end in ends)
         right, left = (np.where(np.isfinite(end), x, rows[:, column]) for end, x in zip(ends, at, strict=True))
-        apart = right - left
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):  # a block without end stays without
+            apart = right - left
             slope = (up - down) / np.where(apart > 0, apart, 1)
         slopes[name] = np.where(np.isfinite(value), slope, 0)[own]
     return Prediction(value[own], slopes)
@@ -163,23 +197,34 @@ def forces(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
 
 
 def _nucleation(inputs: Inputs) -> Float[Array, " 2"]:
-    """Displacement and force at nucleation; the force is Σ_i Σ_m C_m r_m^i, a geometric series in each mode."""
-    modes = lattice_modes(Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson))
-    return (1 - inputs.prestress) * jnp.stack([modes.load, (modes.drive / modes.gap).sum()])
+    """Displacement and force at nucleation; the force is Σ_i Σ_m C_m y_m(i), a geometric series in each mode.
+
+    The displacement is that of the edge, whatever pushes it.
+    """
+    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    ends = _ends(inputs._replace(log_machine=None))
+    modes = lattice_modes(slider, ends)
+    force = modes.drive / modes.gap
+    if ends.sites is not None:  # there and, from the free end, back again: 1 + r + … + r^{2N − 1}
+        force = force * -jnp.expm1(2 * ends.sites * jnp.log1p(-modes.gap))
+    return (1 - inputs.prestress) * jnp.stack([modes.load, force.sum()])
 
 
-def _nucleation_with_slopes(lanes: Float[Array, "5 L"]) -> tuple[Array, Array]:
-    """Both of many lanes, and their derivatives, (2, 5, L): whoever measures one of them usually measures the other."""
+def _nucleation_with_slopes(lanes: Float[Array, "n L"]) -> tuple[Array, Array]:
+    """Both of many lanes, and their derivatives, (2, n, L): whoever measures one of them usually measures the other."""
 
     def one(lane: Array) -> Array:
-        return _nucleation(Inputs(*lane))
+        return _nucleation(Inputs(*lane[:5], log_sites=lane[5] if len(lane) > 5 else None))
 
     return jax.vmap(one, 1, -1)(lanes), jax.vmap(jax.jacfwd(one), 1, -1)(lanes)
 
 
 def _at_nucleation(which: int, inputs: Inputs, wanted: Collection[str]) -> Prediction:
-    value, slopes = over_lanes(_nucleation_with_slopes, inputs[:5], Layout(chunk=LANES))
-    return Prediction(value[which], {name: slopes[which, i] for i, name in enumerate(Inputs._fields[:5]) if name in wanted})
+    given = inputs.of_front._replace(log_machine=None)
+    lanes = [x for x in given if x is not None]
+    value, slopes = over_lanes(_nucleation_with_slopes, lanes, Layout(chunk=LANES))
+    by_name = {name: slopes[which, i] for i, name in enumerate(given.names)} | {"log_machine": np.zeros(len(value[which]))}
+    return Prediction(value[which], {name: slope for name, slope in by_name.items() if name in wanted})
 
 
 def slips(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
@@ -232,12 +277,15 @@ def _after(front: Inputs, stopped: np.ndarray, count: int) -> np.ndarray:
     """Slip and stress of the first `count` contacts, shape (2, fronts, count)."""
     with jax.enable_x64(True):
         slider = Slider(np.exp(front.log_height), np.exp(front.log_stiffness), front.poisson)
-        return np.stack(_fields_after(slider, front.prestress, stopped, count))
+        return np.stack(_fields_after(slider, _ends(front, np.exp), front.prestress, stopped, count))
 
 
-@partial(jax.jit, static_argnums=3)
-def _fields_after(slider: Slider, prestress: Array, stopped: Array, count: int) -> Readings:
-    return jax.vmap(partial(readings, count=count))(slider, prestress, stopped)
+@partial(jax.jit, static_argnums=4)
+def _fields_after(slider: Slider, ends: Ends, prestress: Array, stopped: Array, count: int) -> Readings:
+    def one(slider: Slider, ends: Ends, prestress: Array, stopped: Array) -> Readings:
+        return readings(slider, prestress, stopped, count, ends)
+
+    return jax.vmap(one)(slider, ends, prestress, stopped)
 
 
 def _between(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -282,17 +330,21 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
     place = jnp.exp(inputs.log_position)
     left = jnp.floor(place).astype(jnp.int32)
     slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
-    field = getattr(readings(slider, inputs.prestress, stopped, sites), observable)
+    field = getattr(readings(slider, inputs.prestress, stopped, sites, _ends(inputs)), observable)
     known = (stopped < sites) & (place + 1 < sites)
     return jnp.where(known, field[left] + (place - left) * (field[left + 1] - field[left]), jnp.inf)
 
 
 def traced_length(inputs: Inputs, relaxed: bool) -> Array:
-    """ℓ* of one lane as a JAX function."""
+    """ℓ* of one lane as a JAX function, or ℓ where the block ends or the machine gives way."""
     slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
-    if relaxed:
-        return exact_length(slider)
-    return exact_length(slider, Interface(inputs.prestress, inputs.threshold_slope))
+    interface = None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
+    exact = exact_length(slider, interface)
+    stated = [x for x in (inputs.log_sites, inputs.log_machine) if x is not None]
+    if not stated:
+        return exact
+    straight = quantity("length", slider, interface, _ends(inputs), DEFAULT_MAX_CONTACTS)
+    return jnp.where(jnp.isfinite(jnp.stack(stated)).any(), straight, exact)
 
 
 def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -315,10 +367,9 @@ def attainable_of(
             on = parameters.inputs.log_stiffness.slope[rows, i] != 0
             low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
     # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
-    names = Inputs._fields[:5]
-    table = Inputs(*inputs[:5]).table()
-    distinct, own = np.unique(np.column_stack([table, low, high]), axis=0, return_inverse=True)
-    longest, where = longest_length(Inputs.from_table(names, distinct[:, :5]), distinct[:, 5], distinct[:, 6])
+    inputs = inputs.of_front
+    distinct, own = np.unique(np.column_stack([inputs.table(), low, high]), axis=0, return_inverse=True)
+    longest, where = longest_length(Inputs.from_table(inputs.names, distinct[:, :-2]), distinct[:, -2], distinct[:, -1])
     return longest[own.ravel()], np.exp(where[own.ravel()])
 
 

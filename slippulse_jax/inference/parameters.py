@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.units import machine_ratio
 
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
@@ -35,6 +36,18 @@ class Inputs(NamedTuple):
     log_position: Any = None  # ln of a gauge's distance from the pushed edge, in λc
     beyond: Any = None  # contacts broken beyond ℓ*, 0 to 1, when gauges were read
     counted: Any = None  # contacts counted as broken when gauges were read; 0 where they were not
+    log_sites: Any = None  # ln L/λc of the block; inf for one without end
+    log_machine: Any = None  # ln M/K of the drive; inf where the edge is held
+
+    @property
+    def of_front(self) -> "Inputs":
+        """Inputs on which the front under the hard rule depends."""
+        return self._replace(log_width=None, log_position=None, beyond=None, counted=None)
+
+    @property
+    def endless(self) -> "Inputs":
+        """The same with blocks without end, whose edge is held."""
+        return self._replace(log_sites=None, log_machine=None)
 
     @classmethod
     def of(
@@ -234,10 +247,10 @@ PARAMETERS: dict[str, _Kind] = {
     "correlation_length": _Kind(
         "λc", ("", "m"), True,
         # H/λc falls; k/K = (k/λc²) λc/E rises
-        {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1},
+        {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1, "log_sites": -1},
         "correlation_length",
     ),
-    "young": _Kind("E", ("", "Pa"), True, {"log_stiffness": -1}, "young"),
+    "young": _Kind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, "young"),
     "poisson": _Kind("ν", ("", ""), False, {"poisson": 1}, "poisson"),
     "prestress": _Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, "prestress"),
     "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, "threshold_slope"),
@@ -341,12 +354,13 @@ class _Builder:
         }
         log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        names = (*Inputs._fields[: 5 + smooth], *SCALES, "offset", "beyond")
-        self.base = {name: np.zeros(n) for name in names} | {
+        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m))
+        self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
             "log_height": np.log(m.height),
             "log_stiffness": log_lc - log_young,
             **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
             "force": log_lc.copy(),
+            **_ends(m),
         }
         self.free: list[Free] = []
         self.slopes: list[dict[str, np.ndarray]] = []
@@ -354,7 +368,7 @@ class _Builder:
 
     def _acts(self, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
         """What a unit of θ adds to each map, for every measurement."""
-        acts = {target: size * rows for target, size in PARAMETERS[name].acts.items()}
+        acts = {target: size * rows for target, size in PARAMETERS[name].acts.items() if target in self.base}
         if name == "offset" and self.m.correlation_length is not None:
             acts["offset"] = rows / self.m.correlation_length
         return acts
@@ -436,7 +450,7 @@ class _Builder:
         result = ParameterSet(
             free=tuple(self.free),
             held=self.held,
-            inputs=Inputs(**{name: linear(name) for name in Inputs._fields[: 5 + self.smooth]}),
+            inputs=Inputs(**{name: linear(name) for name in self.inputs}),
             scales={scale: linear(scale) for scale in SCALES},
             offset=linear("offset"),
             beyond=linear("beyond"),
@@ -444,6 +458,16 @@ class _Builder:
         )
         _check_domain(result)
         return result
+
+
+def _ends(m: Measurements) -> dict[str, np.ndarray]:
+    """Logarithms of L/λc and M/K, those of them that are stated; inf where one is not."""
+    found = {}
+    if m.block_length is not None:
+        found["log_sites"] = np.log(m.block_length)
+    if m.machine_stiffness is not None:
+        found["log_machine"] = np.log(machine_ratio(m.machine_stiffness, 1.0 if m.young is None else m.young))
+    return {name: np.where(np.isnan(x), np.inf, x) for name, x in found.items() if not np.isnan(x).all()}
 
 
 def _input_label(name: str, key: tuple[str, float, float]) -> str:
@@ -511,6 +535,8 @@ def _check_domain(parameters: ParameterSet) -> None:
         "prestress": (PRESTRESS.low, PRESTRESS.high, "φ", PRESTRESS.requirement),
         "threshold_slope": (THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, "ε", THRESHOLD_SLOPE.requirement),
         "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
+        "log_sites": (np.log(2.0), np.inf, "L/λc", "must be at least 2"),
+        "log_machine": (np.log(1e-30), np.inf, "M/K", "must be positive"),
     }
     for name in parameters.inputs.names:
         base, slope = getattr(parameters.inputs, name)
@@ -580,6 +606,8 @@ def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
     for name in ("prestress", "threshold_slope"):
         if name in names or m.or_zero(name).any():
             raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")
+    if _ends(m):
+        raise ValueError("parameter width: the smooth rule is for blocks without end whose edge is held while the front runs")
     if m.gauges is not None:
         raise ValueError("parameter width: readings of gauges are those of the hard rule; leave one of them out")
 

@@ -13,13 +13,13 @@ from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
+from slippulse_jax.inference.model import contacts_of
 from slippulse_jax.inference.parameters import Inputs, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import to_dict
 from slippulse_jax.inference.report import notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
-from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -307,7 +307,7 @@ def regime(inputs: Inputs) -> Regime:
 
 def recursion_status(inputs: Inputs) -> np.ndarray:
     """Outcome of each front by the recursion, which breaks its contacts one by one; shape (n,)."""
-    distinct, own = np.unique(Inputs(*inputs[:5]).table(), axis=0, return_inverse=True)
-    slider = Slider(np.exp(distinct[:, 0]), np.exp(distinct[:, 1]), distinct[:, 2])
-    interface = None if not distinct[:, 3:].any() else Interface(prestress=distinct[:, 3], threshold_slope=distinct[:, 4])
-    return np.asarray(arrests(slider, interface=interface).status)[own.ravel()]
+    inputs = inputs.of_front
+    distinct, own = np.unique(inputs.table(), axis=0, return_inverse=True)
+    slider, interface, ends = contacts_of(Inputs.from_table(inputs.names, distinct))
+    return np.asarray(arrests(slider, interface, ends=ends).status)[own.ravel()]

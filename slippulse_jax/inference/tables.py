@@ -21,6 +21,11 @@ Without a column of σ the errors are taken as equal, and their size from the sc
 ``displacement_um``, ``displacement_sigma_um``, ``force_N_per_mm``, ``force_sigma_N_per_mm``
     edge displacement, and driving force over the width of the block, at nucleation; SI with ``young_GPa``, blank where not
     measured
+``block_length_mm`` or ``block_length``
+    length of the block, from the pushed edge to its free end; blank for one without end. A front that ran through all of it has
+    that length and the kind ``at_least``
+``machine_stiffness_N_per_m`` with ``block_width_mm``, or ``machine_stiffness`` (over the width of the block and E)
+    stiffness of the machine that pushes, from its own frame to the edge; SI with ``young_GPa``, blank where the edge is held
 ``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
 ``label``
     a name for the precursor, by which the table of gauges refers to it (`read_gauges`)
@@ -64,9 +69,14 @@ _SI = {
     **_columns("young_GPa"),
     **_columns("height_sigma_mm", over=True),
     **_columns("correlation_length_sigma_um", "young_sigma_GPa"),
+    **_columns("block_length_mm", over=True),
+    **_columns("machine_stiffness_N_per_m", "block_width_mm"),
     **_columns("displacement_um", "displacement_sigma_um", "force_N_per_mm", "force_sigma_N_per_mm"),
 }
-_PLAIN = {**_columns("height", "length", required=True), **_columns("length_sigma", "height_sigma")}
+_PLAIN = {
+    **_columns("height", "length", required=True),
+    **_columns("length_sigma", "height_sigma", "block_length", "machine_stiffness"),
+}
 _UNITS = {
     "m",
     "dm",
@@ -129,7 +139,7 @@ def _parse(text: str, name: str) -> Measurements:
     columns = _known_columns(header, f"{name}, line {header_line}")
     if len(table_rows) == 1:
         raise MeasurementError(f"{name}: a header and no measurements")
-    table: dict[str, list[float]] = {column.quantity: [] for column in columns.values()}
+    table: dict[str, list[float]] = {column.quantity: [] for column in columns.values() if column.quantity != "block_width"}
     texts: dict[str, list[str]] = {column: [] for column in header if column not in columns}
     for line, cells in table_rows[1:]:
         where = f"{name}, line {line}"
@@ -180,6 +190,10 @@ def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
         partner = _value_column(column)
         if column in known and partner in known and partner not in header:
             raise MeasurementError(f"{where}, column {column}: there is no column {partner} that it could be the error of")
+    machine, width = "machine_stiffness_N_per_m", "block_width_mm"
+    if only_si and (machine in header) != (width in header):
+        given, missed = (machine, width) if machine in header else (width, machine)
+        raise MeasurementError(f"{where}, column {given}: needs the column {missed}: the model is one of a unit width")
     return {column: meaning for column, meaning in known.items() if column in header}
 
 
@@ -224,6 +238,11 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
         quantities["length"] = float(near) if abs(quantities["length"] - near) < 1e-6 else quantities["length"]
     # the correlation length comes first: it is what a wrong height or length may be due to
     check_domain(dict(sorted(quantities.items(), key=lambda item: item[0] != "correlation_length")), kind, where, shown)
+    if "block_width" in quantities:
+        width = quantities.pop("block_width")
+        if np.isnan(width) and not np.isnan(quantities["machine_stiffness"]):
+            raise MeasurementError(f"{where}, column block_width_mm: missing value: the stiffness beside it is over this width")
+        quantities["machine_stiffness"] /= width
     return quantities
 
 

@@ -17,7 +17,7 @@ from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.front import contact_at
-from slippulse_jax.lattice.modes import RightEnd, lattice_modes
+from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.lattice.response import response
 from slippulse_jax.lattice.rupture import one_rupture
 from slippulse_jax.slider import Slider
@@ -87,7 +87,7 @@ def _kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
     def length(lane: Float[Array, " fields"]) -> Array:
         slider, interface = Slider(*lane[:3]), Interface(*lane[3:]) if len(lane) > 3 else None
         whole = chain(slider, sites=sites, interface=interface, right=right)
-        modes = lattice_modes(slider, right, None if right == "semi-infinite" else sites)
+        modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
         threshold, prestress = contact_at(modes, interface, 0)
         loaded = whole.relaxed(modes.load * (threshold - prestress))
         return one_rupture((BREAKS * sites, 0), response(whole, near=False), whole, loaded, jnp.int32(0)).length

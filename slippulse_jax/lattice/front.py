@@ -72,6 +72,8 @@ class LengthDerivatives(NamedTuple):
     threshold_slope: np.ndarray | None = None  # dℓ/dε, with an interface
     rule: Any = None  # the break rule with the derivatives in the places of its numbers, with a smooth rule
     hessian: np.ndarray | None = None  # (..., n, n), second derivatives in the order of the fields above
+    sites: np.ndarray | None = None  # dℓ/dN, of a finite chain
+    machine: np.ndarray | None = None  # dℓ/d(M/K), with a machine
 
 
 class Arrest(NamedTuple):
@@ -246,7 +248,7 @@ def passage(modes: Modes, contacts: Contacts = None) -> Passage:
     return Passage(start, step, stress, lambda site: contact_at(modes, contacts, site)[0], lambda front: front.edge[0])
 
 
-def let_run(over: Passage, valid: Array, end: Array, sites: int | None, max_contacts: int) -> Arrest:
+def let_run(over: Passage, valid: Array, end: Array, contacts: Array | None, max_contacts: int) -> Arrest:
     """Let the front go until the contact ahead holds, the chain ends, or it is given up; differentiable forward.
 
     Parameters
@@ -256,17 +258,19 @@ def let_run(over: Passage, valid: Array, end: Array, sites: int | None, max_cont
         Whether slider and contacts lie in their domains.
     end : array
         Breaks after which a front never stops.
-    sites, max_contacts : int
+    contacts : array, optional
+        How many a finite chain has.
+    max_contacts : int
     """
-    chain_end = 2**31 - 1 if sites is None else sites
-    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), min(max_contacts, chain_end))
+    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
+    limit = limit if contacts is None else jnp.minimum(limit, contacts)
 
     def excess(front: Any) -> Array:
         return over.stress(front) - over.threshold(front.position)
 
     front = lax.while_loop(lambda f: (excess(f) >= 0) & (f.position < limit), over.advance, over.start)
     s0, ahead, edge = front.position, excess(front), over.edge(front)
-    through = s0 == (-1 if sites is None else sites)
+    through = s0 == (-1 if contacts is None else contacts)
     status = outcome(
         s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0.astype(end.dtype) >= end
     )

@@ -17,10 +17,9 @@ from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
 from slippulse_jax.lattice.events import Event, check_event, event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
-from slippulse_jax.lattice.modes import RightEnd, check_right_end
+from slippulse_jax.lattice.modes import ENDLESS, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
     HARD,
-    Configuration,
     arrest,
     check_max_contacts,
     check_smooth,
@@ -30,6 +29,7 @@ from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
+from slippulse_jax.units import Numbers
 
 LENGTHS, WITH_MORE, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=256)
 """Of `lanes` for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general recursion."""
@@ -40,7 +40,8 @@ class Options(TypedDict, total=False):
 
     rule: BreakRule
     right: RightEnd
-    sites: int | None
+    sites: Numbers | None
+    machine: Numbers | None
     max_contacts: int
     event: Event
 
@@ -59,7 +60,8 @@ def precursor_lengths(
     *,
     rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    sites: Numbers | None = None,
+    machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: Event = "domino",
     derivatives: Literal[0, 1] = 0,
@@ -76,7 +78,7 @@ def precursor_lengths(
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    interface, rule, right, sites, max_contacts
+    interface, rule, right, sites, machine, max_contacts
         As for `precursor_length`; the numbers of a smooth rule broadcast with the slider.
     event : {"domino", "full"}
         Length of the first front, in which each contact breaks once; or of the whole event, in which contacts may break again.
@@ -90,7 +92,7 @@ def precursor_lengths(
     numpy.ndarray or LengthDerivatives
         ℓ, float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where it was given
         up, with a warning. With ``derivatives=1`` a `LengthDerivatives`: the derivatives of `precursor_length` (its kinks at
-        whole contacts included) in every parameter of slider and interface, or of slider and smooth rule.
+        whole contacts included) in every parameter of slider and interface, or of slider and smooth rule, and of the ends.
 
     Notes
     -----
@@ -98,16 +100,8 @@ def precursor_lengths(
     compile: 80 breaks at H/λc = 50 and b = 6, 14 000 at 10⁴ and b = 5, 85 000 at 10⁴ and b = 40. Its length steps where the
     order of breaks changes; the derivatives are those at a fixed order, which differ from its trend.
     """
-    found = lengths(
-        slider,
-        interface,
-        rule=rule,
-        right=right,
-        sites=sites,
-        max_contacts=max_contacts,
-        event=event,
-        derivatives=derivatives,
-    )
+    ends = ends_of(right, sites, machine)
+    found = lengths(slider, interface, rule=rule, ends=ends, max_contacts=max_contacts, event=event, derivatives=derivatives)
     _warn_of_missing(found.length if isinstance(found, LengthDerivatives) else found, slider, max_contacts)
     return found
 
@@ -117,8 +111,7 @@ def lengths(
     interface: Interface | None = None,
     *,
     rule: BreakRule = HARD,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: Event = "domino",
     derivatives: int = 0,
@@ -126,18 +119,17 @@ def lengths(
     """`precursor_lengths` without warnings."""
     check_event(event)
     if event == "full":
-        return _whole(slider, interface, rule, right, sites, max_contacts, derivatives)
+        return _whole(slider, interface, rule, ends, max_contacts, derivatives)
     check_rule(rule)
-    check_right_end(right, sites)
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
     smooth = isinstance(rule, SmoothBreak)
     if smooth:
-        check_smooth(interface, right)
-    columns, shape, kind = _columns(slider, interface, rule)
-    if smooth or not _is_simple(interface, right):
-        kernel, layout = general_kernel(kind, (right, sites, max_contacts), derivatives), ANY
+        check_smooth(interface, ends)
+    columns, shape, kind = _columns(slider, interface, rule, ends)
+    if smooth or not _is_simple(interface, ends):
+        kernel, layout = general_kernel(kind, max_contacts, derivatives), ANY
     elif derivatives:
         kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
     else:
@@ -153,32 +145,35 @@ def lengths(
     if not derivatives:
         return found.reshape(shape)
     length, *slopes = (column.reshape(shape) for column in found)
-    by_slider, by_interface, by_rule = jax.tree.unflatten(kind, slopes)
+    by_slider, by_interface, by_rule, by_ends = jax.tree.unflatten(kind, slopes)
     numbers = by_slider.height, by_slider.stiffness, by_slider.poisson
+    more = {"sites": by_ends.sites, "machine": by_ends.machine}
     if interface is not None:
-        return LengthDerivatives(length, *numbers, by_interface.prestress, by_interface.threshold_slope)
-    return LengthDerivatives(length, *numbers, rule=by_rule if smooth else None)
+        return LengthDerivatives(length, *numbers, by_interface.prestress, by_interface.threshold_slope, **more)
+    return LengthDerivatives(length, *numbers, rule=by_rule if smooth else None, **more)
 
 
 def _whole(
     slider: Slider,
     interface: Interface | None,
     rule: BreakRule,
-    right: RightEnd,
-    sites: int | None,
+    ends: Ends,
     max_contacts: int,
     derivatives: int,
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
     if rule is not HARD or (interface is not None and interface.repin_delay):
         raise ValueError("event = 'full': needs the hard rule, and contacts that repin at once")
-    front = lengths(slider, interface, right=right, sites=sites, max_contacts=max_contacts, derivatives=derivatives)
-    rows = np.stack([x for x in front[:-2] if x is not None]) if derivatives else front[None]
-    status = arrests(slider, interface, right=right, sites=sites, max_contacts=max_contacts).status
+    sites = None if ends.sites is None else float(np.ravel(ends.sites)[0])
+    if ends.machine is not None or sites is not None and not (np.all(ends.sites == sites) and sites.is_integer()):
+        raise ValueError("event = 'full': takes no machine, and one whole number of sites")
+    front = lengths(slider, interface, ends=ends, max_contacts=max_contacts, derivatives=derivatives)
+    rows = np.stack([x for x in front[:6] if x is not None]) if derivatives else front[None]
+    status = arrests(slider, interface, ends=ends, max_contacts=max_contacts).status
     again = status == Outcome.REBREAK
     if again.any():
-        columns = np.stack(_columns(slider, interface, rule)[0])[:, again.ravel()]
-        rows[:, again] = event_lengths(columns, rows[0][again], right, sites, derivatives)
+        columns = np.stack(_columns(slider, interface, rule, ENDLESS)[0])[:, again.ravel()]
+        rows[:, again] = event_lengths(columns, rows[0][again], ends.right, None if sites is None else int(sites), derivatives)
     return LengthDerivatives(*rows) if derivatives else rows[0]
 
 
@@ -186,19 +181,17 @@ def arrests(
     slider: Slider,
     interface: Interface | None = None,
     *,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> Arrest:
     """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
 
     What `precursor_lengths` computes, with all that is known of each lane; no lane raises or warns.
     """
-    check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    columns, shape, kind = _columns(slider, interface, HARD)
-    simple = _is_simple(interface, right)
-    kernel = lanes.arrest_kernel(max_contacts) if simple else general_arrest_kernel(kind, (right, sites, max_contacts))
+    columns, shape, kind = _columns(slider, interface, HARD, ends)
+    simple = _is_simple(interface, ends)
+    kernel = lanes.arrest_kernel(max_contacts) if simple else general_arrest_kernel(kind, max_contacts)
     return Arrest(*(x.reshape(shape) for x in over_lanes(kernel, columns, WITH_MORE if simple else ANY, length_rank)))
 
 
@@ -206,25 +199,25 @@ def arrests(
 
 
 @functools.cache
-def general_arrest_kernel(kind: Any, configuration: Configuration) -> Kernel:
-    """`Arrest` of lanes whose numbers `kind` puts together to slider, interface and rule."""
+def general_arrest_kernel(kind: Any, max_contacts: int) -> Kernel:
+    """`Arrest` of lanes whose numbers `kind` puts together to slider, interface, rule and ends."""
 
     def one(lane: Array) -> Arrest:
-        slider, interface, _ = jax.tree.unflatten(kind, list(lane))
-        return arrest(slider, interface, *configuration)
+        slider, interface, _, ends = jax.tree.unflatten(kind, list(lane))
+        return arrest(slider, interface, ends, max_contacts)
 
     return lambda lanes: tuple(map(jnp.asarray, jax.vmap(one, in_axes=1)(lanes)))
 
 
 @functools.cache
-def general_kernel(kind: Any, configuration: Configuration, derivatives: int) -> Kernel:
+def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
     """ℓ of lanes likewise, or ℓ_w of a smooth rule; or rows of one array, with the derivative in every number."""
 
     def one(lane: Array) -> Array:
-        slider, interface, rule = jax.tree.unflatten(kind, list(lane))
+        slider, interface, rule, ends = jax.tree.unflatten(kind, list(lane))
         if isinstance(rule, SmoothBreak):
-            return smooth_length(slider, rule, max_contacts=configuration[-1])[0]
-        return jnp.asarray(arrest(slider, interface, *configuration).length)
+            return smooth_length(slider, rule, max_contacts=max_contacts)[0]
+        return jnp.asarray(arrest(slider, interface, ends, max_contacts).length)
 
     def with_slopes(lane: Array) -> Array:
         slopes, length = jax.jacfwd(lambda x: (one(x),) * 2, has_aux=True)(lane)
@@ -234,15 +227,17 @@ def general_kernel(kind: Any, configuration: Configuration, derivatives: int) ->
     return lambda lanes: (mapped(lanes),)
 
 
-def _is_simple(interface: Interface | None, right: RightEnd) -> bool:
+def _is_simple(interface: Interface | None, ends: Ends) -> bool:
     """Whether `slippulse_jax.lattice.lanes` has a loop of its own for it."""
-    return right == "semi-infinite" and (interface is None or interface.repin_delay == 0)
+    return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
 
 
-def _columns(slider: Slider, interface: Interface | None, rule: BreakRule) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
+def _columns(
+    slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends
+) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
     """The numbers of every lane, one array each; the shape of the batch; and what puts them together again."""
     check_bulk(interface)
-    numbers, kind = jax.tree.flatten((slider, interface, rule))
+    numbers, kind = jax.tree.flatten((slider, interface, rule, ends))
     if any(isinstance(x, Tracer) for x in numbers):
         raise TypeError("precursor_lengths needs NumPy arrays; inside jit, grad or vmap use precursor_length")
     values = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))

@@ -10,17 +10,26 @@ decays by the ratio r_m per site, r_m + 1/r_m = 2 + κ_m². A pinning point u_b[
 
 the response of an endless lattice, the echo e_m of the right end, and the reflection R at the left edge, where u_t[0]
 is imposed and u is free. For a semi-infinite chain e_m = 1.
+
+A machine of stiffness M drives the edge through that spring: u_t[0] = U − F/M, where U is the displacement of the machine and
+F = K_L (u_t[−1] − u_t[0]) its force, with u_t[−1] as the modes continue it. Only the left edge changes. A chain of N sites has
+the mirror of a free end at (N − ½) λc from contact 0, a clamped wall at N λc. The formulas hold for any real N; contacts are
+then those that lie before (N − ½) λc.
 """
 
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.domains import MACHINE
 from slippulse_jax.slider import Slider, of_one_type
+from slippulse_jax.units import Numbers
 
 RightEnd = Literal["semi-infinite", "free", "clamped"]
 
@@ -28,11 +37,31 @@ Number = Float[Array, "..."]
 Pair = tuple[Number, Number]  # one number per mode
 
 
+class Ends(eqx.Module):
+    """Two ends of a chain: what lies beyond its last site, and the drive at its edge.
+
+    The numbers may be traced, and broadcast with the slider's.
+    """
+
+    right: RightEnd = eqx.field(static=True, default="semi-infinite")
+    sites: Any = None  # N of a finite chain, a real number
+    machine: Any = None  # M/K, stiffness of the drive; None for an imposed displacement
+
+    @property
+    def contacts(self) -> Int[Array, "..."] | None:
+        """Contacts of a finite chain: N, rounded where it is no whole number."""
+        return None if self.sites is None else jnp.ceil(jnp.minimum(jnp.asarray(self.sites) - 0.5, 2e9)).astype(jnp.int32)
+
+
+ENDLESS = Ends()
+"""Semi-infinite, pushed by an imposed displacement."""
+
+
 class Echo(NamedTuple):
     """What the right end of a finite chain sends back."""
 
     amplitude: Float[Array, "2"]  # η_m: r_m from a free end, −r_m² from a clamped one
-    last: Int[Array, ""]  # index of the last site, N − 1
+    last: Float[Array, ""]  # N − 1, index of the last site
 
 
 class Modes(eqx.Module):
@@ -47,14 +76,14 @@ class Modes(eqx.Module):
     upper: Float[Array, "2"]  # u_t/u in the mode, 1/α_m
     reflection: Float[Array, "2 2"]  # R_mn
     drive: Float[Array, "2"]  # C_m, u at nucleation is Σ C_m y_m(i), in u_s: 1 at i = 0
-    load: Float[Array, ""]  # U0, displacement of the left edge at nucleation, in u_s
+    load: Float[Array, ""]  # U0, displacement of the drive (without a machine, of the left edge) at nucleation, in u_s
     echo: Echo | None  # None for a semi-infinite chain
 
     def echo_factor(self, site: Array) -> Float[Array, "2"]:
         """e_m(i) = 1 + η_m r_m^{2(N−1−i)}."""
         if self.echo is None:
             return jnp.ones_like(self.ratio)
-        beyond = (self.echo.last - site).astype(self.gap.dtype)
+        beyond = jnp.maximum(self.echo.last - site.astype(self.gap.dtype), -1)  # past the end nothing grows
         return 1 + self.echo.amplitude * jnp.exp(2 * beyond * jnp.log1p(-self.gap))
 
     def profile(self, site: Array) -> Float[Array, "2"]:
@@ -62,22 +91,21 @@ class Modes(eqx.Module):
         return self.echo_factor(site) * jnp.exp(site * jnp.log1p(-self.gap))
 
 
-def lattice_modes(slider: Slider, right: RightEnd = "semi-infinite", sites: int | None = None) -> Modes:
+def lattice_modes(slider: Slider, ends: Ends = ENDLESS) -> Modes:
     """Modes of the chain of one slider.
 
     Parameters
     ----------
     slider : Slider
         One slider (fields of shape ()).
-    right : {"semi-infinite", "free", "clamped"}
-        What the chain does beyond its last site: goes on for ever; nothing; is tied to a wall one bond further.
-    sites : int, optional
-        Number of sites N ≥ 2 of a finite chain.
+    ends : Ends
+        Right end and drive; semi-infinite and an imposed displacement by default.
     """
-    check_right_end(right, sites)
-    height, stiffness, poisson = of_one_type(slider)
-    end = None if sites is None else (right, sites)
-    numbers = mode_numbers(height, stiffness, poisson, end)
+    given = [x for x in (ends.sites, ends.machine) if x is not None]
+    height, stiffness, poisson, *given = of_one_type(slider, *given)
+    machine = None if ends.machine is None else given.pop()
+    end = None if ends.sites is None else (ends.right, given.pop())
+    numbers = mode_numbers(height, stiffness, poisson, end, machine)
     r11, r12, r22 = numbers.reflection
     return Modes(
         ratio=jnp.stack(numbers.ratio),
@@ -87,7 +115,7 @@ def lattice_modes(slider: Slider, right: RightEnd = "semi-infinite", sites: int 
         reflection=jnp.stack([jnp.stack([r11, r12]), jnp.stack([r12, r22])]),
         drive=jnp.stack(numbers.drive),
         load=numbers.load,
-        echo=None if sites is None else Echo(jnp.stack(_echoes(numbers.ratio, right)), jnp.asarray(sites - 1)),
+        echo=None if end is None else Echo(jnp.stack(_echoes(numbers.ratio, ends.right)), end[1] - 1),
     )
 
 
@@ -103,8 +131,14 @@ class ModeNumbers(NamedTuple):
     load: Number
 
 
-def mode_numbers(height: Number, stiffness: Number, poisson: Number, end: tuple[RightEnd, int] | None = None) -> ModeNumbers:
-    """Modes of one slider; `end` is the right end of a finite chain and its number of sites.
+def mode_numbers(
+    height: Number,
+    stiffness: Number,
+    poisson: Number,
+    end: tuple[RightEnd, Number] | None = None,
+    machine: Number | None = None,
+) -> ModeNumbers:
+    """Modes of one slider; `end` is the right end of a finite chain and its number of sites, `machine` is M/K.
 
     Notes
     -----
@@ -135,6 +169,8 @@ def mode_numbers(height: Number, stiffness: Number, poisson: Number, end: tuple[
     # At the left edge, for amplitudes B_m of y_m and a source at j:
     #   u_t[0] = U      :  Σ e_m(0) B_m/α_m = U − Σ w_n/α_n y_n(j)
     #   u[−1] = u[0]    :  Σ slope_m B_m    =     Σ w_n (1 − r_n) y_n(j)
+    # and with a machine, u_t[0] + δ (u_t[−1] − u_t[0]) = U with δ = K_L/M, e_m(0) becomes e_m(0) + δ slope_m on the left,
+    # 1/α_n becomes (1 − δ (1 − r_n))/α_n on the right
     s1, s2 = k1 * p1, k2 * p2  # (1 − r_m)/r_m
     both = s2 + g2
     e1, e2 = 1, 1
@@ -144,12 +180,12 @@ def mode_numbers(height: Number, stiffness: Number, poisson: Number, end: tuple[
         n1, n2 = n1 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g1)), n2 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g2))
         e1, e2, s1, s2 = 1 + n1, 1 + n2, s1 - g1 * n1, s2 - g2 * n2
     determinant, at_edge = e1 * U1 * s2 - e2 * U2 * s1, e1 * s2 - e2 * s1
+    back1, back2 = U1 * s2 + g1 * e2 * U2, g2 * e1 * U1 + U2 * s1
+    if machine is not None:
+        give = height * _inverse(machine) * (U2 - U1)
+        determinant, back1, back2 = determinant - give * s1 * s2, back1 + give * g1 * s2, back2 - give * g2 * s1
     over_determinant, over_edge = _inverse(determinant), _inverse(at_edge)
-    reflection = (
-        -w1 * (U1 * s2 + g1 * e2 * U2) * over_determinant,
-        -w2 * U2 * both * over_determinant,
-        w2 * (g2 * e1 * U1 + U2 * s1) * over_determinant,
-    )
+    reflection = -w1 * back1 * over_determinant, -w2 * U2 * both * over_determinant, w2 * back2 * over_determinant
     drive = s2 * over_edge, -s1 * over_edge
     return ModeNumbers((r1, r2), (g1, g2), (w1, w2), (U1, U2), reflection, drive, determinant * over_edge)
 
@@ -233,12 +269,31 @@ def equilibrium_fields(
     return Fields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning, carried)
 
 
-def check_right_end(right: RightEnd, sites: int | None) -> None:
-    """Refuse an unknown right end, or a number of sites that does not go with it."""
+def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
+    """Check the ends of a chain and put them together.
+
+    Parameters
+    ----------
+    right : {"semi-infinite", "free", "clamped"}
+        What the chain does beyond its last site: goes on for ever; nothing; is tied to a wall one bond further.
+    sites : array_like, optional
+        Number of sites N ≥ 2 of a finite chain.
+    machine : array_like, optional
+        M/K > 0, stiffness of the drive; inf, like None, for an imposed displacement.
+    """
+    check_right_end(right, sites)
+    if machine is not None and not isinstance(machine, Tracer):
+        known = np.asarray(machine, dtype=float)
+        MACHINE.check("machine", np.where(known == np.inf, 1, known))
+    return Ends(right, *(x if x is None or isinstance(x, Tracer | Array) else np.asarray(x, float) for x in (sites, machine)))
+
+
+def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
+    """Refuse an unknown right end, or a number of sites that does not go with it; traced numbers are not checked."""
     if right not in get_args(RightEnd):
         raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
     if right == "semi-infinite":
         if sites is not None:
             raise ValueError(f"sites = {sites}: a semi-infinite chain has no number of sites; choose right='free' or 'clamped'")
-    elif sites is None or sites < 2:
+    elif sites is None or not (isinstance(sites, Tracer) or np.all((np.asarray(sites) >= 2) & np.isfinite(sites))):
         raise ValueError(f"sites = {sites}: a chain with a {right} right end needs a number of sites, at least 2")

@@ -1,6 +1,7 @@
 """The first precursor: its length, and the full record."""
 
 import functools
+import math
 import warnings
 from functools import partial
 
@@ -17,16 +18,23 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import delayed, front
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
-from slippulse_jax.lattice.modes import Fields, Modes, RightEnd, check_right_end, equilibrium_fields, lattice_modes
+from slippulse_jax.lattice.modes import (
+    ENDLESS,
+    Ends,
+    Fields,
+    Modes,
+    RightEnd,
+    ends_of,
+    equilibrium_fields,
+    lattice_modes,
+)
 from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
+from slippulse_jax.units import Numbers
 
 HARD = HardBreak()
-
-Configuration = tuple[RightEnd, int | None, int]
-"""Right end, number of sites, largest number of breaks."""
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -44,39 +52,40 @@ def passage(modes: Modes, contacts: Contacts) -> Passage:
 def arrest(
     slider: Slider,
     interface: Contacts = None,
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> Arrest:
     """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
-    modes = lattice_modes(slider, right, sites)
+    modes = lattice_modes(slider, ends)
     valid = front.in_domain(slider) if interface is None else front.in_domain(slider) & interface.in_domain()
+    if ends.machine is not None:
+        valid = valid & (jnp.asarray(ends.machine) > 0)
     end = front.never_stops_after(modes, interface)
-    return front.let_run(passage(modes, interface), valid, end, sites, max_contacts)
+    return front.let_run(passage(modes, interface), valid, end, ends.contacts, max_contacts)
 
 
-def quantity(name: str, slider: Slider, interface: Contacts, configuration: Configuration) -> Array:
+def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Array:
     """One number of the `arrest` of one slider; the length with derivatives of every order in every mode."""
-    numbers, together = ravel_pytree((slider, interface))
+    numbers, together = ravel_pytree((slider, interface, ends))
 
     def one(numbers: Array) -> Array:
-        slider, interface = together(numbers)
-        return getattr(arrest(slider, interface, *configuration), name)
+        slider, interface, ends = together(numbers)
+        return getattr(arrest(slider, interface, ends, max_contacts), name)
 
     return by_forward_mode(one)(numbers) if name == "length" else one(lax.stop_gradient(numbers))
 
 
-@partial(jax.jit, static_argnames=("name", "configuration"))
-def _each(name: str, slider: Slider, interface: Contacts, configuration: Configuration) -> Array:
+@partial(jax.jit, static_argnames=("name", "max_contacts"))
+def _each(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Array:
     """`quantity` of every slider of a batch, or of one slider on a profile."""
     if isinstance(interface, Profile):
-        return quantity(name, slider, interface, configuration)
-    kind = jax.tree.structure((slider, interface))
-    numbers = of_one_type(slider, *jax.tree.leaves(interface))
+        return quantity(name, slider, interface, ends, max_contacts)
+    kind = jax.tree.structure((slider, interface, ends))
+    numbers = of_one_type(slider, *jax.tree.leaves((interface, ends)))
 
     def one(*lane: Array) -> Array:
-        slider, interface = jax.tree.unflatten(kind, lane)
-        return quantity(name, slider, interface, configuration)
+        slider, interface, ends = jax.tree.unflatten(kind, lane)
+        return quantity(name, slider, interface, ends, max_contacts)
 
     return jnp.vectorize(one)(*numbers)
 
@@ -90,7 +99,7 @@ class FirstPrecursor(eqx.Module):
     slider: Slider
     contacts_broken: Int[Array, ""]  # s0, so that Λ = s0 λc
     length: Float[Array, ""]  # ℓ, the continuous length
-    load: Float[Array, ""]  # U0, displacement of the left edge at nucleation
+    load: Float[Array, ""]  # U0, displacement of the drive (without a machine, of the left edge) at nucleation
     status: Int[Array, ""]  # an `Outcome`
     front_stress: Float[Array, " sites"]  # t(s): on contact s once all before it have broken, past the arrest too
     modes: Modes
@@ -137,7 +146,8 @@ def precursor_length(
     *,
     rule: BreakRule = HARD,
     right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    sites: Numbers | None = None,
+    machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
 ) -> Float[Array, "..."]:
     """Length ℓ of the first precursor, in λc.
@@ -160,8 +170,13 @@ def precursor_length(
         length has no kinks, a bias that the documentation gives, and a derivative in the width too; semi-infinite chains only.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
-    sites : int, optional
-        Number of sites of a finite chain.
+    sites : array_like, optional
+        Number of sites N of a finite chain; broadcasts with the slider. The formulas take any real N ≥ 2: a free end is then a
+        mirror at (N − ½) λc from contact 0, and contacts are those before it.
+    machine : array_like, optional
+        M/K, the stiffness of the machine over the width of the block and E (K = Eλc is that of a slice one λc wide). The
+        machine stays where it is while the front runs, and pushes the edge through that spring; by default, and at inf, the
+        displacement of the edge is imposed.
     max_contacts : int
         Breaks after which the front is given up.
 
@@ -179,10 +194,10 @@ def precursor_length(
 
     Notes
     -----
-    Differentiable in (height, stiffness, poisson) to any order, forward and reverse: the crossing is differentiated
-    implicitly, by one pass of the recursion that carries three tangents. From 1 on ℓ is continuous in the parameters, and
-    smooth between sites; where ℓ passes through a whole number the straight line changes, and the derivative returned is that
-    of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
+    Differentiable in (height, stiffness, poisson), sites and machine to any order, forward and reverse: the crossing is
+    differentiated implicitly, by one pass of the recursion that carries a tangent each. From 1 on ℓ is continuous in the
+    parameters, and smooth between sites; where ℓ passes through a whole number the straight line changes, and the derivative
+    returned is that of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
 
     In single precision the error stays below 0.01 λc up to H/λc = 1000 and reaches 3e-4 of the length at H/λc = 1e5:
     above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known. Work under
@@ -194,21 +209,20 @@ def precursor_length(
     >>> print(f"{float(length):.3f} λc")
     25.790 λc
     """
-    check_right_end(right, sites)
+    ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule)
     _warn_single_precision(slider)
-    configuration = right, sites, max_contacts
     if isinstance(rule, SmoothBreak):
-        check_smooth(interface, right)
+        check_smooth(interface, ends)
         length, status = _smooth(slider, rule, max_contacts)
     else:
         if isinstance(interface, Profile):
             _check_one(slider, "a Profile belongs to one slider")
-        length = _each("length", slider, interface, configuration)
+        length = _each("length", slider, interface, ends, max_contacts)
         # only looked at where a length is missing
         missing = not isinstance(length, Tracer) and np.isnan(length).any()
-        status = _each("status", slider, interface, configuration) if missing else None
+        status = _each("status", slider, interface, ends, max_contacts) if missing else None
     if not isinstance(length, Tracer) and np.isnan(length).any():
         report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
     return length
@@ -219,7 +233,8 @@ def first_precursor(
     interface: Interface | Profile | None = None,
     *,
     right: RightEnd = "semi-infinite",
-    sites: int | None = None,
+    sites: Numbers | None = None,
+    machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
 ) -> FirstPrecursor:
@@ -229,7 +244,7 @@ def first_precursor(
     ----------
     slider : Slider
         One slider (fields of shape ()); ``jax.vmap`` over a batch.
-    interface, right, sites, max_contacts
+    interface, right, sites, machine, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
         Number of sites on which stress and fields are given: the whole of a finite chain by default, otherwise four
@@ -244,30 +259,31 @@ def first_precursor(
     ValueError
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """
-    check_right_end(right, sites)
+    ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     _check_one(slider, "first_precursor takes one slider (lengths of many: precursor_lengths)")
     if interface is not None and interface.shape != ():
         raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
     _warn_single_precision(slider)
-    configuration = right, sites, max_contacts
-    ended = _counted(*lax.stop_gradient((slider, interface)), configuration)
+    ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
-        if sites is None and traced:
+        if traced and (sites is None or isinstance(sites, Tracer)):
             raise ValueError("first_precursor under jit or vmap needs recorded_sites: the length is not known beforehand")
         if sites is None:
             report_without_length(np.asarray(ended.status), max_contacts, raises=True)
-        # a power of two, so that fronts of about the same length share a program
-        recorded_sites = sites if sites is not None else 1 << max(4 * int(ended.contacts_broken) - 1, 15).bit_length()
+        if sites is not None:
+            recorded_sites = math.ceil(np.asarray(sites) - 0.5)
+        else:  # a power of two, so that fronts of about the same length share a program
+            recorded_sites = 1 << max(4 * int(ended.contacts_broken) - 1, 15).bit_length()
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
-    modes = lattice_modes(slider, right, sites)
+    modes = lattice_modes(slider, ends)
     load, stress = _recorded(modes, interface, recorded_sites)
     return FirstPrecursor(
         slider=slider,
         contacts_broken=jnp.asarray(ended.contacts_broken),
-        length=_each("length", slider, interface, configuration),
+        length=_each("length", slider, interface, ends, max_contacts),
         load=load,
         status=jnp.asarray(ended.status),
         front_stress=stress,
@@ -276,9 +292,9 @@ def first_precursor(
     )
 
 
-@partial(jax.jit, static_argnames="configuration")
-def _counted(slider: Slider, interface: Contacts, configuration: Configuration) -> Arrest:
-    return arrest(slider, interface, *configuration)
+@partial(jax.jit, static_argnames="max_contacts")
+def _counted(slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Arrest:
+    return arrest(slider, interface, ends, max_contacts)
 
 
 @partial(jax.jit, static_argnames="sites")
@@ -291,10 +307,11 @@ def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Arr
 _smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule, max_contacts=max_contacts), static_argnums=2)
 
 
-def check_smooth(interface: Contacts, right: RightEnd) -> None:
+def check_smooth(interface: Contacts, ends: Ends) -> None:
     """Refuse what the recursion does not have under a smooth rule."""
-    if right != "semi-infinite" or interface is not None:
-        given = f"right = {right!r}" if interface is None else f"interface = {interface!r}"
+    if ends.right != "semi-infinite" or ends.machine is not None or interface is not None:
+        of_ends = f"right = {ends.right!r}" if ends.machine is None else f"machine = {ends.machine}"
+        given = of_ends if interface is None else f"interface = {interface!r}"
         raise ValueError(f"{given}: a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
 
 

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.lattice.front import Front, advance, nucleate, stress_ahead
-from slippulse_jax.lattice.modes import equilibrium_fields, lattice_modes
+from slippulse_jax.lattice.front import Front, advance, echo_at, nucleate, stress_ahead
+from slippulse_jax.lattice.modes import ENDLESS, Ends, equilibrium_fields, lattice_modes
 from slippulse_jax.slider import Slider
 
 
@@ -29,8 +29,8 @@ class Readings(NamedTuple):
     stress: Float[Array, " sites"]  # in σ_s
 
 
-def readings(slider: Slider, prestress: Array, position: Array, count: int) -> Readings:
-    """Slip and contact stress at the first `count` contacts after a front that stopped at `position`, semi-infinite chain.
+def readings(slider: Slider, prestress: Array, position: Array, count: int, ends: Ends = ENDLESS) -> Readings:
+    """Slip and contact stress at the first `count` contacts after a front that stopped at `position`.
 
     Parameters
     ----------
@@ -42,15 +42,18 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int) -> R
         Contacts broken, at most `count`; between whole numbers the fields go over smoothly from one to the next.
     count : int
         Contact i lies at x = i λc.
+    ends : Ends
+        Right end and drive; beyond a free end the fields go on, without meaning.
     """
-    modes, site = lattice_modes(slider), jnp.arange(count, dtype=position.dtype)
+    modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
 
     def breaks(front: Front, site: Array) -> tuple[Front, Array]:
         # the edge is loaded until contact 0 carries its threshold, which rounding must not spoil
-        stress = jnp.where(site == 0, 1, prestress + stress_ahead(front)[0])
+        echo = echo_at(modes, site)
+        stress = jnp.where(site == 0, 1, prestress + stress_ahead(front, echo)[0])
         part = jnp.clip(position - site, 0, 1)
         moved = stress * (part**2 * (3 - 2 * part))
-        return advance(modes, front, moved), moved
+        return advance(modes, front, moved, echo), moved
 
     moved = lax.scan(breaks, nucleate(modes, 1 - prestress), site)[1]
     slip = equilibrium_fields(modes, jnp.zeros_like(modes.load), moved).layer

@@ -13,7 +13,7 @@ from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
-from slippulse_jax.lattice.modes import RightEnd, lattice_modes
+from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.lattice.rebreaking import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
@@ -138,7 +138,7 @@ def evaluate(request: Request, start: int, stop: int) -> Columns:
 
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
     """``function(slider, **options)`` on the points of one repinning delay after another: a program is compiled for each."""
-    options: dict[str, Any] = {"right": request.right, "sites": request.sites, "max_contacts": request.max_contacts}
+    options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
     if not request.has_interface:
         return function(_slider(columns), **options)
     n = len(columns["height"])
@@ -196,7 +196,7 @@ def _load(request: Request, columns: Columns) -> Columns:
 def _load_kernel(right: RightEnd, sites: int | None) -> Kernel:
     def loads(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
         *numbers, prestress = lanes
-        relaxed = jax.vmap(lambda *slider: lattice_modes(Slider(*slider), right, sites).load)(*numbers)
+        relaxed = jax.vmap(lambda *slider: lattice_modes(Slider(*slider), Ends(right, sites)).load)(*numbers)
         # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
         return ((1 - prestress) * relaxed,)
 

@@ -69,19 +69,23 @@ def uniform_springs(height, stiffness, poisson, sites, right):
     return height * one[1:], one[1:], across * one, stiffness * one, end
 
 
-def chain_matrix(height, stiffness, poisson, sites, right="semi-infinite"):
-    """The paper's chain, pushed at its edge."""
-    return held(stiffness_matrix(*uniform_springs(height, stiffness, poisson, sites, right)))
+def chain_matrix(height, stiffness, poisson, sites, right="semi-infinite", machine=None):
+    """The paper's chain, pushed at its edge; through a spring of stiffness `machine`, in K, if there is one."""
+    matrix = stiffness_matrix(*uniform_springs(height, stiffness, poisson, sites, right))
+    if machine is None:
+        return held(matrix)
+    matrix[0, 0] += machine
+    return matrix
 
 
 # --- the first precursor of the paper's chain, from its responses; complex numbers pass through ------------------------
 
 
-def responses(height, stiffness, poisson, sites, right, reach):
+def responses(height, stiffness, poisson, sites, right, reach, machine=None):
     """u of the first `reach` sites, for a unit load, shape (reach,), and for unit pinning points, shape (reach, reach)."""
-    a = chain_matrix(height, stiffness, poisson, sites, right)
+    a = chain_matrix(height, stiffness, poisson, sites, right, machine)
     rhs = np.zeros((2 * sites, 1 + reach), a.dtype)
-    rhs[0, 0] = 1
+    rhs[0, 0] = 1 if machine is None else machine
     rhs[sites + np.arange(reach), 1 + np.arange(reach)] = stiffness
     solution = np.linalg.solve(a, rhs)
     solution += np.linalg.solve(a, rhs - a @ solution)  # one step of refinement
@@ -103,10 +107,10 @@ def crossing(excess):
     return s0 - 1 + excess[s0 - 1] / (excess[s0 - 1] - excess[s0])
 
 
-def first_precursor(height, stiffness, poisson, sites=400, right="semi-infinite"):
+def first_precursor(height, stiffness, poisson, sites=400, right="semi-infinite", machine=None):
     """s0, ℓ, load U0 and the largest stress behind the front (and where) at any moment; s0 = sites if it ran through."""
     reach = sites if right != "semi-infinite" else min(sites, 120)
-    load, pinning = responses(height, stiffness, poisson, sites, right, reach)
+    load, pinning = responses(height, stiffness, poisson, sites, right, reach, machine)
     stress = front_stress(load, pinning, reach)
     below = np.nonzero(stress[1:] < 1)[0]
     if not len(below):

@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import data_log_density
-from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, refuse_ends
 from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES, ratio_per_unit, softest
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.exact_lanes import exact_lengths
@@ -236,6 +236,7 @@ class Knowledge:
 
 def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np.ndarray:
     """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
+    refuse_ends(m, "design")
     sigma = m.sigma
     if not np.isfinite(sigma).all():
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
