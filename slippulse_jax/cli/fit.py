@@ -47,6 +47,11 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     type=click.Choice(["auto", "profile", "calibrated"]),
     help="From chi-squared, or simulations; simulated by default where chi-squared would mislead.",
 )
+@click.option(
+    "--event",
+    type=click.Choice(["domino", "full"]),
+    help="Take a length as that of the first front, or of the whole event, in which contacts may break again.",
+)
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")
 @click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
@@ -90,7 +95,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
         asked = from_request(_asked(request, options))
-        for warning in before_fit(measurements):
+        for warning in before_fit(measurements, asked.get("event", "domino")):
             click.echo(f"before fitting: {warning}", err=True)
         result = fit(measurements, bounds=options["bounds"] or None, **asked)
         more = {}
@@ -152,5 +157,6 @@ def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
             parameters.setdefault(name, {})[key] = values
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
-    settings = {name: options[name] for name in ("loss", "sigma", "method", "seed", "intervals") if options[name] is not None}
+    names = ("loss", "sigma", "method", "seed", "intervals", "event")
+    settings = {name: options[name] for name in names if options[name] is not None}
     return {**request, **settings, "parameters": parameters}

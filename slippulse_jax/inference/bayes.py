@@ -117,10 +117,13 @@ def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, ch
     ModuleNotFoundError
         Without the extra ``bayes``.
     ValueError
-        If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ; or the break rule is a smooth one.
+        If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ; or the break rule is a smooth one; or
+        lengths are those of whole events.
     """
     if result.parameters.smooth:
         raise ValueError("a posterior takes the hard break rule: hold no width, or use bootstrap")
+    if result.parameters.event == "full":
+        raise ValueError("event = 'full': a posterior needs a length that can be traced; use bootstrap")
     if result.problem.loss.name == "huber" or result.scaled:
         raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
     try:

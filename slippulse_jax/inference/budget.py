@@ -101,6 +101,6 @@ def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.
     sigma = result.problem.blocks[0].data.sigma
     if name == "correlation_length":
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
-    q = parameter_set(m, result.request["free"])
+    q = parameter_set(m, result.request["free"], result.parameters.event)
     problem = make_problem(m, q, result.problem.loss, sigma)
     return minimise(problem, result.theta[None], q.low, q.high).theta[0]

@@ -17,6 +17,7 @@ from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, prof
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
+from slippulse_jax.lattice.events import Event, check_event
 from slippulse_jax.status import Outcome
 
 Intervals = dict[float, list[Interval]]
@@ -48,6 +49,7 @@ def fit(
     max_steps: int = 60,
     seed: int = 0,
     intervals: str = "auto",
+    event: Event = "domino",
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
@@ -84,6 +86,9 @@ def fit(
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
         longest attainable length too (`slippulse_jax.inference.calibrate`; one or two parameters, plain lengths). By default
         simulated where valleys of the deviance compete, or its shape is far from a parabola.
+    event : {"domino", "full"}
+        What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
+        large (`rebreaking_onset`), with a cost that grows with it (docs/fitting.md). For lengths without gauges.
 
     Returns
     -------
@@ -100,12 +105,13 @@ def fit(
     for name, value, known in settings:
         if value not in known:
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
+    check_event(event)
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
     scaled = sigma == "relative" or measurements.length_sigma is None
     named = {one.name for one in wanted}
     wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]
-    parameters = parameter_set(measurements, wanted)
+    parameters = parameter_set(measurements, wanted, event)
     errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(problem, scaled)
@@ -117,6 +123,7 @@ def fit(
         "max_steps": max_steps,
         "seed": seed,
         "intervals": intervals,
+        "event": event,
     }
     counts = allowed_by_counts(problem) if are_exact(problem) else None
     between = None if scaled or counts else _between_contacts(problem, seed)
@@ -259,9 +266,9 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
     around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
     around = around.endless  # as it is there
-    exact = lengths(around).value
+    exact = lengths(around, event=q.event).value
     stops, off = np.isfinite(exact), np.zeros(len(exact))
-    off[stops] = straight_lengths(around.take(stops)) - exact[stops]
+    off[stops] = straight_lengths(around.take(stops), q.event) - exact[stops]
     off = np.where(np.isfinite(off), off, 0).reshape(13, -1) * contact
     typical = np.sqrt(np.mean(off**2, axis=0))
     typical = np.where(plain, typical, 0.0)
@@ -343,7 +350,7 @@ def _one_front(problem: Problem, verdict: Verdict, pieces: list[Interval], curve
     """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
     number = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL)
     q = problem.parameters
-    if verdict.identifiability not in number or q.smooth or not pieces:
+    if verdict.identifiability not in number or q.smooth or q.event == "full" or not pieces:
         return verdict
     value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
     inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))

@@ -23,7 +23,7 @@ from scipy.special import ndtr
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
-from slippulse_jax.inference.model import PREDICTED, Prediction, traced
+from slippulse_jax.inference.model import PREDICTED, Prediction, lengths, traced
 from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at
 
 LOSSES = ("normal", "huber", "student")
@@ -376,7 +376,8 @@ class Problem:
         free = slice(None) if self.held is None else ~self.held
         wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
-        model: Prediction = PREDICTED[block.observable](inputs.ravel(), wanted)
+        predict = partial(lengths, event=self.parameters.event) if block.observable == "length" else PREDICTED[block.observable]
+        model: Prediction = predict(inputs.ravel(), wanted)
         scale = np.exp(block.scale(theta))
         value = model.value.reshape(lanes, distinct)[:, block.rows] * scale
         mu = value + block.offset(theta)
@@ -504,6 +505,8 @@ def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]
     The numbers of −`problem(theta)`, up to rounding. Forward mode only where gauges were read, and in double precision only
     under ``jax.enable_x64``. θ is in the order of ``problem.parameters.names``; the bounds are not part of it.
     """
+    if problem.parameters.event == "full":
+        raise ValueError("event = 'full': the length of a whole event cannot be traced; −problem(theta) has the density")
     off = theta - jnp.asarray(problem.prior_mean[0])
     return sum((_log_likelihood(theta, problem, block) for block in problem.blocks), -(problem.prior_weight * off**2).sum() / 2)
 

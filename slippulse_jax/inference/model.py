@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Layout, over_lanes
+from slippulse_jax.inference.events import whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import lengths as bulk
+from slippulse_jax.lattice.events import Event
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
@@ -66,11 +68,12 @@ class Prediction(NamedTuple):
     slopes: dict[str, Float[np.ndarray, " L"]]
 
 
-def lengths(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
+def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino") -> Prediction:
     """ℓ*, in λc, or ℓ_w of the smooth rule where `log_width` is given; 0 where no domino starts, inf where nothing stops.
 
     The closed form is that of a block without end whose edge is held. Where a block ends or a machine gives way it is ℓ of the
     recursion, which has a kink at every whole contact: the slope jumps there by about the curvature of the front's stress.
+    Of the whole event, with `event` "full", it is ℓ* times the interpolated `whole_over_front`.
 
     Parameters
     ----------
@@ -85,12 +88,28 @@ def lengths(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
     NotConverged
         If the exact solution did not converge somewhere, or a front did not fade; never seen.
     """
-    return by_differences(_lengths, inputs, wanted)
+    return by_differences(_lengths if event == "domino" else _whole_lengths, inputs, wanted)
+
+
+def _whole_lengths(inputs: Inputs) -> np.ndarray:
+    front, lanes = _lengths(inputs), _lanes(inputs)
+    stops = np.isfinite(front) & (front > 0)
+    found = front.copy()
+    found[stops] *= whole_over_front(lanes[:, stops])
+    if np.isnan(found).any():
+        where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
+        raise NotConverged(f"the event was given up at (H/λc, k/K, ν, φ, ε) = ({where}): give narrower bounds")
+    return found
+
+
+def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
+    """H/λc, k/K, ν, φ, ε."""
+    return np.stack([np.exp(inputs.log_height), np.exp(inputs.log_stiffness), *inputs[2:5]])
 
 
 def _lengths(inputs: Inputs) -> np.ndarray:
-    slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
     if inputs.log_width is not None:
+        slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
         return _all_found(bulk.lengths(slider, rule=SmoothBreak(np.exp(inputs.log_width))), inputs, "under the smooth rule")
     ended = np.isfinite([x for x in (inputs.log_sites, inputs.log_machine) if x is not None]).any(axis=0)
     if ended.any():
@@ -99,7 +118,7 @@ def _lengths(inputs: Inputs) -> np.ndarray:
         if not ended.all():
             found[~ended] = _lengths(inputs.endless.take(~ended))
         return found
-    lanes = np.stack([slider.height, slider.stiffness, slider.poisson, inputs.prestress, inputs.threshold_slope])
+    lanes = _lanes(inputs)
     found, status = exact_fronts(lanes, one_program=True)
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
     if lost.any():
@@ -117,10 +136,10 @@ def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
     return length
 
 
-def straight_lengths(inputs: Inputs) -> np.ndarray:
+def straight_lengths(inputs: Inputs, event: Event = "domino") -> np.ndarray:
     """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
     slider, interface, ends = contacts_of(inputs)
-    return bulk.lengths(slider, interface, ends=ends)
+    return bulk.lengths(slider, interface, ends=ends, event=event)
 
 
 def contacts_of(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
@@ -369,12 +388,13 @@ def attainable_of(
     # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
     inputs = inputs.of_front
     distinct, own = np.unique(np.column_stack([inputs.table(), low, high]), axis=0, return_inverse=True)
-    longest, where = longest_length(Inputs.from_table(inputs.names, distinct[:, :-2]), distinct[:, -2], distinct[:, -1])
+    given = Inputs.from_table(inputs.names, distinct[:, :-2])
+    longest, where = longest_length(given, distinct[:, -2], distinct[:, -1], parameters.event)
     return longest[own.ravel()], np.exp(where[own.ravel()])
 
 
-def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Maximum of ℓ* over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top.
+def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray, event: Event = "domino") -> tuple[np.ndarray, np.ndarray]:
+    """Maximum of the length over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top.
 
     Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
     """
@@ -384,7 +404,7 @@ def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[n
     for count in (129, 17, 17, 17, 17):
         grid = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, count)
         lanes = inputs.take(np.repeat(np.arange(len(low)), count))._replace(log_stiffness=grid.ravel())
-        length = lengths(lanes).value.reshape(grid.shape)
+        length = lengths(lanes, event=event).value.reshape(grid.shape)
         top = length.argmax(axis=1)
         rows = np.arange(len(low))
         best, where = length[rows, top], grid[rows, top]

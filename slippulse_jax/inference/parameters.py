@@ -15,10 +15,13 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.lattice.events import Event
 from slippulse_jax.units import machine_ratio
 
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
+FULL_TO = 200.0
+"""Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0
 """Standard deviations of a prior that are searched where no bounds are given."""
@@ -184,6 +187,7 @@ class ParameterSet:
     offset: Linear  # added to a length, in λc
     beyond: Linear  # contacts broken beyond ℓ* when gauges were read
     discrepancy: int | None  # which θ is the logarithm of the model's own relative error
+    event: Event  # what a length is that of
 
     @property
     def names(self) -> list[str]:
@@ -271,7 +275,7 @@ MODEL_ERROR = 0.1
 two-dimensional elasticity, pushed over all but the lowest quarter of its side, differs by. Other pushers: docs/validity.md."""
 
 
-def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> ParameterSet:
+def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Event = "domino") -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
     Parameters
@@ -280,6 +284,8 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> Paramet
     wanted : sequence of str or Parameter
         Parameters fitted or held; everything else is as stated with the measurements. "stiffness" stands for whichever
         stiffness the measurements determine.
+    event : {"domino", "full"}
+        What a length is that of, as in `precursor_lengths`.
 
     Raises
     ------
@@ -288,7 +294,7 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter]) -> Paramet
         domain of the model.
     """
     chosen = _validated(m, wanted)
-    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen))
+    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen), event=event)
     for parameter in chosen:
         if parameter.value is not None:
             builder.hold(parameter)
@@ -341,8 +347,14 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
 class _Builder:
     """Collects base and slope of every linear map."""
 
-    def __init__(self, m: Measurements, smooth: bool) -> None:
+    def __init__(self, m: Measurements, smooth: bool, event: Event) -> None:
         self.m, self.smooth = m, smooth
+        self.event: Event = event
+        if event == "full" and smooth:
+            raise ValueError("parameter width: the smooth rule follows one front; leave it out, or event = 'full'")
+        of_front = m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None
+        if event == "full" and of_front:
+            raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
         n = len(m)
         self.stated = {
             "height": m.height,
@@ -404,7 +416,7 @@ class _Builder:
         reference = self._reference(name)[rows]
         # a height is fitted as one factor on all of its rows, shown as the height of the first
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name == "height" else -self._reference(name))
-        low, high = parameter.bounds or _default_bounds(self.m, parameter, rows, float(reference[0]), self.smooth)
+        low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
             low, high = np.log(low), np.log(high)
@@ -455,6 +467,7 @@ class _Builder:
             offset=linear("offset"),
             beyond=linear("beyond"),
             discrepancy=names.index("discrepancy") if "discrepancy" in names else None,
+            event=self.event,
         )
         _check_domain(result)
         return result
@@ -475,10 +488,9 @@ def _input_label(name: str, key: tuple[str, float, float]) -> str:
     return f"{name}[{specimen + ', ' if specimen else ''}{value:.6g}]"
 
 
-def _default_bounds(
-    m: Measurements, parameter: Parameter, rows: np.ndarray, reference: float, smooth: bool
-) -> tuple[float, float]:
+def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> tuple[float, float]:
     """Default range of the search, in the unit of the parameter."""
+    m = builder.m
     name, longest = parameter.name, float(m.length[rows].max())
     if parameter.prior is not None:
         mean, sigma = parameter.prior
@@ -490,8 +502,8 @@ def _default_bounds(
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
         # a smooth front on contacts softer than those at which a domino starts does not fade for long
-        lowest = softest(m)[rows] * (100 if smooth else 1)
-        return float((lowest / per_unit).min()), float((STIFFEST / per_unit).max())
+        lowest = softest(m)[rows] * (100 if builder.smooth else 1)
+        return float((lowest / per_unit).min()), float((stiffest(m, builder.event)[rows] / per_unit).max())
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
     by_name = {
         "offset": (-longest * size, longest * size),
@@ -517,6 +529,12 @@ _LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99)}
 def softest(m: Measurements) -> np.ndarray:
     """k/K of each measurement below which certainly no domino starts (b far below (λc/H)²), so that the length is zero."""
     return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
+
+
+def stiffest(m: Measurements, event: Event) -> np.ndarray:
+    """Largest k/K of each measurement searched by default."""
+    most = FULL_TO / (2 * (1 + m.poisson) * m.height) if event == "full" else np.inf
+    return np.broadcast_to(np.minimum(STIFFEST, most), m.height.shape)
 
 
 def ratio_per_unit(m: Measurements) -> np.ndarray:

@@ -124,7 +124,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
     """
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
-    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals"}
+    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event"}
     if unknown:
         raise ValueError(f"request: {', '.join(sorted(unknown))} not understood")
     free = []

@@ -9,10 +9,11 @@ import numpy as np
 from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
-from slippulse_jax.inference.parameters import STIFFEST, Inputs, softest
+from slippulse_jax.inference.parameters import Inputs, softest, stiffest
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+from slippulse_jax.lattice.events import Event
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def report(result: "FitResult") -> str:
 
 
 def _length(result: "FitResult") -> str:
+    if result.parameters.event == "full":
+        return "length of the whole event, in which contacts may break again"
     return "length under the smooth break rule" if result.parameters.smooth else "exact length"
 
 
@@ -347,10 +350,10 @@ def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
 
 
-def before_fit(m: Measurements) -> Iterator[str]:
+def before_fit(m: Measurements, event: Event = "domino") -> Iterator[str]:
     """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated."""
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
-    longest, _ = longest_length(inputs, np.log(softest(m)), np.full(len(m), np.log(STIFFEST)))
+    longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)
     yield from _of_attainable(m, longest)
 
 
@@ -360,7 +363,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     yield from _of_sigma(result)
     yield from _of_attainable(result.measurements, result.attainable)
     yield from _of_intervals(result)
-    if any(root.rebreaks for root in result.roots[:1]):
+    if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
             "is that of the first front alone"
@@ -408,8 +411,11 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
 def _of_intervals(result: "FitResult") -> Iterator[str]:
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
+        what = "how a length between two whole contacts is defined moves it by"
+        if result.parameters.event == "full":
+            what = "the length of an event steps where the order of its breaks changes, and is interpolated, which moves it by"
         yield (
-            f"how a length between two whole contacts is defined moves it by up to {result.between_contacts[i]:.2g} λc "
+            f"{what} up to {result.between_contacts[i]:.2g} λc "
             f"({result.measurements.place(i)}): that is added to σ in quadrature"
         )
     if not result.complete and result.problem.p <= SCANNED:

@@ -376,7 +376,7 @@ def _lengths_over(result: "FitResult", theta: np.ndarray, row: int, height: np.n
     """Predicted lengths at many θ, (t, p), in one batch; shape (t, heights)."""
     q = result.parameters
     inputs = _inputs_at(result, theta, row, height)
-    length = lengths(inputs.ravel()).value.reshape(len(theta), -1)
+    length = lengths(inputs.ravel(), event=q.event).value.reshape(len(theta), -1)
     return length * np.exp(q.scales["length"](theta)[:, row, None]) + q.offset(theta)[:, row, None]
 
 
