@@ -40,6 +40,7 @@ def test_fits_of_whole_events_recover_the_stiffness():
         assert "length of the whole event" in whole.report()
         assert "of the first front alone" in front.report()
         assert "of the first front alone" not in whole.report()
+        assert "thresholds are taken as uniform" in whole.report()
 
 
 def test_the_model_of_a_fit_against_the_cascade():
