@@ -42,6 +42,9 @@ def test_against_dense_chains(right):
         assert abs(got.length[i] - length) <= 1e-9, slider
         if count > 1:
             assert abs(got.edge_stress[i] - behind[0]) <= 1e-9
+    if right != "semi-infinite":
+        in_bulk = sp.precursor_lengths(sliders, right=right, sites=sites, machine=machine)
+        np.testing.assert_allclose(in_bulk, got.length, rtol=1e-9)
     assert (got.status == Outcome.ARRESTED).any()
     if right == "free":
         assert (got.status == Outcome.RAN_THROUGH).any()
@@ -57,6 +60,23 @@ def test_a_machine_of_infinite_stiffness_imposes_the_displacement():
     lengths = sp.precursor_lengths(FIG2, machine=[np.inf, 1e3, 30.0, 3.0])
     assert (np.diff(lengths) > 0).all(), "the softer the drive, the longer the front"
     assert lengths[0] == pytest.approx(float(sp.precursor_lengths(FIG2)), rel=1e-14)
+
+
+@pytest.mark.parametrize("right", ["free", "clamped"])
+def test_bulk_lengths_on_prestressed_interfaces_with_gradients(right):
+    """The loop over lanes against the general recursion, beyond run-away too, where an end decides what becomes of the front."""
+    rng = np.random.default_rng(3)
+    n = 400
+    sliders = sp.Slider(rng.uniform(3, 60, n), 10 ** rng.uniform(-3.5, -0.5, n), rng.uniform(0, 0.49, n))
+    interface = sp.Interface(rng.choice([0, 0.3, 0.7], n), rng.choice([0, -1e-3, 1e-3], n))
+    ends = {"sites": rng.uniform(20, 200, n), "machine": 10 ** rng.uniform(-1, 3, n)}
+    general = arrests(sliders, interface, ends=Ends(right, **ends))
+    length = sp.precursor_lengths(sliders, interface, right=right, **ends)
+    np.testing.assert_allclose(length, general.length, rtol=1e-9, atol=1e-10)
+    assert np.isin([Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.NO_DOMINO], general.status).all()
+    endless = sp.precursor_lengths(sliders, interface, machine=ends["machine"])
+    expected = arrests(sliders, interface, ends=Ends(machine=ends["machine"])).length
+    np.testing.assert_allclose(endless, expected, rtol=1e-9, atol=1e-10)
 
 
 def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():

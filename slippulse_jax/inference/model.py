@@ -24,7 +24,7 @@ from slippulse_jax.lattice.events import Event
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.lattice.modes import Ends, lattice_modes
+from slippulse_jax.lattice.modes import NO_END, Ends, lattice_modes
 from slippulse_jax.lattice.precursor import quantity
 from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.rules import SmoothBreak
@@ -53,9 +53,6 @@ FIELD_STEP = 0.1
 
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
-
-NO_END = 1e30
-"""L/λc and M/K for a block without end and an edge that is held: finite, so that derivatives are."""
 
 FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""

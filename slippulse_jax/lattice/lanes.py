@@ -8,7 +8,8 @@ modes as its leading axis. What else a loop over lanes costs was read off the co
   looks, the second writing where the first has read.
 - R is symmetric (a pinning point at i moves site j as one at j moves site i), so half of it is handed on.
 - A front that has arrested stays as it is: nothing has to be recorded elsewhere.
-- Nothing but sums, products, quotients and square roots: the same bits whatever the lane's place in the chunk.
+- Nothing but sums, products, quotients and square roots, and exponentials where a chain ends: the same bits whatever the lane's
+  place in the chunk.
 
 Derivatives are tangents of the same step, by ``jax.jvp``, along what depends on the parameter. Value and three derivatives took
 2.6 to 2.8 times as long as the value (200 000 random points, two busy cores, shortest of 36 runs). With the derivatives of step
@@ -30,11 +31,14 @@ from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
-from slippulse_jax.lattice.modes import Number, lattice_modes, mode_numbers
+from slippulse_jax.lattice.modes import Number, RightEnd, echoes, lattice_modes, mode_numbers
 from slippulse_jax.slider import Slider
 
 BREAKS = 6
 """Breaks per turn."""
+
+FAR_END = 1e9
+"""Sites from which on a chain counts as one without end."""
 
 
 class Lane(NamedTuple):
@@ -46,6 +50,9 @@ class Lane(NamedTuple):
     slope: Any  # ε, threshold 1 + ε s; likewise
     end: Any  # breaks after which a front that is still running never stops; mostly inf
     most: Any  # breaks after which it is given up, if it must not go on for a few more
+    echo: Any = None  # η_m of the right end; None for a semi-infinite chain
+    rate: Any = None  # 2 ln r_m
+    last: Any = None  # N − 1
 
 
 class State(NamedTuple):
@@ -69,6 +76,15 @@ def length_kernel(max_contacts: int) -> Kernel:
     Of uniform, semi-infinite interfaces without repinning delay. inf where it never stops, NaN after `max_contacts` breaks.
     """
     return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts).state, max_contacts),)
+
+
+@functools.cache
+def ended_kernel(right: RightEnd, max_contacts: int) -> Kernel:
+    """ℓ likewise, of lanes (height, stiffness, poisson, prestress, threshold_slope, sites, machine).
+
+    The length is inf where a front runs through.
+    """
+    return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts, right=right).state, max_contacts),)
 
 
 @functools.cache
@@ -100,10 +116,14 @@ def gradient_kernel(max_contacts: int) -> Kernel:
 
 
 def _until_all_arrest(
-    parameters: Float[Array, "fields lanes"], max_contacts: int, with_rates: bool = False, with_edge: bool = False
+    parameters: Float[Array, "fields lanes"],
+    max_contacts: int,
+    with_rates: bool = False,
+    with_edge: bool = False,
+    right: RightEnd = "semi-infinite",
 ) -> Now:
     def start(*fields: Number) -> Now:
-        return _nucleate(fields, with_rates, max_contacts if with_edge else None)
+        return _nucleate(fields, with_rates, max_contacts if with_edge else None, right)
 
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
 
@@ -119,7 +139,12 @@ def _until_all_arrest(
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
     with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
         modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
-        return never_stops_after(modes, Interface(parameters[3], parameters[4]))
+        end = never_stops_after(modes, Interface(parameters[3], parameters[4]))
+    if parameters.shape[0] == 5:
+        return end
+    # a front that would stop nowhere on an endless chain may yet stop at the end of a short one
+    contacts = jnp.ceil(parameters[5] - 0.5)
+    return jnp.where(contacts < FAR_END, contacts, end)
 
 
 # --- one lane ----------------------------------------------------------------------------------------------------------
@@ -131,6 +156,7 @@ PAIRS = np.array([[0, 1], [1, 2]])
 
 _where = np.frompyfunc(lax.select, 3, 1)
 _less = np.frompyfunc(operator.lt, 2, 1)
+_exp = np.frompyfunc(lax.exp, 1, 1)
 
 
 def _array(numbers: Any) -> Any:
@@ -154,24 +180,29 @@ def _closed(front: Front) -> Front:
     return Front(*(None if x is None else x.tolist() for x in half))
 
 
-def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) -> Now:
+def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None, right: RightEnd) -> Now:
     """A lane whose contact 0 has broken, at its threshold exactly; with `most`, the stress on it too."""
     none, one = jnp.zeros_like(fields[0]), jnp.ones_like(fields[0])
-    cap, end = None if most is None else [most * one], list(fields[5:]) or None
+    *numbers, end = fields if len(fields) > 3 else (*fields, None)
+    cap, end = None if most is None else [most * one], None if end is None else [end]
 
     def begun(*numbers: Number) -> State:
-        modes = mode_numbers(numbers[0], numbers[1], numbers[2])
-        prestress, slope = ([x] for x in numbers[3:]) if len(numbers) > 3 else (None, None)
+        sites, machine = numbers[5:] or (None, None)
+        modes = mode_numbers(numbers[0], numbers[1], numbers[2], None if sites is None else (right, sites), machine)
+        prestress, slope = ([x] for x in numbers[3:5]) if len(numbers) > 3 else (None, None)
         lane = Lane(list(modes.gap), list(modes.weight), prestress, slope, end, cap)
+        if sites is not None:
+            rate = [2 * jnp.log1p(-gap) for gap in modes.gap]
+            lane = lane._replace(echo=list(echoes(modes.ratio, right)), rate=rate, last=[sites - 1])
         half, drive = _array(modes.reflection), _array(modes.drive)
         if prestress is not None:
             drive = drive * _array([1 - prestress[0]])
         reach = None if most is None else _array(modes.weight) + half[PAIRS].sum(0)
         before = Front(drive, half[PAIRS], reach, _array([none]), _array([none]), None if most is None else _array([none]))
         guide = lane._replace(gap=_array(modes.gap), weight=_array(modes.weight))
-        return State(_closed(advance(guide, before, _array([one]))), lane)
+        echo = _echo(State(before, Lane(*map(_array, lane))))
+        return State(_closed(advance(guide, before, _array([one]), echo)), lane)
 
-    numbers = fields[:5]
     state = begun(*numbers)
 
     def along(which: int) -> State:
@@ -186,10 +217,16 @@ def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None) ->
     return Now(state, tuple(along(which) for which in range(len(numbers))) if with_rates else ())
 
 
+def _echo(state: State) -> Any:
+    """Factor e_m at the contact ahead, of a chain with a right end; of arrays."""
+    front, lane = state
+    return None if lane.last is None else 1 + lane.echo * _exp((lane.last - front.position) * lane.rate)
+
+
 def _stress_and_excess(state: State) -> tuple[Any, Any]:
     """On the contact ahead, and of the former over its threshold; of arrays."""
     front, lane = state
-    t = stress_ahead(front)
+    t = stress_ahead(front, _echo(state))
     if lane.prestress is None:
         return t, t - 1
     t = lane.prestress + t
@@ -217,7 +254,7 @@ def _break(state: State) -> Front:
     """Break the contact ahead, where it breaks."""
     front, lane = state = _opened(state)
     t, excess = _stress_and_excess(state)
-    goes, after = _goes(state), advance(lane, front, t)._replace(behind=excess)
+    goes, after = _goes(state), advance(lane, front, t, _echo(state))._replace(behind=excess)
     kept = (None if new is None else _where(goes, new, old) for new, old in zip(after, front, strict=True))
     return _closed(Front(*kept)._replace(reflected=after.reflected, reach=after.reach))  # no use where it has arrested
 
@@ -250,5 +287,8 @@ def _length(state: State, max_contacts: int) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
     broken, (ahead,) = state.front.position[0], _stress_and_excess(_opened(state))[1]
     endless = jnp.nan if state.lane.end is None else jnp.where(broken >= state.lane.end[0], jnp.inf, jnp.nan)
-    length = jnp.where(ahead >= 0, endless, _crossing(state))
+    going = ahead >= 0
+    if state.lane.last is not None and state.lane.end is not None:
+        going = going | (broken >= state.lane.end[0])  # nothing is ahead of the last contact
+    length = jnp.where(going, endless, _crossing(state))
     return jnp.where(broken <= max_contacts, length, jnp.nan)

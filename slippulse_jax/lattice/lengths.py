@@ -17,7 +17,7 @@ from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
 from slippulse_jax.lattice.events import Event, check_event, event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
-from slippulse_jax.lattice.modes import ENDLESS, Ends, RightEnd, ends_of
+from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
     HARD,
     arrest,
@@ -31,7 +31,7 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
 
-LENGTHS, WITH_MORE, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=256)
+LENGTHS, WITH_MORE, ENDED, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504), Layout(chunk=256)
 """Of `lanes` for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general recursion."""
 
 
@@ -128,8 +128,12 @@ def lengths(
     if smooth:
         check_smooth(interface, ends)
     columns, shape, kind = _columns(slider, interface, rule, ends)
-    if smooth or not _is_simple(interface, ends):
+    simple = _is_simple(interface, ends)
+    if smooth or (derivatives and not simple) or (interface is not None and interface.repin_delay):
         kernel, layout = general_kernel(kind, max_contacts, derivatives), ANY
+    elif not simple:
+        columns = _seven(slider, interface, ends)
+        kernel, layout = lanes.ended_kernel(ends.right, max_contacts), ENDED
     elif derivatives:
         kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
     else:
@@ -230,6 +234,12 @@ def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
 def _is_simple(interface: Interface | None, ends: Ends) -> bool:
     """Whether `slippulse_jax.lattice.lanes` has a loop of its own for it."""
     return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
+
+
+def _seven(slider: Slider, interface: Interface | None, ends: Ends) -> list[Float[np.ndarray, " n"]]:
+    """The numbers of `lanes.ended_kernel`; where there is no end or machine, one so far or stiff that no digit changes."""
+    sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
+    return _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
 
 
 def _columns(

@@ -56,6 +56,9 @@ class Ends(eqx.Module):
 ENDLESS = Ends()
 """Semi-infinite, pushed by an imposed displacement."""
 
+NO_END = 1e30
+"""N and M/K that stand for no end and no machine: finite, so that derivatives are."""
+
 
 class Echo(NamedTuple):
     """What the right end of a finite chain sends back."""
@@ -115,7 +118,7 @@ def lattice_modes(slider: Slider, ends: Ends = ENDLESS) -> Modes:
         reflection=jnp.stack([jnp.stack([r11, r12]), jnp.stack([r12, r22])]),
         drive=jnp.stack(numbers.drive),
         load=numbers.load,
-        echo=None if end is None else Echo(jnp.stack(_echoes(numbers.ratio, ends.right)), end[1] - 1),
+        echo=None if end is None else Echo(jnp.stack(echoes(numbers.ratio, ends.right)), end[1] - 1),
     )
 
 
@@ -176,7 +179,7 @@ def mode_numbers(
     e1, e2 = 1, 1
     if end is not None:
         right, sites = end
-        n1, n2 = _echoes((r1, r2), right)
+        n1, n2 = echoes((r1, r2), right)
         n1, n2 = n1 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g1)), n2 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g2))
         e1, e2, s1, s2 = 1 + n1, 1 + n2, s1 - g1 * n1, s2 - g2 * n2
     determinant, at_edge = e1 * U1 * s2 - e2 * U2 * s1, e1 * s2 - e2 * s1
@@ -190,7 +193,7 @@ def mode_numbers(
     return ModeNumbers((r1, r2), (g1, g2), (w1, w2), (U1, U2), reflection, drive, determinant * over_edge)
 
 
-def _echoes(ratio: Pair, right: RightEnd) -> Pair:
+def echoes(ratio: Pair, right: RightEnd) -> Pair:
     """η_m of a free or clamped end."""
     r1, r2 = ratio
     return (r1, r2) if right == "free" else (-r1 * r1, -r2 * r2)
