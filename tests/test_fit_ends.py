@@ -13,6 +13,7 @@ from slippulse_jax.inference.likelihood import log_density
 from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.model import displacements, forces, lengths, slips, stresses
 from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.result import regime
 from slippulse_jax.status import Outcome
 
 HEIGHT, TRUTH = np.array([12.0, 16.0, 20.0]), 0.0126
@@ -146,3 +147,31 @@ def test_what_takes_no_ends_refuses_them():
         sp.fit(m, ["stiffness", "width"])
     with pytest.raises(MeasurementError, match="machine_stiffness needs young"):
         sp.Measurements(25.0, 0.3, 20.0, 0.5, correlation_length=1e-4, machine_stiffness=1e9)
+
+
+def test_the_report_says_what_an_unstated_end_and_machine_would_move():
+    """As full fits of the table with both stated; nothing where they are stated."""
+    height = np.array([30.0, 40.0, 50.0])
+    length = sp.exact_lengths(sp.Slider(height, 0.004, 0.3))
+    plain = sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.01 * length)
+    found = sp.fit(plain, intervals="profile")
+    decay = found.regime.slow_decay_length
+    given = {"block_length": 4 * decay, "machine_stiffness": 10 * found.regime.edge_stiffness}
+    for name, column in given.items():
+        again = sp.fit(dataclasses.replace(plain, **{name: column}), intervals="profile")
+        moved = np.log(again.values["stiffness"] / found.values["stiffness"])
+        assert found.unstated_ends[name]["stiffness"] == pytest.approx(moved, rel=0.02)
+    assert -0.05 < found.unstated_ends["block_length"]["stiffness"] < 0
+    assert -0.4 < found.unstated_ends["machine_stiffness"]["stiffness"] < -0.1
+    report = found.report()
+    assert "holds only if the block is longer than 4/κ₂ = " in report
+    assert "a machine ten times as stiff as the block would move k/K by -" in report
+    known = sp.fit(dataclasses.replace(plain, block_length=2 * decay, machine_stiffness=100.0), intervals="profile")
+    assert known.unstated_ends == {}
+    report = known.report()
+    assert "3 of 3 blocks are shorter than 4/κ₂ (the shortest " in report
+    assert "block with a free end pushed through a spring (length by the recursion)" in report
+    dense = dense_chain.chain_matrix(40.0, 0.004, 0.3, 400)
+    pushed = np.linalg.solve(dense, np.eye(800)[0])
+    force = 40.0 * (pushed[0] - pushed[1]) + (pushed[0] - pushed[400]) / (2.6 * 40)
+    assert force == pytest.approx(regime(Inputs.of([40.0], 0.004, 0.3)).edge_stiffness[0], rel=0.03)

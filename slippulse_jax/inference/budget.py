@@ -25,6 +25,9 @@ USUAL = {"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correl
 """Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
 known better than to a factor of two."""
 
+SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
+"""Length of a block over 1/κ_2, and stiffness of a machine over the block's, supposed where the table states none."""
+
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED)
 """Verdicts with a value that an input can move."""
 
@@ -55,6 +58,26 @@ def budget(result: "FitResult") -> dict[str, Moved]:
         step = STEPS[name]
         each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
         found[name] = Moved(USUAL[name], {one: float(each[result.parameters.index(one)]) for one in names})
+    return found
+
+
+def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
+    """Changes of the fitted parameters with a block that ends, and a machine that gives way, as in `SUPPOSED`.
+
+    Only of what the table does not state; by column and parameter, relative for a positive parameter. NaN where such a block
+    would be run through. Not with gauges, whose readings take long to compute again.
+    """
+    names = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+    m, at = result.measurements, result.regime
+    young = 1.0 if m.young is None else m.young
+    supposed = {"block_length": np.maximum(at.slow_decay_length, m.length / 4), "machine_stiffness": at.edge_stiffness * young}
+    found = {}
+    for name, size in supposed.items() if names and not result.parameters.smooth and m.gauges is None else ():
+        if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
+            continue
+        ended = dataclasses.replace(m, **{name: SUPPOSED[name] * size})
+        moved = _refitted(result, ended, name, 0.0) - result.theta
+        found[name] = {one: float(moved[result.parameters.index(one)]) for one in names}
     return found
 
 
@@ -103,4 +126,5 @@ def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
     q = parameter_set(m, result.request["free"], result.parameters.event)
     problem = make_problem(m, q, result.problem.loss, sigma)
-    return minimise(problem, result.theta[None], q.low, q.high).theta[0]
+    found = minimise(problem, result.theta[None], q.low, q.high)
+    return found.theta[0] if np.isfinite(found.value[0]) else np.full(problem.p, np.nan)

@@ -69,6 +69,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             "slow_decay_length": result.regime.slow_decay_length,
         },
         "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
+        "unstated_ends": result.unstated_ends,
         "notes": result.notes,
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),

@@ -31,7 +31,7 @@ def report(result: "FitResult") -> str:
     lines = [
         "Interface from first-precursor lengths",
         f"  data    {m.source} ({counts})",
-        f"  model   first self-healing precursor, uniform interface, semi-infinite slider ({_length(result)})",
+        f"  model   first self-healing precursor, uniform interface, {_body(result)} ({_length(result)})",
         *_searched(result),
         *_held(result),
         "",
@@ -47,15 +47,24 @@ def report(result: "FitResult") -> str:
         *_table(result),
         *_further(result),
         *_budget(result),
+        *_unstated(result),
     ]
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
     return "\n".join(lines)
 
 
+def _body(result: "FitResult") -> str:
+    inputs = result.parameters.inputs
+    block = "semi-infinite slider" if inputs.log_sites is None else "block with a free end"
+    return block if inputs.log_machine is None else f"{block} pushed through a spring"
+
+
 def _length(result: "FitResult") -> str:
     if result.parameters.event == "full":
         return "length of the whole event, in which contacts may break again"
+    if result.parameters.inputs.log_sites is not None or result.parameters.inputs.log_machine is not None:
+        return "length by the recursion"
     return "length under the smooth break rule" if result.parameters.smooth else "exact length"
 
 
@@ -168,12 +177,14 @@ def _quality(result: "FitResult") -> str:
 
 
 def _regime(result: "FitResult") -> str:
-    """b, against where contacts break again, and the length a block must exceed."""
+    """b, against where contacts break again, and the length of the block over that of the slow decay."""
     at, m = result.regime, result.measurements
     scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
+    decay = at.slow_decay_length * scale
     return (
         f"Regime: b = {_range(at.b)} (the edge of a tall slider breaks again from {rebreaking_b():.3g} on); "
-        f"1/κ₂ = {_range(at.slow_decay_length * scale)} {unit}, and the block must be 3 to 4 times as long"
+        f"1/κ₂ = {_range(decay)} {unit}"
+        + ("" if m.block_length is not None else f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}")
     )
 
 
@@ -267,6 +278,24 @@ def _budget(result: "FitResult") -> list[str]:
             value = value_with_error(result.values[name], whole)
             lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip())
     return lines
+
+
+def _unstated(result: "FitResult") -> list[str]:
+    """What an end of the block, and a machine that gives way, would move; both lengthen the front, and act one way."""
+    supposed = {
+        "block_length": "a block that ends at 4/κ₂",
+        "machine_stiffness": "a machine ten times as stiff as the block",
+    }
+    rows = []
+    for name, moved in result.unstated_ends.items():
+        free = {one: result.parameters.free[result.parameters.index(one)] for one in moved}
+        changes = [
+            f"{_symbol(one, free[one].symbol)} by " + (f"{np.expm1(by):+.1%}" if free[one].log else f"{by:+.2g}")
+            for one, by in moved.items()
+        ]
+        would = "would be run through" if np.isnan(list(moved.values())).any() else f"would move {', '.join(changes)}"
+        rows.append(f"  {supposed[name]} {would}")
+    return ["", "Not stated, and not in any error above", *rows] if rows else []
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:
@@ -372,8 +401,21 @@ def notes(result: "FitResult") -> Iterator[str]:
         "thresholds are taken as uniform: a scatter of 5 % from contact to contact would make precursors 16-34 % shorter and "
         "the fitted stiffness 60-80 % too small (documentation: Thresholds that scatter)"
     )
+    yield from _of_ends(result)
     for message in result.unconverged:
         yield f"a start {message}"
+
+
+def _of_ends(result: "FitResult") -> Iterator[str]:
+    m = result.measurements
+    if m.block_length is not None:
+        ratio = m.block_length / result.regime.slow_decay_length
+        short = ratio < 4
+        if short.any():
+            yield (
+                f"{int(short.sum())} of {len(m)} blocks are shorter than 4/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂): the "
+                "lengths depend on the far end, which is taken to be free"
+            )
 
 
 def _of_data(result: "FitResult") -> Iterator[str]:

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.bayes import Posterior, posterior
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
-from slippulse_jax.inference.budget import Moved, budget
+from slippulse_jax.inference.budget import Moved, budget, unstated_ends
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import contacts_of
@@ -62,6 +62,7 @@ class Regime:
 
     b: np.ndarray  # areal stiffness times H over the shear modulus
     slow_decay_length: np.ndarray  # 1/κ_2, in λc
+    edge_stiffness: np.ndarray  # of a block without end, pushed at its edge, in K
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -209,6 +210,11 @@ class FitResult:
         return budget(self)
 
     @functools.cached_property
+    def unstated_ends(self) -> dict[str, dict[str, float]]:
+        """What a usual end of the block and a usual machine would change, by column and parameter, where none is stated."""
+        return unstated_ends(self)
+
+    @functools.cached_property
     def further(self) -> list[Further]:
         """Data beside the lengths, and the model there."""
         m, found = self.measurements, []
@@ -302,7 +308,11 @@ def regime(inputs: Inputs) -> Regime:
     """B and 1/κ_2 of each row of the inputs."""
     with jax.enable_x64(True):
         slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
-        return Regime(np.asarray(slider.b), np.asarray(slider.slow_decay_length))
+        k1, k2, a1, a2 = (np.asarray(x) for x in (slider.kappa_1, slider.kappa_2, slider.alpha_1, slider.alpha_2))
+        # the layer is free at the edge: in amplitudes of u_t, A_1 α_1 κ_1 + A_2 α_2 κ_2 = 0 (continuum)
+        first, second = a2 * k2, -a1 * k1
+        stiffness = np.asarray(slider.K_L) * (first * k1 + second * k2) / (first + second)
+        return Regime(np.asarray(slider.b), np.asarray(slider.slow_decay_length), stiffness)
 
 
 def recursion_status(inputs: Inputs) -> np.ndarray:
