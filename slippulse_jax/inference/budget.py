@@ -65,14 +65,16 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
     """Changes of the fitted parameters with a block that ends, and a machine that gives way, as in `SUPPOSED`.
 
     Only of what the table does not state; by column and parameter, relative for a positive parameter. NaN where such a block
-    would be run through. Not with gauges, whose readings take long to compute again.
+    would be run through. Of lengths of first fronts only: gauges take long to compute again, and whole
+    events and smooth rules are for blocks without end.
     """
     names = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
     m, at = result.measurements, result.regime
     young = 1.0 if m.young is None else m.young
     supposed = {"block_length": np.maximum(at.slow_decay_length, m.length / 4), "machine_stiffness": at.edge_stiffness * young}
     found = {}
-    for name, size in supposed.items() if names and not result.parameters.smooth and m.gauges is None else ():
+    plain = not result.parameters.smooth and result.parameters.event == "domino" and m.gauges is None
+    for name, size in supposed.items() if names and plain else ():
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
             continue
         ended = dataclasses.replace(m, **{name: SUPPOSED[name] * size})
