@@ -79,6 +79,17 @@ def test_small_errors_get_the_steps_of_the_length_added():
     assert any("steps where the order of its breaks changes" in note for note in result.notes)
 
 
+def test_counts_of_whole_events_have_the_error_of_the_model():
+    """An interpolated length cannot hold a count to a few per cent of a contact."""
+    stiffness, m = study(20.0)
+    counted = sp.Measurements(height=HEIGHT, poisson=0.3, length=np.ceil(m.length), kind=("whole",) * len(HEIGHT))
+    result = sp.fit(counted, event="full")
+    assert result.identifiability is not Identifiability.EQUAL
+    assert (result.between_contacts > 0.05).any()
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high
+
+
 def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
     _, m = study(6.5)
     rows = zip(m.height, m.length, m.sigma, strict=True)

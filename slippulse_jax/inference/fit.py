@@ -125,7 +125,8 @@ def fit(
         "intervals": intervals,
         "event": event,
     }
-    counts = allowed_by_counts(problem) if are_exact(problem) else None
+    # lengths of whole events are interpolated: no count holds or fails by them with certainty
+    counts = allowed_by_counts(problem) if event == "domino" and are_exact(problem) else None
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
@@ -251,10 +252,11 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     """Typical |ℓ − ℓ*| of every length in λc, where one of them is not small beside its σ; 0 for counts.
 
     ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
-    continuation does. A length is measured to neither convention.
+    continuation does. A length is measured to neither convention. Of whole events it is how far the interpolated length is
+    from that of the cascade, which matters to counts as well.
     """
     block, q = problem.blocks[0], problem.parameters
-    plain = block.data.kind == "length"
+    plain = (block.data.kind == "length") | (q.event == "full")
     # both end between the same two contacts
     widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
     if q.smooth or not (plain & (widest > BETWEEN * block.data.sigma)).any():
