@@ -2,6 +2,8 @@
 
 from slippulse_jax import plot as plot
 from slippulse_jax import theory as theory
+from slippulse_jax.block import Block as Block
+from slippulse_jax.block import Push as Push
 from slippulse_jax.inference.design.design import design as design
 from slippulse_jax.inference.design.knowledge import Knowledge as Knowledge
 from slippulse_jax.inference.fit import fit as fit

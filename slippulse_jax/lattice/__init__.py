@@ -11,6 +11,11 @@ The uniform chain, one slider: everything rests on its two modes.
     `sensitivity`       the derivative in the threshold and prestress of every contact
     `readings`          slip and stress along the interface, as gauges would read them
 
+A block under two-dimensional elasticity on the same contacts.
+    `waveguide`         the response of any uniform waveguide on attached contacts; the slider is one of two freedoms
+    `elements`          a block as such a guide: graded columns of finite elements
+    `blocks`            its first precursor: any contacts, in any order
+
 The same front in closed form (the series itself is `slippulse_jax.double_series`).
     `crossing`          the search for where the front stress first falls to the threshold
     `exact`             what users call: length, record, stress and fields

@@ -4,6 +4,7 @@ import functools
 import math
 import warnings
 from functools import partial
+from typing import Any, overload
 
 import equinox as eqx
 import jax
@@ -14,9 +15,11 @@ from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.block import Block
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import delayed, front
+from slippulse_jax.lattice import blocks, delayed, front
+from slippulse_jax.lattice.blocks import BlockPrecursor
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
 from slippulse_jax.lattice.modes import (
     ENDLESS,
@@ -141,7 +144,7 @@ class FirstPrecursor(eqx.Module):
 
 
 def precursor_length(
-    slider: Slider,
+    slider: Slider | Block,
     interface: Interface | Profile | None = None,
     *,
     rule: BreakRule = HARD,
@@ -160,8 +163,10 @@ def precursor_length(
 
     Parameters
     ----------
-    slider : Slider
-        One slider or a batch; ℓ has its shape.
+    slider : Slider or Block
+        One slider or a batch; ℓ has its shape. Or one block, whose events are any contacts in any order, those that break again
+        included, and end at the rightmost; `sites` is then the number of contacts resolved, which under ``jit`` and ``vmap``
+        must be given, and derivatives are those at a fixed order of breaks.
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
@@ -209,6 +214,9 @@ def precursor_length(
     >>> print(f"{float(length):.3f} λc")
     25.790 λc
     """
+    if isinstance(slider, Block):
+        _check_of_block(interface, rule=rule, right=right, machine=machine, max_contacts=max_contacts)
+        return blocks.precursor_length(slider, interface, sites)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule)
@@ -228,6 +236,11 @@ def precursor_length(
     return length
 
 
+@overload
+def first_precursor(
+    slider: Block, interface: Interface | Profile | None = None, *, sites: Numbers | None = None
+) -> BlockPrecursor: ...
+@overload
 def first_precursor(
     slider: Slider,
     interface: Interface | Profile | None = None,
@@ -237,13 +250,23 @@ def first_precursor(
     machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
-) -> FirstPrecursor:
+) -> FirstPrecursor: ...
+def first_precursor(
+    slider: Slider | Block,
+    interface: Interface | Profile | None = None,
+    *,
+    right: RightEnd = "semi-infinite",
+    sites: Numbers | None = None,
+    machine: Numbers | None = None,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+    recorded_sites: int | None = None,
+) -> FirstPrecursor | BlockPrecursor:
     """Record of the first precursor: count, length, load, front stress, fields, status.
 
     Parameters
     ----------
-    slider : Slider
-        One slider (fields of shape ()); ``jax.vmap`` over a batch.
+    slider : Slider or Block
+        One slider (fields of shape ()); ``jax.vmap`` over a batch. Or one block.
     interface, right, sites, machine, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
@@ -259,6 +282,9 @@ def first_precursor(
     ValueError
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """
+    if isinstance(slider, Block):
+        _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
+        return blocks.first_precursor(slider, interface, sites)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     _check_one(slider, "first_precursor takes one slider (lengths of many: precursor_lengths)")
@@ -305,6 +331,18 @@ def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Arr
 
 
 _smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule, max_contacts=max_contacts), static_argnums=2)
+
+
+def _check_of_block(interface: Contacts, **given: Any) -> None:
+    """Refuse what a block does not have."""
+    usual = {"rule": HARD, "right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
+    for name, value in given.items():
+        if value is not None and value != usual.get(name):
+            raise ValueError(
+                f"{name} = {value!r}: not an option of a block, which is half-infinite and breaks by the hard rule"
+            )
+    if interface is not None and interface.repin_delay:
+        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")
 
 
 def check_smooth(interface: Contacts, ends: Ends) -> None:

@@ -1,0 +1,145 @@
+"""A block under two-dimensional elasticity on the same contacts, and what pushes its side.
+
+Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
+"""
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, Domain
+from slippulse_jax.slider import Real, Slider
+from slippulse_jax.units import Numbers, as_float, quantity_field
+
+Control = Literal["displacement", "force"]
+Plane = Literal["stress", "strain"]
+
+OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
+
+
+def _float_or_none(x: Any) -> Any:
+    return None if x is None else as_float(x)
+
+
+class Push(eqx.Module):
+    """A pusher on the left side of a block, rigid where it imposes a displacement.
+
+    Parameters
+    ----------
+    height : float, optional
+        Height of its centre over H; without `width`, of its lower end: it then covers everything above. Without either it
+        covers the whole side.
+    width : float, optional
+        Height of the part of the side that it covers, over H.
+    control : {"displacement", "force"}
+        What is held while an event runs: its displacement; or its force, a uniform traction.
+
+    Raises
+    ------
+    ValueError
+        If it does not lie on the side; values traced by JAX are not checked.
+    """
+
+    height: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
+    width: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
+    control: Control = eqx.field(default="displacement", static=True)
+
+    if TYPE_CHECKING:  # what the converters take
+
+        def __init__(
+            self, height: Numbers | None = None, width: Numbers | None = None, control: Control = "displacement"
+        ) -> None: ...
+
+    def __check_init__(self) -> None:
+        if self.control not in get_args(Control):
+            raise ValueError(f"Push.control = {self.control!r}: one of {', '.join(map(repr, get_args(Control)))}")
+        if self.height is None:
+            if self.width is not None:
+                raise ValueError("Push.width is given without a height: say at what height its centre is")
+            return
+        OF_SIDE.check("Push.height", self.height)
+        if self.width is None:
+            return
+        OF_SIDE.check("Push.width", self.width)
+        low, high = self.reach
+        if not isinstance(low, Tracer) and not (low > 0 and high < 1):
+            raise ValueError(
+                f"Push.width = {float(self.width):g} about height = {float(self.height):g}: reaches from {float(low):g} to "
+                f"{float(high):g} H, beyond the side of the block"
+            )
+
+    @property
+    def reach(self) -> tuple[Array, Array]:
+        """Heights of its ends, over H."""
+        if self.height is None:
+            return jnp.zeros(()), jnp.ones(())
+        centre = jnp.asarray(self.height)
+        if self.width is None:
+            return centre, jnp.ones_like(centre)
+        half = jnp.asarray(self.width) / 2
+        return centre - half, centre + half
+
+    def __str__(self) -> str:
+        where = "the whole side" if self.height is None else f"the side above {float(self.height):g} H"
+        if self.height is not None and self.width is not None:
+            where = f"{float(self.width):g} H of the side around {float(self.height):g} H"
+        return f"{where}, at a constant {self.control}"
+
+
+class Block(eqx.Module):
+    """An elastic block on an interface of λ-contacts, pushed at its left side; half-infinite to the right.
+
+    Its bottom may not leave the track nor enter it (u_y = 0), and its top is free.
+
+    Parameters
+    ----------
+    height : float
+        H/λc; > 1.
+    stiffness : float
+        k/K of one contact, with K = Eλc; > 0.
+    poisson : float
+        ν; in (−1, 0.5], below 0.5 in plane strain.
+    push : Push
+        Everything above a quarter of the height by default.
+    plane : {"stress", "strain"}
+
+    Raises
+    ------
+    ValueError
+        If a value lies outside its domain; values traced by JAX are not checked.
+    """
+
+    height: Float[Real, ""] = quantity_field("H/\\lambda_c", "1", "", "height of the block, H/λc", converter=as_float)
+    stiffness: Float[Real, ""] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K", converter=as_float)
+    poisson: Float[Real, ""] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
+    push: Push = eqx.field(default_factory=lambda: Push(0.25))
+    plane: Plane = eqx.field(default="stress", static=True)
+
+    if TYPE_CHECKING:  # what the converters take
+
+        def __init__(
+            self, height: Numbers, stiffness: Numbers, poisson: Numbers, push: Push = ..., plane: Plane = "stress"
+        ) -> None: ...
+
+    def __check_init__(self) -> None:
+        if self.plane not in get_args(Plane):
+            raise ValueError(f"Block.plane = {self.plane!r}: one of {', '.join(map(repr, get_args(Plane)))}")
+        for name, domain in {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}.items():
+            domain.check(f"Block.{name}", getattr(self, name))
+        if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
+            raise ValueError("Block.poisson = 0.5: an incompressible block has no plane strain here; take 0.499")
+
+    @property
+    def slider(self) -> Slider:
+        """The slider of the same height and contacts."""
+        return Slider(self.height, self.stiffness, self.poisson)
+
+    @property
+    def plane_constants(self) -> tuple[Array, Array]:
+        """Poisson's ratio and E of the plane-stress problem that this one is."""
+        nu = jnp.asarray(self.poisson)
+        return (nu, jnp.ones_like(nu)) if self.plane == "stress" else (nu / (1 - nu), 1 / (1 - nu**2))

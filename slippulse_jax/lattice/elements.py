@@ -1,0 +1,113 @@
+"""Slabs of a block under two-dimensional elasticity: graded columns of rectangular elements over one contact.
+
+Elements are the four-node rectangles with two incompatible modes of Taylor, Beresford and Wilson (QM6), which bend without
+locking. Two of them lie side by side over a contact; they are graded upwards from the interface and away from the pusher,
+whose ends are nodes, so that everything is a smooth function of the heights. In λc and E = 1.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slippulse_jax.block import Block
+from slippulse_jax.lattice.waveguide import Loaded, Slab, joined
+
+GAUSS = 3**-0.5
+CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
+
+AT_INTERFACE = 0.3
+"""Height of the elements at the interface, roughly, in λc."""
+AT_PUSHER = 0.01
+"""Height of those at an end of the pusher, roughly, over H."""
+HALVINGS = 1
+"""A contact carries 2 to this power elements side by side."""
+BELOW, NEAR, OVER, ABOVE = 18, 10, 8, 14
+"""Elements above the interface, below the pusher, over the pusher, and above it."""
+
+
+def heights(block: Block) -> Float[Array, " nodes"]:
+    """Heights of the nodes of a column, the ends of the pusher among them."""
+    H, (low, high) = jnp.asarray(block.height), block.push.reach
+    if block.push.height is None:
+        return _graded(0 * H, H, AT_INTERFACE, BELOW + NEAR + ABOVE)
+    fine, none = AT_PUSHER * H, 0 * H
+    parts = [_graded(none, low * H / 2, AT_INTERFACE, BELOW), _graded(low * H, low * H / 2, fine, NEAR)[::-1]]
+    if block.push.width is not None:
+        centre = (low + high) * H / 2
+        parts += [_graded(low * H, centre, fine / 2, OVER // 2), _graded(high * H, centre, fine / 2, OVER // 2)[::-1]]
+    parts.append(_graded(high * H if block.push.width is not None else low * H, H, fine, ABOVE))
+    return jnp.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+
+
+def _graded(start: Array, end: Array, size: Array | float, count: int) -> Array:
+    """Nodes from `start` to `end`, by a hyperbolic sine fine at the start and ever coarser: about `size` there."""
+    scale = count * size / jnp.log1p(count)
+    rate = jnp.arcsinh(jnp.abs(end - start) / scale)
+    return start + (end - start) * jnp.sinh(rate * jnp.linspace(0, 1, count + 1)) / jnp.sinh(rate)
+
+
+def element(width: Array | float, height: Array, poisson: Array) -> Float[Array, "8 8"]:
+    """Stiffness of a rectangle under plane stress, E = 1; corners anticlockwise from below left, (u_x, u_y) of each."""
+    one, none = jnp.ones_like(poisson), jnp.zeros_like(poisson)
+    elastic = jnp.stack(
+        [jnp.stack([one, poisson, none]), jnp.stack([poisson, one, none]), jnp.stack([none, none, (1 - poisson) / 2])]
+    ) / (1 - poisson**2)
+    x, y = CORNERS.T
+    nodal, bubbles, mixed = jnp.zeros((8, 8)), jnp.zeros((4, 4)), jnp.zeros((8, 4))
+    for a in (-GAUSS, GAUSS):
+        for b in (-GAUSS, GAUSS):
+            dx, dy = x * (1 + y * b) / (2 * width), y * (1 + x * a) / (2 * height)
+            B = jnp.zeros((3, 8)).at[0, 0::2].set(dx).at[1, 1::2].set(dy).at[2, 0::2].set(dy).at[2, 1::2].set(dx)
+            bx, by = -4 * a / width, -4 * b / height
+            G = jnp.zeros((3, 4)).at[0, 0].set(bx).at[2, 1].set(bx).at[2, 2].set(by).at[1, 3].set(by)
+            area = width * height / 4
+            nodal += area * B.T @ elastic @ B
+            mixed += area * B.T @ elastic @ G
+            bubbles += area * G.T @ elastic @ G
+    return nodal - mixed @ jnp.linalg.solve(bubbles, mixed.T)
+
+
+LEFT, RIGHT = np.array([0, 1, 6, 7]), np.array([2, 3, 4, 5])
+
+
+def slab(block: Block) -> Slab:
+    """Elements side by side over each height, without the spring of the contact; u_y = 0 at the interface."""
+    y = heights(block)
+    poisson, young = block.plane_constants
+    width = 0.5**HALVINGS
+    every = young * jax.vmap(lambda height: element(width, height, poisson))(jnp.diff(y))
+    n = 2 * y.size
+    place = 2 * np.arange(y.size - 1)[:, None] + np.arange(4)
+    keep = np.delete(np.arange(n), 1)
+
+    def assembled(rows: np.ndarray, cols: np.ndarray) -> Array:
+        blocks = every[:, rows[:, None], cols]
+        return jnp.zeros((n, n), y.dtype).at[place[:, :, None], place[:, None, :]].add(blocks)[keep[:, None], keep]
+
+    # the contact reads the mean along the lower edges
+    mean = jnp.zeros(n - 1, y.dtype).at[0].set(width / 2)
+    found = Slab(assembled(LEFT, LEFT), assembled(LEFT, RIGHT), assembled(RIGHT, RIGHT), mean, mean, jnp.zeros((), y.dtype))
+    for _ in range(HALVINGS):
+        found = joined(found, found)
+    return found
+
+
+def loaded(block: Block) -> Loaded:
+    """Freedoms of column 0 that the pusher displaces, or its forces on them, of a uniform traction."""
+    y, push = heights(block), block.push
+    # by number, not by height: which nodes are pushed never changes
+    number, below = np.arange(y.size), 0 if push.height is None else BELOW + NEAR
+    under = (number >= below) & (number <= (below + 2 * (OVER // 2) if push.width is not None else y.size))
+    keep = np.delete(np.arange(2 * y.size), 1)
+
+    def along(x: Any) -> Array:
+        return jnp.zeros(2 * y.size, y.dtype).at[0::2].set(x)[keep]
+
+    none = along(0.0)
+    if push.control == "displacement":
+        return Loaded(along(under), none)
+    part = jnp.diff(y) * (under[1:] & under[:-1])
+    return Loaded(none, along((jnp.pad(part, (0, 1)) + jnp.pad(part, (1, 0))) / (2 * part.sum())))

@@ -1,0 +1,138 @@
+r"""A half-infinite uniform waveguide on contacts that are attached at all times: what pinning points and the push do to them.
+
+Columns of n freedoms x_0, x_1 … lie one λc apart. Between two of them is a slab with one contact, whose spring k holds their
+mean along the interface, ⟨u⟩_i = w_l·x_i + w_r·x_{i+1} (and s times its own force), to a pinning point. A break only moves that
+point, so the stiffness stays as it is. With the driving-point stiffness X of the half-infinite guide, Y = (X + D_11)⁻¹, the
+transfer T = −Y D_01ᵀ from column to column, and Y_0, the inverse of X on what the pusher leaves free,
+
+    q_0 = w_r,    q_{a+1} = (Tᵀ)^a (w_l + Tᵀ w_r),
+    t_i = q_{i+1}·u_0,    A_ij = q_{i+1}ᵀ Y_0 q_{j+1} + Σ_{l=1}^{min(i,j)+1} q_{i+1−l}ᵀ Y q_{j+1−l} + s δ_ij,    R = k A:
+
+stretches of the contacts are U t + (R − 1) u_b. The slider is the case n = 2; its columns are u_t and u.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+DOUBLINGS = 40
+"""Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
+
+
+class Slab(NamedTuple):
+    """Stiffness between two columns, and how the interface beneath reads them; symmetric in all but its ends."""
+
+    left: Float[Array, "n n"]  # D_00
+    across: Float[Array, "n n"]  # D_01
+    right: Float[Array, "n n"]  # D_11
+    reading_left: Float[Array, " n"]  # w_l
+    reading_right: Float[Array, " n"]  # w_r
+    own: Float[Array, ""]  # s, response of a contact within its slab
+
+
+class Loaded(NamedTuple):
+    """What pushes column 0: displaced freedoms, or given forces with all of them free."""
+
+    displaced: Float[Array, " n"]  # 1 where a freedom moves with the pusher
+    force: Float[Array, " n"]  # on the others, per unit of the load
+
+
+class Guide(NamedTuple):
+    """A waveguide that is pushed at column 0, in the quantities of this module."""
+
+    slab: Slab
+    stiffness: Array  # X
+    step: Array  # Y
+    transfer: Array  # T
+    free: Array  # Y_0
+    pushed: Array  # u_0, column 0 per unit of the load
+
+
+class Response(NamedTuple):
+    """What breaks of the first N contacts do."""
+
+    push: Float[Array, " N"]  # t, stretch per unit of the load
+    matrix: Float[Array, "N N"]  # R
+
+
+def joined(a: Slab, b: Slab) -> Slab:
+    """Two slabs in a row as one, and what is read of the column between them handed on to the others."""
+    between, read = jnp.linalg.inv(a.right + b.left), a.reading_right + b.reading_left
+    moved = between @ read
+    left, right = a.left - a.across @ between @ a.across.T, b.right - b.across.T @ between @ b.across
+    return Slab(
+        (left + left.T) / 2, -a.across @ between @ b.across, (right + right.T) / 2,
+        a.reading_left - a.across @ moved, b.reading_right - b.across.T @ moved, a.own + b.own + read @ moved,
+    )  # fmt: skip
+
+
+def attached(slab: Slab, contact: Array) -> Slab:
+    """Attach the contact of a slab, of stiffness k; its readings are then those per displacement of the pinning point."""
+    share = 1 / (1 + contact * slab.own)
+    left, right, k = slab.reading_left, slab.reading_right, contact * share
+    return Slab(
+        slab.left + k * jnp.outer(left, left),
+        slab.across + k * jnp.outer(left, right),
+        slab.right + k * jnp.outer(right, right),
+        share * left, share * right, share * slab.own,
+    )  # fmt: skip
+
+
+def driving_point(slab: Slab) -> Float[Array, "n n"]:
+    """X of the half-infinite guide: twice as many slabs each time, until the far end is not felt."""
+
+    def felt(state: tuple[Slab, Int[Array, ""]]) -> Array:
+        slabs, count = state
+        return (jnp.abs(slabs.across).max() > jnp.finfo(slabs.left.dtype).eps * jnp.abs(slabs.left).max()) & (count < DOUBLINGS)
+
+    def twice(state: tuple[Slab, Int[Array, ""]]) -> tuple[Slab, Int[Array, ""]]:
+        slabs, count = state
+        return joined(slabs, slabs), count + 1
+
+    unread = 0 * slab.reading_left
+    return lax.while_loop(felt, twice, (slab._replace(reading_left=unread, reading_right=unread), jnp.int32(0)))[0].left
+
+
+def guide(slab: Slab, loaded: Loaded) -> Guide:
+    """The half-infinite guide of a slab with its contact attached."""
+    X = driving_point(slab)
+    step = jnp.linalg.inv(X + slab.right)
+    moves = loaded.displaced
+    keep = 1 - moves
+    # freedoms that the pusher displaces are cut out, and held at one instead
+    inner = keep[:, None] * X * keep[None] + jnp.diag(moves)
+    free = keep[:, None] * jnp.linalg.inv(inner) * keep[None]
+    pushed = moves + free @ (loaded.force - X @ moves)
+    return Guide(slab, X, step, -step @ slab.across.T, free, pushed)
+
+
+def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
+    """q_0 … q_N."""
+    slab, T = guide.slab, guide.transfer
+    first = slab.reading_left + slab.reading_right @ T
+    rest = lax.scan(lambda q, _: (q @ T, q), first, length=sites)[1]
+    return jnp.concatenate([slab.reading_right[None], rest])
+
+
+def response(guide: Guide, contact: Array, sites: int) -> Response:
+    """Response of the first `sites` contacts, in O(sites² n)."""
+    q = readings(guide, sites)
+    behind, ahead = q[:-1], q[1:]
+    # sums along the diagonals: each row adds the one above, shifted by a contact
+    direct = lax.scan(lambda above, row: (jnp.pad(row + above, (1, 0))[:-1], row + above), jnp.zeros_like(q[1:, 0]),
+                      behind @ guide.step @ behind.T)[1]  # fmt: skip
+    A = ahead @ guide.free @ ahead.T + direct + guide.slab.own * jnp.eye(sites, dtype=q.dtype)
+    return Response(ahead @ guide.pushed, contact * A)
+
+
+def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
+    """Displacements of columns 0 … N under a load and pinning points of the first N contacts."""
+    slab, T = guide.slab, guide.transfer
+    force = jnp.outer(jnp.pad(pinning, (0, 1)), slab.reading_left) + jnp.outer(jnp.pad(pinning, (1, 0)), slab.reading_right)
+    force = contact * force
+    arriving = lax.scan(lambda g, f: (f + g @ T, f + g @ T), jnp.zeros_like(force[0]), force, reverse=True)[1]
+    first = guide.pushed * load + guide.free @ arriving[0]
+    rest = lax.scan(lambda x, g: ((y := T @ x + guide.step @ g), y), first, arriving[1:])[1]
+    return jnp.concatenate([first[None], rest])

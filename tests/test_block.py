@@ -1,0 +1,282 @@
+"""A block under two-dimensional elasticity: against a sparse finite-element program, closed forms, and the slider as a waveguide."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles.finite_elements import WholeBlock, break_all, rectangle
+from scipy.optimize import brentq
+
+import slippulse_jax as sp
+from slippulse_jax.lattice import blocks, elements, waveguide
+from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.status import Outcome
+
+PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
+NAMES = ["top", "patch", "force", "side"]
+
+
+def at_b(height, b, push, poisson=0.3, **more):
+    return sp.Block(height, b / (2 * (1 + poisson) * height), poisson, push, **more)
+
+
+def response(block, sites):
+    return waveguide.response(blocks.guide_of(block), jnp.asarray(block.stiffness), sites)
+
+
+# --- the slider is the case n = 2 ---------------------------------------------------------------------------------------
+
+
+def slider_guide(slider):
+    """Columns (u_t, u): a bond of each layer, the springs of the left site, and the contact under its u."""
+    K_L, K_T, one = (jnp.asarray(x) for x in (slider.K_L, slider.K_T, 1.0))
+    bonds, across = jnp.diag(jnp.stack([K_L, one])), K_T * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
+    slab = waveguide.Slab(bonds + across, -bonds, bonds, jnp.array([0.0, 1.0]), jnp.zeros(2), jnp.zeros(()))
+    held = waveguide.Loaded(jnp.array([1.0, 0.0]), jnp.zeros(2))
+    return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held)
+
+
+@pytest.mark.parametrize(
+    ("height", "stiffness", "count", "length"),
+    [(10, 0.03, 10, 9.722), (25, 0.03, 26, 25.790), (50, 0.03, 52, 51.393), (25, 0.01, 22, 21.637), (25, 0.003, 16, 15.022)],
+)
+def test_the_slider_is_a_waveguide_of_two_freedoms(height, stiffness, count, length):
+    slider = sp.Slider(float(height), stiffness, 0.3)
+    found = waveguide.response(slider_guide(slider), jnp.asarray(stiffness), 80)
+    modes = lattice_modes(slider)
+    driven = jax.vmap(modes.profile)(jnp.arange(80.0)) @ modes.drive / modes.load
+    np.testing.assert_allclose(found.push, driven, rtol=0, atol=1e-12)
+    ended, first, load, _ = blocks.event(found, jnp.ones(80), jnp.zeros(80))
+    assert int(first) == 0
+    assert float(load) == pytest.approx(float(modes.load), rel=1e-13)
+    assert int(ended.broken.sum()) == int(ended.breaks) == count
+    reached = count - 1 + ended.overload[count - 1] / (ended.overload[count - 1] - ended.stress[count] + 1)
+    assert float(reached) == pytest.approx(float(sp.precursor_length(slider)), abs=1e-9)
+    assert float(reached) == pytest.approx(length, abs=6e-4)
+
+
+# --- an independent program ---------------------------------------------------------------------------------------------
+
+
+def test_element_is_that_of_closed_integrals():
+    for width, height, poisson in [(0.5, 0.7, 0.3), (0.5, 40.0, 0.0), (0.5, 0.05, -0.4), (1.0, 1.0, 0.49)]:
+        found = elements.element(width, jnp.asarray(height), jnp.asarray(poisson))
+        np.testing.assert_allclose(found, rectangle(width, height, poisson), atol=1e-13 * max(height, 1 / height))
+
+
+def whole(block, contacts):
+    load = elements.loaded(block)
+    displaced, force = (np.insert(np.asarray(x), 1, 0)[0::2] for x in load)
+    force = force if block.push.control == "force" else None
+    nu, young = map(float, block.plane_constants)
+    found = WholeBlock(np.asarray(elements.heights(block)), float(block.stiffness) / young, nu, contacts, displaced > 0, force)
+    if force is not None:
+        found.push = found.push / young
+    return found
+
+
+@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
+def test_response_is_that_of_a_long_block(push):
+    """The long block ends at 40 H, where nothing of the push is left."""
+    block = sp.Block(4.0, 0.08, 0.3, push)
+    dense = whole(block, 160)
+    found = response(block, 48)
+    np.testing.assert_allclose(found.push, dense.push[:48], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.matrix, dense.matrix[:48, :48], rtol=0, atol=1e-10)
+    order, stress = break_all(dense.push, dense.matrix)
+    record = sp.first_precursor(block, sites=48)
+    assert int(record.breaks) == len(order)
+    assert int(record.nucleation) == order[0]
+    np.testing.assert_allclose(record.stress, stress[:48], rtol=0, atol=1e-9)
+
+
+def test_twenty_random_blocks_break_in_the_same_order():
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        height, poisson = rng.uniform(3, 5), rng.uniform(0, 0.45)
+        push = [sp.Push(rng.uniform(0.1, 0.7)), sp.Push(rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.3))][rng.integers(2)]
+        block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
+        dense = whole(block, int(12 * height))
+        order, _ = break_all(dense.push, dense.matrix)
+        push, matrix = map(np.asarray, response(block, 64))
+        assert break_all(push, matrix)[0] == order
+        record = sp.first_precursor(block, sites=64)
+        assert (int(record.breaks), int(record.contacts_broken)) == (len(order), len(set(order)))
+
+
+def test_plane_strain_is_plane_stress_of_other_constants():
+    strain = sp.Block(4.0, 0.08, 0.25, sp.Push(0.3), plane="strain")
+    dense = whole(strain, 160)
+    np.testing.assert_allclose(response(strain, 48).push, dense.push[:48], atol=1e-10)
+
+
+# --- closed forms -------------------------------------------------------------------------------------------------------
+
+
+def strip(q, height, poisson):
+    """Stiffness of a strip, shear stress over displacement of its lower edge, at wavenumber q; E = 1."""
+    z = abs(q) * height
+    s, c = np.sinh(z), np.cosh(z)
+    return 2 * abs(q) * (s * c + z) / ((1 + poisson) ** 2 * z**2 + 4 + (3 - poisson) * (1 + poisson) * s**2)
+
+
+@pytest.mark.parametrize("reach", [0.1, 1.0, 5.0, 20.0])
+def test_stiffness_of_a_strip_at_one_wavelength(reach):
+    """A patch hands on sinc(q/2) of a wave, twice; the elements over a contact do the rest, to some permille."""
+    height, poisson = 200.0, 0.3
+    slab = elements.slab(sp.Block(height, 0.01, poisson, sp.Push()))
+    q = reach / height
+    phase = np.exp(1j * q)
+    D = np.asarray(slab.left + slab.right) + np.asarray(slab.across) * phase + np.asarray(slab.across).T / phase
+    reading = np.asarray(slab.reading_left) + np.asarray(slab.reading_right) * phase
+    compliance = (reading.conj() @ np.linalg.solve(D, reading)).real + float(slab.own)
+    assert 1 / compliance == pytest.approx(strip(q, height, poisson) / np.sinc(q / (2 * np.pi)) ** 2, rel=3e-3)
+
+
+@pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
+def test_slow_decay_is_that_of_an_edge_load(b):
+    """The first root of the strip's characteristic equation on the imaginary axis."""
+    poisson = 0.3
+
+    def characteristic(z):
+        closed = 4 - (1 + poisson) ** 2 * z**2 - (3 - poisson) * (1 + poisson) * np.sin(z) ** 2
+        return b * closed - 4 * (1 + poisson) * z * (np.sin(z) * np.cos(z) + z)
+
+    slow = brentq(characteristic, 1e-3, 1.2)
+    height = 400.0
+    decay = np.abs(np.linalg.eigvals(np.asarray(blocks.guide_of(at_b(height, b, sp.Push(0.3))).transfer))).max()
+    assert -np.log(decay) * height == pytest.approx(slow, rel=2e-3)
+
+
+def test_far_from_the_edge_a_uniform_shift_is_followed():
+    """R sums to one along a row."""
+    found = response(at_b(5.0, 2.0, sp.Push(0.3)), 256)
+    np.testing.assert_allclose(found.matrix[128].sum(), 1, atol=1e-6)
+    np.testing.assert_allclose(found.matrix, found.matrix.T, atol=1e-13)
+
+
+def test_forces_are_in_balance_and_a_break_loses_its_energy():
+    """The pusher's force is that of all contacts; a break at stress a loses k a² (1 + R_jj)/2."""
+    block = at_b(4.0, 1.5, sp.Push(0.3))
+    guide, k = blocks.guide_of(block), float(block.stiffness)
+    load, pinning = 2.0, jnp.zeros(200).at[jnp.array([0, 3, 9])].set(jnp.array([1.0, 0.4, 0.2]))
+
+    def state(pinning):
+        x = waveguide.columns(guide, jnp.asarray(k), jnp.asarray(load), pinning)
+        force = (guide.slab.left @ x[0] + guide.slab.across @ x[1] - k * guide.slab.reading_left * pinning[0])[
+            np.asarray(elements.loaded(block).displaced) > 0
+        ].sum()
+        found = response(block, 200)
+        stretch = load * found.push + found.matrix @ pinning - pinning
+        return float(force), np.asarray(stretch)
+
+    def energy(pinning):
+        """By Clapeyron: half of what pusher and pinning points would do, brought there slowly."""
+        force, stretch = state(pinning)
+        return (float(load) * force - k * float(stretch @ pinning)) / 2
+
+    force, stretch = state(pinning)
+    assert force == pytest.approx(k * stretch.sum(), rel=1e-9)
+    j, matrix = 5, np.asarray(response(block, 200).matrix)
+    lost = energy(pinning) - energy(pinning.at[j].add(stretch[j]))
+    assert lost == pytest.approx(k * stretch[j] ** 2 * (1 + matrix[j, j]) / 2, rel=1e-8)
+
+
+# --- lengths ------------------------------------------------------------------------------------------------------------
+
+TABLE = {
+    "top 1/4": (sp.Push(0.25), {0.1: 0.398, 0.5: 0.654, 1: 0.788, 2: 0.902, 10: 0.963}),
+    "top 1/2": (sp.Push(0.5), {0.1: 0.903, 0.5: 1.424, 1: 1.617, 2: 1.719, 10: 1.701}),
+    "patch 1/4": (sp.Push(0.25, 0.1), {0.1: 0.275, 0.5: 0.393, 1: 0.462, 2: 0.529, 10: 0.572}),
+    "patch 1/2": (sp.Push(0.5, 0.1), {0.1: 0.696, 0.5: 1.066, 1: 1.222, 2: 1.317, 10: 1.352}),
+    "patch 3/4": (sp.Push(0.75, 0.1), {0.1: 1.366, 0.5: 1.964, 1: 2.106, 2: 2.131, 10: 2.078}),
+    "force 1/4": (sp.Push(0.25, 0.1, "force"), {0.1: 0.704, 0.5: 0.788, 1: 0.794, 2: 0.774, 10: 0.734}),
+}
+INSIDE = (
+    {("patch 1/4", b) for b in (0.1, 0.5, 1, 2, 10)} | {("force 1/4", b) for b in (0.1, 0.5, 1, 2, 10)} | {("patch 1/2", 10)}
+)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_lengths_of_a_separate_program(name):
+    """H/λc = 100, ν = 0.3, ℓ/H to the mesh; and where the event begins, and whether contacts break again."""
+    push, lengths = TABLE[name]
+    for b, expected in lengths.items():
+        found = sp.first_precursor(at_b(100.0, b, push), sites=320)
+        assert float(found.length) / 100 == pytest.approx(expected, rel=0.015)
+        assert (int(found.nucleation) > 0) == ((name, b) in INSIDE)
+        assert int(found.status) == Outcome.ARRESTED
+        if b < 2:
+            assert int(found.breaks) == int(found.contacts_broken)
+
+
+def test_a_side_displaced_as_a_whole_has_no_precursor():
+    found = sp.first_precursor(at_b(100.0, 1.0, sp.Push()), sites=320)
+    assert (int(found.status), float(found.length)) == (Outcome.NO_DOMINO, 0)
+    assert 1 - float(found.stress_before[1]) == pytest.approx(2.05e-2, rel=0.01)  # that of ever finer meshes
+    assert "a side that is pushed as a whole" in str(found)
+
+
+def test_lengths_do_not_depend_on_the_contacts_resolved():
+    block = at_b(30.0, 1.0, sp.Push(0.4))
+    few, many = (float(sp.precursor_length(block, sites=n)) for n in (96, 192))
+    assert few == pytest.approx(many, rel=1e-12)
+    assert float(sp.precursor_length(block)) == pytest.approx(many, rel=1e-12)
+    assert float(sp.precursor_length(block, sites=8)) == np.inf  # ran through all that were resolved
+
+
+@pytest.mark.parametrize("push", [sp.Push(0.3), sp.Push(0.4, 0.15)], ids=["top", "patch"])
+def test_derivatives_at_a_fixed_order_of_breaks(push):
+    numbers = [40.0, 0.01, 0.3, *(float(x) for x in (push.height, push.width) if x is not None)]
+
+    def length(x):
+        return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(*x[3:])), sites=128)
+
+    at = jnp.array(numbers)
+    step = 1e-6 * np.array(numbers)
+    around = [float(length(at + d) - length(at - d)) / (2 * d.sum()) for d in np.diag(step)]
+    np.testing.assert_allclose(jax.grad(length)(at), around, rtol=2e-5)
+
+
+def test_prestress_lengthens_and_a_threshold_decides():
+    block = at_b(30.0, 1.0, sp.Push(0.4))
+    plain, stressed = (sp.first_precursor(block, sp.Interface(prestress=p), sites=160) for p in (0.0, 0.15))
+    assert float(stressed.length) > float(plain.length) + 1
+    assert float(stressed.load) == pytest.approx(0.85 * float(plain.load), rel=1e-12)
+    threshold = np.ones(160)
+    threshold[7] = 3.0  # no front passes it in its turn
+    held = sp.first_precursor(block, sp.Profile(threshold=threshold), sites=160)
+    assert float(held.stress[7]) > 1
+    assert not held.pinning[7]
+
+
+def test_fields_in_the_block_are_those_the_contacts_read():
+    found = sp.first_precursor(at_b(12.0, 1.0, sp.Push(0.4)), sites=64)
+    before, after = (blocks.fields(found.block, found.load, p) for p in (0 * found.pinning, found.pinning))
+    assert after.horizontal.shape == (65, elements.heights(found.block).size)
+    np.testing.assert_allclose(before.vertical[:, 0], 0, atol=0)
+    displaced = np.insert(np.asarray(elements.loaded(found.block).displaced), 1, 0)[0::2] > 0
+    np.testing.assert_allclose(after.horizontal[0, displaced], float(found.load), rtol=1e-12)
+    # slip is what the lower edge moved, within a contact
+    moved = np.asarray(after.horizontal - before.horizontal)[:, 0]
+    assert np.all(np.abs((moved[1:] + moved[:-1]) / 2 - found.slip)[:40] < 0.2 * np.max(found.slip))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sp.Push(1.2), r"Push.height = 1.2: must lie in \(0, 1\)"),
+        (lambda: sp.Push(0.9, 0.3), r"Push.width = 0.3 about height = 0.9: reaches from 0.75 to 1.05 H, beyond the side"),
+        (lambda: sp.Push(width=0.1), r"Push.width is given without a height"),
+        (lambda: sp.Push(0.3, control="speed"), r"Push.control = 'speed': one of 'displacement', 'force'"),
+        (lambda: sp.Block(0.5, 0.1, 0.3), r"Block.height = 0.5: must exceed 1"),
+        (lambda: sp.Block(5.0, 0.1, 0.5, plane="strain"), r"Block.poisson = 0.5: an incompressible block"),
+        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sites=1), r"sites = 1: of a block a whole number"),
+        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), rule=sp.SmoothBreak(0.01)), r"rule = SmoothBreak.*of a block"),
+        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sp.Interface(repin_delay=2)), r"repin_delay = 2.*of a block"),
+        (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a block needs sites"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
