@@ -175,3 +175,17 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     pushed = np.linalg.solve(dense, np.eye(800)[0])
     force = 40.0 * (pushed[0] - pushed[1]) + (pushed[0] - pushed[400]) / (2.6 * 40)
     assert force == pytest.approx(regime(Inputs.of([40.0], 0.004, 0.3)).edge_stiffness[0], rel=0.03)
+
+
+def test_fronts_that_ran_through_blocks_taken_as_endless_are_a_misfit():
+    """Far beyond the longest length of the model, by counts without error: no number, and no failure of the search."""
+    data = sp.Measurements(
+        height=[52.88447582, 33.81130519, 32.6610521],
+        poisson=0.3,
+        length=[77.52355522, 113.0, 109.0],
+        length_sigma=[1.58070834, 0.0, 0.0],
+        kind=["length", "at_least", "at_least"],
+    )
+    found = sp.fit(data, intervals="profile")
+    assert found.deviance > 1e6
+    assert found.stderrs["stiffness"] is None

@@ -122,6 +122,8 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
         starts = _starts(problem, seed)
     else:
         starts = cells.theta[_promising(cells, low, high)]
+        if not len(starts):  # a misfit so deep that a rounded prediction excludes every cell
+            starts = first_look(problem, seed)[None]
         if problem.p == 1:
             # a cell at the peak of a length is so narrow that nothing responds in it
             starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
