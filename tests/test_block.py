@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.precursor import _warn_once
 from slippulse_jax.status import Outcome
 
 PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
@@ -280,3 +281,13 @@ def test_fields_in_the_block_are_those_the_contacts_read():
 def test_refusals(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_single_precision_says_what_it_is_worth(float32):
+    with jax.enable_x64(True):
+        exact = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.5)), sites=64))
+    _warn_once.cache_clear()
+    with pytest.warns(RuntimeWarning, match=r"single precision and a block: .* 2e-4 of themselves at H/λc = 20"):
+        length = sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.5)), sites=64)
+    assert length.dtype == jnp.float32
+    assert float(length) == pytest.approx(exact, rel=1e-3)

@@ -70,7 +70,8 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
     return nodal - mixed @ jnp.linalg.solve(bubbles, mixed.T)
 
 
-LEFT, RIGHT = np.array([0, 1, 6, 7]), np.array([2, 3, 4, 5])
+# 32 bits whatever the precision: JAX takes both, but not within one process
+LEFT, RIGHT = np.array([0, 1, 6, 7], np.int32), np.array([2, 3, 4, 5], np.int32)
 
 
 def slab(block: Block) -> Slab:
@@ -80,8 +81,8 @@ def slab(block: Block) -> Slab:
     width = 0.5**HALVINGS
     every = young * jax.vmap(lambda height: element(width, height, poisson))(jnp.diff(y))
     n = 2 * y.size
-    place = 2 * np.arange(y.size - 1)[:, None] + np.arange(4)
-    keep = np.delete(np.arange(n), 1)
+    place = 2 * np.arange(y.size - 1, dtype=np.int32)[:, None] + np.arange(4, dtype=np.int32)
+    keep = np.delete(np.arange(n, dtype=np.int32), 1)
 
     def assembled(rows: np.ndarray, cols: np.ndarray) -> Array:
         blocks = every[:, rows[:, None], cols]
@@ -101,7 +102,7 @@ def loaded(block: Block) -> Loaded:
     # by number, not by height: which nodes are pushed never changes
     number, below = np.arange(y.size), 0 if push.height is None else BELOW + NEAR
     under = (number >= below) & (number <= (below + 2 * (OVER // 2) if push.width is not None else y.size))
-    keep = np.delete(np.arange(2 * y.size), 1)
+    keep = np.delete(np.arange(2 * y.size, dtype=np.int32), 1)
 
     def along(x: Any) -> Array:
         return jnp.zeros(2 * y.size, y.dtype).at[0::2].set(x)[keep]
