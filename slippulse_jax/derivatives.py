@@ -72,12 +72,13 @@ def without_derivative(f: Callable[..., Any], why: str, nondiff_argnums: tuple[i
     return refusing
 
 
-def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array) -> Array:
+def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array, accept: float = 1e4) -> Array:
     """Find the x in [low, high] at which a function turns negative.
 
     ``function(parameters, x)`` changes sign there from + to −; the result is NaN if it does not. Newton's method is used,
     with bisection wherever it leaves the bracket. The result has derivatives of every order, forward and reverse, with
     respect to `parameters` (any pytree), dx = −(∂f/∂θ · dθ)/(∂f/∂x), but none with respect to the bracket `low`, `high`.
+    The last step, over x, may be `accept` times the rounding error, which is more where the function is noisy beside its slope.
     Compute whatever does not depend on x beforehand and pass it in `parameters`, so that the search does not repeat it.
     """
 
@@ -101,7 +102,7 @@ def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Arra
         start = ((low + high) / 2, low, high, jnp.full_like(low, jnp.inf), jnp.zeros((), jnp.int32))
         x, _, _, step, _ = lax.while_loop(unfinished, improve, start)
         changes = (value(low)[0] >= 0) & (value(high)[0] <= 0)
-        close = step <= 1e4 * jnp.finfo(x.dtype).eps * jnp.abs(x)
+        close = step <= accept * jnp.finfo(x.dtype).eps * jnp.abs(x)
         return jnp.where(changes & close, x, jnp.nan)
 
     @find.defjvp

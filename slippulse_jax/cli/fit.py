@@ -49,8 +49,9 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 )
 @click.option(
     "--event",
-    type=click.Choice(["domino", "full"]),
-    help="Take a length as that of the first front, or of the whole event, in which contacts may break again.",
+    type=click.Choice(["domino", "full", "crack"]),
+    help="Take a length as that of the first front; of the whole event, in which contacts may break again; or of a crack-like "
+    "front, with a friction behind it.",
 )
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")

@@ -79,15 +79,9 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric
     if kind == "case" and len(result.measurements) < 2:
         raise ValueError("one measurement cannot be resampled: use kind = 'parametric'")
     rng = np.random.default_rng(seed)
-    problem = _simulated(result, count, rng) if kind == "parametric" else _resampled(result, count, rng)
-    starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
-    q, many = result.parameters, len(starts)
-    lane = np.repeat(np.arange(count), many)
-    ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)
-    value = np.where(ends.convergence == Convergence.NOT_CONVERGED, np.inf, ends.value).reshape(count, many)
-    chosen = value.argmin(axis=1)
-    theta = ends.theta.reshape(count, many, -1)[np.arange(count), chosen]
-    good = np.isfinite(value.min(axis=1))
+    problem = simulated(result, count, rng) if kind == "parametric" else _resampled(result, count, rng)
+    q = result.parameters
+    theta, deviance, good = refitted(result, problem, count)
     theta = theta[good]
     values = np.stack([one.value(column) for one, column in zip(q.free, theta.T, strict=True)], axis=1)
     reach = 1e-6 * (q.high - q.low)
@@ -98,13 +92,26 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric
         names=tuple(q.names),
         theta=theta,
         values=values,
-        deviance=2 * value.min(axis=1)[good],
+        deviance=deviance[good],
         lost=int((~good).sum()),
         at_bound=dict(zip(q.names, limits.tolist(), strict=True)),
     )
 
 
-def _simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
+def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """θ, deviance and convergence of the best refit of each of `count` replicates: converged ones before others."""
+    starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
+    q, many = result.parameters, len(starts)
+    lane = np.repeat(np.arange(count), many)
+    ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)
+    value, good = (x.reshape(count, many) for x in (ends.value, ends.convergence != Convergence.NOT_CONVERGED))
+    best = np.where(good | ~good.any(axis=1, keepdims=True), value, np.inf).argmin(axis=1)
+    chosen = np.arange(count), best
+    return ends.theta.reshape(count, many, -1)[chosen], 2 * value[chosen], good[chosen] & np.isfinite(value[chosen])
+
+
+def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
+    """Measurements drawn from the fitted model, and new values of the inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for block in problem.blocks:

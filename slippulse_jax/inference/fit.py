@@ -1,7 +1,7 @@
 """The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from scipy.special import chdtrc
@@ -12,12 +12,11 @@ from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
-from slippulse_jax.inference.parameters import Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
+from slippulse_jax.inference.parameters import Event, Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
-from slippulse_jax.lattice.events import Event, check_event
 from slippulse_jax.status import Outcome
 
 Intervals = dict[float, list[Interval]]
@@ -86,9 +85,10 @@ def fit(
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
         longest attainable length too (`slippulse_jax.inference.calibrate`; one or two parameters, plain lengths). By default
         simulated where valleys of the deviance compete, or its shape is far from a parabola.
-    event : {"domino", "full"}
+    event : {"domino", "full", "crack"}
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
-        large (`rebreaking_onset`), with a cost that grows with it (docs/fitting.md). For lengths without gauges.
+        large (`rebreaking_onset`), with a cost that grows with it (docs/fitting.md), for lengths without gauges; or the front
+        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/pulse_or_crack.md).
 
     Returns
     -------
@@ -101,11 +101,13 @@ def fit(
         If an argument has no meaning for these measurements; the message names it.
     """
     wanted = _wanted(free, bounds, fixed)
-    settings = (("method", method, METHODS), ("sigma", sigma, SIGMAS), ("intervals", intervals, INTERVALS))
+    settings = (
+        *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
+        *(("intervals", intervals, INTERVALS), ("event", event, get_args(Event))),
+    )
     for name, value, known in settings:
         if value not in known:
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
-    check_event(event)
     if max_steps < 1:
         raise ValueError(f"max_steps = {max_steps}: must be at least 1")
     scaled = sigma == "relative" or measurements.length_sigma is None
@@ -126,7 +128,7 @@ def fit(
         "event": event,
     }
     # lengths of whole events are interpolated: no count holds or fails by them with certainty
-    counts = allowed_by_counts(problem) if event == "domino" and are_exact(problem) else None
+    counts = allowed_by_counts(problem) if event != "full" and are_exact(problem) else None
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
@@ -259,7 +261,7 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     plain = (block.data.kind == "length") | (q.event == "full")
     # both end between the same two contacts
     widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
-    if q.smooth or not (plain & (widest > BETWEEN * block.data.sigma)).any():
+    if q.smooth or q.event == "crack" or not (plain & (widest > BETWEEN * block.data.sigma)).any():
         return None
     theta = first_look(problem, seed)
     contact = np.exp(q.scales["length"](theta))
@@ -352,7 +354,7 @@ def _one_front(problem: Problem, verdict: Verdict, pieces: list[Interval], curve
     """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
     number = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL)
     q = problem.parameters
-    if verdict.identifiability not in number or q.smooth or q.event == "full" or not pieces:
+    if verdict.identifiability not in number or q.smooth or q.event != "domino" or not pieces:
         return verdict
     value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
     inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))

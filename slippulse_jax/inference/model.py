@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.inference.events import whole_over_front
-from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet
+from slippulse_jax.inference.parameters import STIFFNESSES, Event, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
+from slippulse_jax.lattice import crack
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.events import Event
 from slippulse_jax.lattice.exact import exact_length
 from slippulse_jax.lattice.exact_lanes import exact_fronts
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
@@ -45,6 +45,7 @@ STEPS = {
     "beyond": 1e-4,
     "log_sites": 1e-4,
     "log_machine": 1e-4,
+    "friction": 1e-5,
 }
 """Half-widths of central differences."""
 
@@ -53,6 +54,9 @@ FIELD_STEP = 0.1
 
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
+
+CRACKS = Layout(chunk=250)
+"""Layout of crack-like fronts."""
 
 FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
@@ -70,7 +74,8 @@ def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino
 
     The closed form is that of a block without end whose edge is held. Where a block ends or a machine gives way it is ℓ of the
     recursion, which has a kink at every whole contact: the slope jumps there by about the curvature of the front's stress.
-    Of the whole event, with `event` "full", it is ℓ* times the interpolated `whole_over_front`.
+    Of the whole event, with `event` "full", it is ℓ* times the interpolated `whole_over_front`. Where `friction` is given it is
+    that of a crack-like front.
 
     Parameters
     ----------
@@ -85,7 +90,7 @@ def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino
     NotConverged
         If the exact solution did not converge somewhere, or a front did not fade; never seen.
     """
-    return by_differences(_lengths if event == "domino" else _whole_lengths, inputs, wanted)
+    return by_differences(_whole_lengths if event == "full" else _lengths, inputs, wanted)
 
 
 def _whole_lengths(inputs: Inputs) -> np.ndarray:
@@ -116,6 +121,8 @@ def _lengths(inputs: Inputs) -> np.ndarray:
             found[~ended] = _lengths(inputs.endless.take(~ended))
         return found
     lanes = _lanes(inputs)
+    if inputs.friction is not None:
+        return _all_found(over_lanes(_cracks, [*lanes[:4], inputs.friction], CRACKS)[0], inputs, "of a crack-like front")
     found, status = exact_fronts(lanes, one_program=True)
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
     if lost.any():
@@ -123,6 +130,16 @@ def _lengths(inputs: Inputs) -> np.ndarray:
         why = Outcome(int(status[lost][0])).message
         raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
     return found
+
+
+def _cracks(lanes: Float[Array, "5 L"]) -> tuple[Array, Array]:
+    """Length and status of crack-like fronts at H/λc, k/K, ν, φ and σ_k."""
+    return jax.vmap(lambda lane: crack.length(Slider(*lane[:3]), lane[4], lane[3]), 1)(lanes)
+
+
+def crack_status(inputs: Inputs) -> np.ndarray:
+    """Outcome of each crack-like front, shape (L,)."""
+    return over_lanes(_cracks, [*_lanes(inputs)[:4], inputs.friction], CRACKS)[1]
 
 
 def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
@@ -136,7 +153,7 @@ def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
 def straight_lengths(inputs: Inputs, event: Event = "domino") -> np.ndarray:
     """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
     slider, interface, ends = contacts_of(inputs)
-    return bulk.lengths(slider, interface, ends=ends, event=event)
+    return bulk.lengths(slider, interface, ends=ends, event="full" if event == "full" else "domino")
 
 
 def contacts_of(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
@@ -176,6 +193,8 @@ def by_differences(
             moved[:, column] += sign * step
             # ν = 1/2 is the end of the domain
             moved[:, 2] = np.minimum(moved[:, 2], 0.5)
+            if "friction" in names:  # and so is no friction
+                moved[:, names.index("friction")] = np.maximum(moved[:, names.index("friction")], 0.0)
             shifted.append(moved)
     value, *around = values(Inputs.from_table(names, np.concatenate(shifted))).reshape(len(shifted), -1)
     slopes = {}
@@ -236,10 +255,11 @@ def _nucleation_with_slopes(lanes: Float[Array, "n L"]) -> tuple[Array, Array]:
 
 
 def _at_nucleation(which: int, inputs: Inputs, wanted: Collection[str]) -> Prediction:
-    given = inputs.of_front._replace(log_machine=None)
+    given = inputs.of_front._replace(log_machine=None, friction=None)
     lanes = [x for x in given if x is not None]
     value, slopes = over_lanes(_nucleation_with_slopes, lanes, Layout(chunk=LANES))
-    by_name = {name: slopes[which, i] for i, name in enumerate(given.names)} | {"log_machine": np.zeros(len(value[which]))}
+    none = np.zeros(len(value[which]))
+    by_name = {name: slopes[which, i] for i, name in enumerate(given.names)} | {"log_machine": none, "friction": none}
     return Prediction(value[which], {name: slope for name, slope in by_name.items() if name in wanted})
 
 
@@ -293,6 +313,8 @@ def _after(front: Inputs, stopped: np.ndarray, count: int) -> np.ndarray:
     """Slip and stress of the first `count` contacts, shape (2, fronts, count)."""
     with jax.enable_x64(True):
         slider = Slider(np.exp(front.log_height), np.exp(front.log_stiffness), front.poisson)
+        if front.friction is not None:
+            return np.stack(_fields_after_crack(slider, front.friction, front.prestress, stopped, count))
         return np.stack(_fields_after(slider, _ends(front, np.exp), front.prestress, stopped, count))
 
 
@@ -302,6 +324,12 @@ def _fields_after(slider: Slider, ends: Ends, prestress: Array, stopped: Array, 
         return readings(slider, prestress, stopped, count, ends)
 
     return jax.vmap(one)(slider, ends, prestress, stopped)
+
+
+@partial(jax.jit, static_argnums=4)
+def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopped: Array, count: int) -> crack.Fields:
+    site = jnp.arange(count, dtype=stopped.dtype)
+    return jax.vmap(lambda *one: jax.vmap(partial(crack.fields, *one))(site))(slider, friction, prestress, stopped)
 
 
 def _between(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -346,7 +374,12 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
     place = jnp.exp(inputs.log_position)
     left = jnp.floor(place).astype(jnp.int32)
     slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
-    field = getattr(readings(slider, inputs.prestress, stopped, sites, _ends(inputs)), observable)
+    if inputs.friction is None:
+        fields = readings(slider, inputs.prestress, stopped, sites, _ends(inputs))
+    else:
+        at = partial(crack.fields, slider, inputs.friction, inputs.prestress, stopped)
+        fields = jax.vmap(at)(jnp.arange(sites, dtype=place.dtype))
+    field = getattr(fields, observable)
     known = (stopped < sites) & (place + 1 < sites)
     return jnp.where(known, field[left] + (place - left) * (field[left + 1] - field[left]), jnp.inf)
 
@@ -354,6 +387,8 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
 def traced_length(inputs: Inputs, relaxed: bool) -> Array:
     """ℓ* of one lane as a JAX function, or ℓ where the block ends or the machine gives way."""
     slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    if inputs.friction is not None:
+        return crack.length(slider, inputs.friction, inputs.prestress)[0]
     interface = None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
     exact = exact_length(slider, interface)
     stated = [x for x in (inputs.log_sites, inputs.log_machine) if x is not None]

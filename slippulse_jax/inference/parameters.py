@@ -8,16 +8,18 @@ errors of their own are parameters with a prior, like any other.
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.lattice.events import Event
 from slippulse_jax.units import machine_ratio
 
+Event = Literal["domino", "full", "crack"]
+"""What a length is that of: the first front, whose contacts heal; the whole event, in which they may break again; or the front
+of a crack, behind which they slide."""
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 FULL_TO = 200.0
@@ -41,6 +43,7 @@ class Inputs(NamedTuple):
     counted: Any = None  # contacts counted as broken when gauges were read; 0 where they were not
     log_sites: Any = None  # ln L/λc of the block; inf for one without end
     log_machine: Any = None  # ln M/K of the drive; inf where the edge is held
+    friction: Any = None  # σ_k behind a crack-like front, in σ_s
 
     @property
     def of_front(self) -> "Inputs":
@@ -258,6 +261,7 @@ PARAMETERS: dict[str, _Kind] = {
     "poisson": _Kind("ν", ("", ""), False, {"poisson": 1}, "poisson"),
     "prestress": _Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, "prestress"),
     "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, "threshold_slope"),
+    "friction": _Kind("σ_k", ("σ_s", "σ_s"), False, {"friction": 1}),
     "strength": _Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}),
     "offset": _Kind("offset", ("λc", "m"), False, {"offset": 1}),
     "model_factor": _Kind("model factor", ("", ""), True, {"length": 1}),
@@ -284,7 +288,7 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Eve
     wanted : sequence of str or Parameter
         Parameters fitted or held; everything else is as stated with the measurements. "stiffness" stands for whichever
         stiffness the measurements determine.
-    event : {"domino", "full"}
+    event : {"domino", "full", "crack"}
         What a length is that of, as in `precursor_lengths`.
 
     Raises
@@ -294,6 +298,7 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Eve
         domain of the model.
     """
     chosen = _validated(m, wanted)
+    _check_friction({one.name for one in chosen}, event)
     builder = _Builder(m, smooth=any(one.name == "width" for one in chosen), event=event)
     for parameter in chosen:
         if parameter.value is not None:
@@ -355,6 +360,10 @@ class _Builder:
         of_front = m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None
         if event == "full" and of_front:
             raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
+        if event == "crack" and (smooth or m.block_length is not None or m.machine_stiffness is not None):
+            raise ValueError("event = 'crack': for the hard rule and a block without end, whose edge is held")
+        if event == "crack" and m.or_zero("threshold_slope").any():
+            raise ValueError(f"{m.source}: event = 'crack' takes level thresholds, without threshold_slope")
         n = len(m)
         self.stated = {
             "height": m.height,
@@ -366,7 +375,7 @@ class _Builder:
         }
         log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m))
+        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []))
         self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
             "log_height": np.log(m.height),
             "log_stiffness": log_lc - log_young,
@@ -511,6 +520,7 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         "discrepancy": (1e-4, 1.0),
         "strength": (1.0, 1e12),
         "width": (1e-4, 0.02),
+        "friction": (0.0, 0.95),
         "poisson": (0.0, 0.5),
         "prestress": (-0.95, 0.95),
     }
@@ -523,7 +533,7 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
-_LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99)}
+_LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99), "friction": (0.0, 0.99)}
 
 
 def softest(m: Measurements) -> np.ndarray:
@@ -554,6 +564,7 @@ def _check_domain(parameters: ParameterSet) -> None:
         "threshold_slope": (THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, "ε", THRESHOLD_SLOPE.requirement),
         "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
         "log_sites": (np.log(2.0), np.inf, "L/λc", "must be at least 2"),
+        "friction": (0.0, 1.0, "σ_k", "must be 0 or more, and below 1"),
         "log_machine": (np.log(1e-30), np.inf, "M/K", "must be positive"),
     }
     for name in parameters.inputs.names:
@@ -617,6 +628,16 @@ def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
         raise ValueError(
             "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
         )
+
+
+def _check_friction(names: set[str], event: Event) -> None:
+    """Check that the friction behind the front is given where there is one, and only there."""
+    if event == "crack" and "friction" not in names:
+        raise ValueError("event = 'crack': friction is neither fitted nor held; in σ_s, as fixed = {'friction': 0.3}")
+    if event == "crack" and "threshold_slope" in names:
+        raise ValueError("parameter threshold_slope: a crack-like front has a closed form on level thresholds only")
+    if event != "crack" and "friction" in names:
+        raise ValueError("parameter friction: of contacts that slide behind a crack-like front: needs event = 'crack'")
 
 
 def _check_smooth(m: Measurements, names: Sequence[str]) -> None:

@@ -9,11 +9,10 @@ import numpy as np
 from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
-from slippulse_jax.inference.parameters import Inputs, softest, stiffest
+from slippulse_jax.inference.parameters import Event, Inputs, softest, stiffest
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
-from slippulse_jax.lattice.events import Event
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ def report(result: "FitResult") -> str:
     lines = [
         "Interface from first-precursor lengths",
         f"  data    {m.source} ({counts})",
-        f"  model   first self-healing precursor, uniform interface, {_body(result)} ({_length(result)})",
+        f"  model   {_front(result)}, uniform interface, {_body(result)} ({_length(result)})",
         *_searched(result),
         *_held(result),
         "",
@@ -54,6 +53,10 @@ def report(result: "FitResult") -> str:
     return "\n".join(lines)
 
 
+def _front(result: "FitResult") -> str:
+    return "first crack-like precursor" if result.parameters.event == "crack" else "first self-healing precursor"
+
+
 def _body(result: "FitResult") -> str:
     inputs = result.parameters.inputs
     block = "semi-infinite slider" if inputs.log_sites is None else "block with a free end"
@@ -61,6 +64,8 @@ def _body(result: "FitResult") -> str:
 
 
 def _length(result: "FitResult") -> str:
+    if result.parameters.event == "crack":
+        return "contacts behind it slide at the friction σ_k; exact length"
     if result.parameters.event == "full":
         return "length of the whole event, in which contacts may break again"
     if result.parameters.inputs.log_sites is not None or result.parameters.inputs.log_machine is not None:
@@ -181,10 +186,9 @@ def _regime(result: "FitResult") -> str:
     at, m = result.regime, result.measurements
     scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
     decay = at.slow_decay_length * scale
-    return (
-        f"Regime: b = {_range(at.b)} (the edge of a tall slider breaks again from {rebreaking_b():.3g} on); "
-        f"1/κ₂ = {_range(decay)} {unit}"
-        + ("" if m.block_length is not None else f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}")
+    again = f" (the edge of a tall slider breaks again from {rebreaking_b():.3g} on)" * (result.parameters.event != "crack")
+    return f"Regime: b = {_range(at.b)}{again}; 1/κ₂ = {_range(decay)} {unit}" + (
+        "" if m.block_length is not None else f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}"
     )
 
 
@@ -382,6 +386,8 @@ def _plural(count: int, noun: str) -> str:
 def before_fit(m: Measurements, event: Event = "domino") -> Iterator[str]:
     """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated."""
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    if event == "crack":  # its friction is not known yet
+        return
     longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)
     yield from _of_attainable(m, longest)
 
@@ -390,7 +396,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
-    yield from _of_attainable(result.measurements, result.attainable)
+    yield from _of_attainable(result.measurements, result.attainable, result.parameters.event)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
@@ -468,7 +474,7 @@ def _of_intervals(result: "FitResult") -> Iterator[str]:
         yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
 
 
-def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
+def _of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino") -> Iterator[str]:
     sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
     lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
     above = lowest > attainable
@@ -480,7 +486,7 @@ def _of_attainable(m: Measurements, attainable: np.ndarray) -> Iterator[str]:
             f"worst at {where}: {m.length[i]:.6g} λc, attainable {attainable[i]:.6g} λc"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
-    if plateau.any():
+    if plateau.any() and event != "crack":
         poisson = m.poisson[plateau][0]
         ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
         yield (

@@ -13,7 +13,7 @@ from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget, unstated_ends
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
-from slippulse_jax.inference.model import contacts_of
+from slippulse_jax.inference.model import contacts_of, crack_status
 from slippulse_jax.inference.parameters import Inputs, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import to_dict
@@ -318,6 +318,8 @@ def regime(inputs: Inputs) -> Regime:
 def recursion_status(inputs: Inputs) -> np.ndarray:
     """Outcome of each front by the recursion, which breaks its contacts one by one; shape (n,)."""
     inputs = inputs.of_front
+    if inputs.friction is not None:
+        return crack_status(inputs)
     distinct, own = np.unique(inputs.table(), axis=0, return_inverse=True)
     slider, interface, ends = contacts_of(Inputs.from_table(inputs.names, distinct))
     return np.asarray(arrests(slider, interface, ends=ends).status)[own.ravel()]

@@ -33,6 +33,10 @@ NODES = 96
 """Positions, in geometric progression, at which the first stop is looked for."""
 
 
+NOISE = 1e9
+"""Error of a length, over rounding: on soft contacts the stress at the tip changes little from one to the next."""
+
+
 class Sliding(NamedTuple):
     """Equilibrium with contacts 0 … n − 1 sliding, beyond the prestress and in units of 1 − φ."""
 
@@ -111,7 +115,7 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
         return stress_ahead(*parameters, n) - 1
 
     low, high = node[jnp.maximum(first - 1, 0)], node[jnp.maximum(first, 1)]
-    found = crossing(above, (slider, ratio), low, high)
+    found = crossing(above, (slider, ratio), low, high, NOISE)
     inside = (friction >= 0) & (friction < 1) & (jnp.abs(prestress) < 1) & in_domain(slider)
     endings = {
         Outcome.INVALID: ~inside,

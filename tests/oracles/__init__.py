@@ -14,6 +14,7 @@ lattice_mp      mpmath: modes from the 2 × 2 bulk matrix,    front stress betwe
                 (60–100 digits); the continuum's series,     continuum's lengths, Eq. (58)
                 and quadrature under a frozen upper slider
 leapfrog        NumPy, the textbook's leapfrog               motion with inertia, damping and friction, and its energies
+sliding_chain   a banded solve for every contact that slides crack-like fronts, their lengths and fields
 =============== ============================================ ==========================================================
 
 `test_problems` checks them against each other.
