@@ -107,7 +107,7 @@ def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
 
 def test_what_a_fit_of_whole_events_does_not_take():
     _, m = study(6.5)
-    with pytest.raises(ValueError, match=r"event = 'whole': must be one of"):
+    with pytest.raises(ValueError, match=r"event = 'whole': one of domino, full, crack"):
         sp.fit(m, event="whole")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"parameter width: the smooth rule follows one front"):
         sp.fit(m, ("stiffness", sp.Parameter("width", value=0.005)), event="full")
