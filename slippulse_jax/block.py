@@ -83,12 +83,6 @@ class Push(eqx.Module):
         half = jnp.asarray(self.width) / 2
         return centre - half, centre + half
 
-    def __str__(self) -> str:
-        where = "the whole side" if self.height is None else f"the side above {float(self.height):g} H"
-        if self.height is not None and self.width is not None:
-            where = f"{float(self.width):g} H of the side around {float(self.height):g} H"
-        return f"{where}, at a constant {self.control}"
-
 
 class Block(eqx.Module):
     """An elastic block on an interface of λ-contacts, pushed at its left side; half-infinite to the right.
@@ -129,7 +123,10 @@ class Block(eqx.Module):
         if self.plane not in get_args(Plane):
             raise ValueError(f"Block.plane = {self.plane!r}: one of {', '.join(map(repr, get_args(Plane)))}")
         for name, domain in {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}.items():
-            domain.check(f"Block.{name}", getattr(self, name))
+            value = getattr(self, name)
+            domain.check(f"Block.{name}", value)
+            if np.shape(value):
+                raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
             raise ValueError("Block.poisson = 0.5: an incompressible block has no plane strain here; take 0.499")
 

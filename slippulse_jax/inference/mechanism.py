@@ -15,6 +15,7 @@ from slippulse_jax.inference.fit import fit
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.result import FitResult
+from slippulse_jax.status import NotConverged
 
 LEVEL = 0.05
 """Share of simulated measurements beyond which a kind of front is rejected."""
@@ -92,6 +93,8 @@ def pulse_or_crack(
     ------
     ValueError
         As `fit` does; or if there are fewer than 20 simulations.
+    NotConverged
+        If a simulated measurement has no finite deviance near one of the fits; never seen.
     """
     if simulations < 20:
         raise ValueError(f"simulations = {simulations}: at least 20 are needed")
@@ -129,7 +132,8 @@ def _differences(
             if name in truth.parameters.names:
                 means[:, j] = drawn.prior_mean[:, truth.parameters.index(name)]
         _, found, converged = refitted(result, result.problem.with_replicates(values, weights, means), count)
-        # where no length is finite neither front is any good: never seen from starts that fit
-        deviance.append(np.nan_to_num(found, nan=1e300, posinf=1e300))
+        if not np.isfinite(found).all():
+            raise NotConverged("pulse or crack: simulated measurements that no front near the fits gives; never seen")
+        deviance.append(found)
         lost.append(1 - converged.mean())
     return deviance[0] - deviance[1], float(np.mean(lost))

@@ -43,7 +43,6 @@ class Guide(NamedTuple):
     """A waveguide that is pushed at column 0, in the quantities of this module."""
 
     slab: Slab
-    stiffness: Array  # X
     step: Array  # Y
     transfer: Array  # T
     free: Array  # Y_0
@@ -105,7 +104,7 @@ def guide(slab: Slab, loaded: Loaded) -> Guide:
     inner = keep[:, None] * X * keep[None] + jnp.diag(moves)
     free = keep[:, None] * jnp.linalg.inv(inner) * keep[None]
     pushed = moves + free @ (loaded.force - X @ moves)
-    return Guide(slab, X, step, -step @ slab.across.T, free, pushed)
+    return Guide(slab, step, -step @ slab.across.T, free, pushed)
 
 
 def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
