@@ -3,7 +3,8 @@
 Two blocks of H/λc 20–50 with k/K = 0.005–0.05 and σ_s = 2 MPa. Slip (± 0.05 µm) and stress (± 0.06 MPa) after arrest at nine
 gauges each, by a dense program that breaks the most overloaded contact until none is; the contacts that broke were counted. The
 deviance of a fit is scanned over the stiffness, the strength taken where it is least, which follows in closed form.
-Prints a table, every share with its sampling error: studies in which every contact broke once, and in which some broke again.
+Prints a table, every share with its sampling error: studies in which every contact broke once, and in which some broke again; and
+the share in which `fit` would say, by χ², that the model does not describe the data.
 Run: python -m benchmarks gauge_coverage [studies, 500 by default] [--seed N]
 """
 
@@ -14,12 +15,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
 from slippulse_jax.inference.likelihood import Loss, make_problem
 from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.verdict import IMPROBABLE
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -66,8 +68,12 @@ def event(height: float, stiffness: float) -> Event:
 
 
 def study(rng: np.random.Generator) -> Study:
-    """Two blocks; gauges at contacts, from the edge to 1.3 times the length."""
-    heights, ratio = rng.uniform(20, 50, 2), float(np.exp(rng.uniform(*np.log([0.005, 0.05]))))
+    """Two blocks of one stiffness."""
+    return measured(rng.uniform(20, 50, 2), float(np.exp(rng.uniform(*np.log([0.005, 0.05])))), rng)
+
+
+def measured(heights: np.ndarray, ratio: float, rng: np.random.Generator) -> Study:
+    """Blocks of one k/K; gauges at contacts, from the edge to 1.3 times the length."""
     unit = STRENGTH / (ratio * YOUNG / LC)  # u_s, in m
     events, columns = [event(height, ratio) for height in heights.tolist()], []
     for row, one in enumerate(events):
@@ -76,14 +82,14 @@ def study(rng: np.random.Generator) -> Study:
     row, position, slip, stress = np.concatenate(columns, axis=1)
     slip, stress = (x + s * rng.standard_normal(len(x)) for x, s in zip((slip, stress), SIGMA, strict=True))
     m = sp.Measurements(
-        height=heights, poisson=POISSON, length=[one.contacts for one in events], length_sigma=0.0, kind=("whole",) * 2,
+        height=heights, poisson=POISSON, length=[one.contacts for one in events], length_sigma=0.0, kind=("whole",) * len(heights),
         correlation_length=LC, young=YOUNG, gauges=sp.Gauges(row, position, slip, SIGMA[0], stress, SIGMA[1]),
     )  # fmt: skip
     return Study(m, ratio * YOUNG / LC, sum(one.again for one in events))
 
 
 def rises(one: Study) -> np.ndarray:
-    """Rise of the deviance at the truth: of both parameters, of the stiffness, of the strength, above its least value."""
+    """Rise of the deviance at the truth: of both parameters, of the stiffness, of the strength; and its least value."""
     m = one.measurements
     problem = make_problem(m, parameter_set(m, ["stiffness", "strength"]), Loss(), m.sigma)
     log_stiffness = np.log(one.stiffness) + np.concatenate([[0], np.linspace(-SCANNED, SCANNED, 401)])
@@ -97,7 +103,8 @@ def rises(one: Study) -> np.ndarray:
     # readings are proportional to the strength
     factor = predicted @ read / (predicted**2).sum(axis=1)
     profile = counts + ((read - factor[:, None] * predicted) ** 2).sum(axis=1)
-    return np.array([at_strength[0], profile[0], at_strength.min()]) - profile.min()
+    least = profile.min()
+    return np.array([at_strength[0] - least, profile[0] - least, at_strength.min() - least, least])
 
 
 class Held(NamedTuple):
@@ -106,6 +113,7 @@ class Held(NamedTuple):
     region: list[Share]  # of stiffness and strength together
     stiffness: list[Share]
     strength: list[Share]
+    refused: Share  # studies whose χ² is improbable
 
 
 def coverage(studies: int, seed: int) -> dict[str, Held]:
@@ -116,11 +124,14 @@ def coverage(studies: int, seed: int) -> dict[str, Held]:
         one = study(rng)
         found["again" if one.again else "once"].append(rises(one))
     limits = [[-2 * np.log(1 - level) for level in LEVELS], *([chdtri(1, 1 - level) for level in LEVELS] for _ in range(2))]
-    return {
-        name: Held(*([Share(int((np.array(rows)[:, j] <= x).sum()), len(rows)) for x in limits[j]] for j in range(3)))
-        for name, rows in found.items()
-        if rows
-    }
+    result = {}
+    for name, rows in found.items():
+        if rows:
+            column = np.array(rows).T
+            held = [[Share(int((column[j] <= x).sum()), len(rows)) for x in limits[j]] for j in range(3)]
+            refused = chdtrc(4 * GAUGES, column[3]) < IMPROBABLE
+            result[name] = Held(*held, Share(int(refused.sum()), len(rows)))
+    return result
 
 
 def main() -> None:
@@ -132,8 +143,10 @@ def main() -> None:
     began = time.perf_counter()
     print("| contacts broke | studies | of | 68 % | 95 % |\n|---|---|---|---|---|")
     for name, held in coverage(given.studies, given.seed).items():
-        for of, shares in held._asdict().items():
+        for of in ("region", "stiffness", "strength"):
+            shares = getattr(held, of)
             print(f"| {name} | {shares[0].of} | {of} | {shares[0]} | {shares[1]} |", flush=True)
+        print(f"(χ² refuses {held.refused} % of those that broke {name})")
     print(f"({time.perf_counter() - began:.0f} s)", file=sys.stderr)
 
 

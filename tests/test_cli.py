@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import slippulse_jax as sp
 from slippulse_jax.cli import main as cli
 from slippulse_jax.plain import plain
 from slippulse_jax.status import Outcome
@@ -128,6 +129,23 @@ def test_length_of_a_front_that_runs_through_is_null_not_a_number(in_this_proces
     assert content["status"] == "ran_through"
 
 
+def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_process):
+    """The end is free by default, and need not lie at a whole contact."""
+    si = ("--height-mm", "2.5", "--correlation-length-um", "100", "--areal-stiffness", "9e11", "--young-gpa", "3")
+    done = in_this_process("length", "--json", "--poisson", "0.3", *si, "--block-length-mm", "10.05", "--machine", "2")
+    content = json.loads(done.stdout)
+    slider = sp.Slider(25.0, 0.03, 0.3)
+    assert content["length"] == pytest.approx(float(sp.precursor_lengths(slider, right="free", sites=100.5, machine=2.0)))
+    assert content["length_mm"] == pytest.approx(content["length"] / 10)
+    assert (content["right"], content["sites"], content["machine"]) == ("free", 100.5, 2)
+    held = json.loads(in_this_process("length", "--json", *FIG2, "--machine", "2").stdout)
+    assert held["length"] == pytest.approx(float(sp.precursor_lengths(slider, machine=2.0)))
+    assert held["length"] < content["length"]
+    text = in_this_process("length", *FIG2, "--machine", "2").stdout
+    assert "machine M/K = 2" in text
+    assert "displacement of the machine at nucleation" in text
+
+
 def test_numbers_that_are_not_finite_are_null():
     content = plain(
         {"a": [1, (float("nan"), np.float32("inf"))], "b": np.array([[1.5, -np.inf]]), "c": np.int64(3), "d": "inf"}
@@ -183,6 +201,11 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
         (["length", *FIG2, "--right", "free"], "needs a number of sites"),
         (["length", *FIG2, "--sites", "100"], "a semi-infinite chain has no number of sites"),
         (["length", *FIG2, "--right", "open"], "'open' is not one of"),
+        (["length", *FIG2, "--block-length-mm", "100"], "--block-length-mm belongs to the SI form of the slider"),
+        (["length", *FIG2, "--block-length-mm", "100", "--sites", "9"], "--sites and --block-length-mm both say where"),
+        (["length", *FIG2, "--machine", "-1"], "machine"),
+        (["fit", PMMA, "--event", "slip"], "'slip' is not one of"),
+        (["fit", PMMA, "--event", "crack"], "event = 'crack': friction is neither fitted nor held"),
         (["length", *FIG2, "--height", "tall"], "'tall' is not a valid float"),
         (["fit", "none.csv"], "none.csv: No such file or directory"),
         (["fit", PMMA, "--figure", "fit.jpeg2000"], "must end in .png, .pdf, .svg"),

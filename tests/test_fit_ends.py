@@ -40,6 +40,8 @@ def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     assert aware.values["stiffness"] == pytest.approx(TRUTH, rel=1e-6)
     assert aware.deviance < 1e-12
     assert (aware.fitted.status == Outcome.ARRESTED).all()
+    assert "; L/H = 4" in aware.report()
+    assert aware.to_dict()["regime"]["block_length_over_height"] == [4, 4, 4]
     plain = sp.fit(measured(length), intervals="profile")
     assert plain.values["stiffness"] > 2 * TRUTH
 
@@ -97,6 +99,20 @@ def test_a_front_that_ran_through_the_block():
     short = dataclasses.replace(ran, block_length=np.array([48.0, 64.0, 28.0]), length=np.append(ran.length[:2], 28.0))
     assert sp.fit(short, intervals="profile").values["stiffness"] == pytest.approx(TRUTH, rel=0.02)
     assert sp.fit(ran, intervals="profile").deviance > 100
+
+
+def test_a_minimum_beside_a_kink_is_found():
+    """Study 150 of benchmarks/ends_coverage.py: 1e-4 in ln k from the least deviance a length reaches a whole contact."""
+    m = sp.Measurements(
+        height=[44.99653712, 55.52521332, 26.32281471], poisson=0.3, length=[71.09147129, 78.8317992, 82.0],
+        length_sigma=[1.38137999, 1.60939883, 0.0], kind=["length", "length", "at_least"], block_length=[140.0, 173.0, 82.0],
+        machine_stiffness=0.65879817,
+    )  # fmt: skip
+    result = sp.fit(m, intervals="profile")
+    assert result.converged
+    assert result.values["stiffness"] == pytest.approx(0.016352, rel=1e-4)
+    around = result.theta + np.linspace(-1e-3, 1e-3, 201)[:, None]
+    assert result.problem(around).value.min() > result.deviance / 2 - 1e-9
 
 
 HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"

@@ -168,6 +168,23 @@ def test_coverage_where_contacts_break_once_and_again():
     found = gauge_coverage.coverage(14, seed=0)
     assert found["once"].region[1].value > 0.8
     assert found["again"].region[1].value == 0
+    assert found["once"].refused.value == 0
+    assert found["again"].refused.value == 1
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.1])
+def test_gauges_refuse_where_contacts_break_again(ratio):
+    """Readings after the whole event do not fit those of its front: no number, whether the best fit lies beyond the onset or not."""
+    m, _, again = gauge_coverage.measured(np.array([25.0, 40.0]), ratio, np.random.default_rng(1))
+    assert again > 0
+    result = sp.fit(m, ["stiffness", "strength"], intervals="profile")
+    assert result.identifiability is Identifiability.POOR_FIT
+    assert set(result.stderrs.values()) == {None}
+    assert not any(piece for found in result.intervals.values() for piece in found.values())
+    assert "the model does not describe these data" in result.report()
+    assert ("of the first front alone" in result.report()) == (ratio == 0.1)
+    with pytest.raises(ValueError, match="gauges, block_length and machine_stiffness need the model of one front"):
+        sp.fit(m, ["stiffness", "strength"], event="full")
 
 
 LENGTHS = (

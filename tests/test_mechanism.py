@@ -1,11 +1,15 @@
 """Pulse or crack: fits of crack-like fronts, and the test between the two, on data of dense programs."""
 
+import json
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from oracles.sliding_chain import dense, nucleated
 from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
+from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.likelihood import log_density
 from slippulse_jax.status import Outcome
 
@@ -66,7 +70,7 @@ def test_lengths_of_one_height_do_not():
     assert found.crack.deviance < 1e-6
 
 
-def test_lengths_of_cracks_are_fitted_and_traced():
+def test_lengths_of_cracks_are_fitted_and_traced(tmp_path):
     """Values and derivatives of the objective, by differences of the closed form and by JAX."""
     import jax
 
@@ -74,6 +78,11 @@ def test_lengths_of_cracks_are_fitted_and_traced():
     length = [float(sp.exact_length(sp.Slider(h, 0.004, 0.3), rule=sp.CrackLike(0.3))) for h in height]
     m = sp.Measurements(height, 0.3, length, 0.01 * np.array(length))
     result = sp.fit(m, fixed={"friction": 0.3}, event="crack")
+    path = tmp_path / "lengths.csv"
+    rows = zip(m.height, m.length, m.sigma, strict=True)
+    path.write_text("height,poisson,length,length_sigma\n" + "".join(f"{h},0.3,{x:.17g},{s:.17g}\n" for h, x, s in rows))
+    done = CliRunner().invoke(command, [str(path), "--event", "crack", "--fix", "friction=0.3", "--json"])
+    assert json.loads(done.stdout)["values"]["stiffness"] == pytest.approx(result.values["stiffness"], rel=1e-9)
     assert result.values["stiffness"] == pytest.approx(0.004, rel=1e-5)
     theta = result.theta + 0.02
     found = result.problem(theta, order=1)
@@ -81,6 +90,15 @@ def test_lengths_of_cracks_are_fitted_and_traced():
         value, slope = jax.value_and_grad(log_density)(jax.numpy.asarray(theta), result.problem)
     assert float(value) == pytest.approx(-found.value[0], rel=1e-9)
     np.testing.assert_allclose(slope, -found.gradient[0], rtol=1e-5)
+
+
+def test_the_pulse_may_be_a_whole_event():
+    """What `event` says is of the pulse's lengths; a crack is fitted in any case."""
+    m = sp.Measurements([20.0, 30.0], 0.3, [15.0, 20.0], 0.3)
+    with pytest.raises(ValueError, match=r"event = 'crack': both fronts are fitted"):
+        sp.pulse_or_crack(m, event="crack")
+    found = sp.pulse_or_crack(m, event="full", simulations=20)
+    assert (found.pulse.parameters.event, found.crack.parameters.event) == ("full", "crack")
 
 
 @pytest.mark.parametrize(

@@ -233,10 +233,17 @@ def _rise(problem: Problem, deviance: float, scaled: bool) -> Rise:
 
 
 def _testable(problem: Problem, scaled: bool) -> int | None:
-    """Degrees of freedom where χ² can be judged by its distribution."""
-    dof = problem.count - problem.p
-    given = not scaled and problem.parameters.discrepancy is None and problem.loss.name == "normal"
-    return dof if dof > 0 and problem.exact_values and given else None
+    """Degrees of freedom where χ² can be judged by its distribution.
+
+    Beside counts without an error, which cost nothing where they hold, as many as there are other data: a bound from above.
+    """
+    if scaled or problem.parameters.discrepancy is not None or problem.loss.name != "normal":
+        return None
+    normal = [block.data.kind == "length" for block in problem.blocks]
+    if any((block.data.sigma[~one] > 0).any() for block, one in zip(problem.blocks, normal, strict=True)):
+        return None
+    dof = problem.count - problem.p if problem.exact_values else int(np.sum([one.sum() for one in normal]))
+    return dof if dof > 0 else None
 
 
 class Explored(NamedTuple):

@@ -326,20 +326,23 @@ class Problem:
         return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
 
     def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
-        """Second derivatives: differences of the gradient over 10⁻⁴ standard errors, all in one evaluation."""
+        """Second derivatives: differences of the gradient over 10⁻⁴ standard errors within the range, all in one evaluation."""
         assert at.metric is not None
         b, p = theta.shape
         diagonal = np.einsum("bpp->bp", at.metric)
-        reach = self.parameters.high - self.parameters.low
+        low, high = self.parameters.low, self.parameters.high
+        reach = high - low
         step = np.clip(1e-4 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1e-7 * reach, 1e-3 * reach)
         free = np.arange(p) if self.held is None else np.nonzero(~self.held)[0]
         shifts = step[:, None, :] * np.eye(p)[free]
-        around = np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1)
+        around = np.clip(np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1), low, high)
+        ends = around[:, : len(free)] - around[:, len(free) :]
+        apart = np.einsum("bff->bf", ends[:, :, free])[:, :, None]
         slope = self(around.reshape(-1, p), np.repeat(lane, around.shape[1]), 1).gradient
         assert slope is not None
         up, down = np.split(slope.reshape(around.shape), 2, axis=1)
         second = np.zeros((b, p, p))
-        second[:, free] = (up - down) / (2 * step[:, free, None])
+        second[:, free] = (up - down) / np.where(apart > 0, apart, 1)
         return (second + np.swapaxes(second, 1, 2)) / 2
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:

@@ -92,17 +92,20 @@ def pulse_or_crack(
     Raises
     ------
     ValueError
-        As `fit` does; or if there are fewer than 20 simulations.
+        As `fit` does; or if there are fewer than 20 simulations, or the pulse's event is to be a crack.
     NotConverged
         If a simulated measurement has no finite deviance near one of the fits; never seen.
     """
     if simulations < 20:
         raise ValueError(f"simulations = {simulations}: at least 20 are needed")
+    if options.get("event") == "crack":
+        raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
     options = {"intervals": "profile", **options}  # none is looked at here
     wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
     pulse = fit(measurements, wanted, seed=seed, **options)
+    of_crack: dict[str, Any] = {"event": "crack"}
     friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
-    crack = fit(measurements, [*wanted, *friction], event="crack", seed=seed, **options)
+    crack = fit(measurements, [*wanted, *friction], seed=seed, **(options | of_crack))
     rng = np.random.default_rng(seed)
     of_pulses, of_cracks = (_differences(truth, pulse, crack, simulations, rng) for truth in (pulse, crack))
     difference = pulse.deviance - crack.deviance

@@ -16,6 +16,9 @@ from slippulse_jax.status import Status
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""
 GAUSS_NEWTON_STEPS = 12  # before the whole second derivative is asked for
+KINK = 1e-2
+"""Newton decrement, likewise, up to which a point is a minimum if no step from it gains. Across a kink, differences give a
+gradient that vanishes beside the least value."""
 HALVINGS = 30  # of a step of optax that gains nothing
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
@@ -121,21 +124,24 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
         flat = np.all((diagonal == 0) | stuck, axis=1) & ~np.any(g, axis=1)
-        done = flat | (_decrement(g, m, size[work]) <= given.tolerance * np.maximum(1, np.abs(value[work])))
+        scale = np.maximum(1, np.abs(value[work]))
+        left = _decrement(g, m, size[work])
+        done = flat | (left <= given.tolerance * scale)
         ends[work[done]] = np.where((flat & ~stuck.all(axis=1))[done], Convergence.FLAT, Convergence.CONVERGED)
-        work, g, m = work[~done], g[~done], m[~done]
+        work, g, m, left, scale = (x[~done] for x in (work, g, m, left, scale))
         if not len(work) or count == max_steps:
             break
         step = _step(g, m, size[work], damping[work])
         trial = np.clip(theta[work] + step, low[work], high[work])
         step = trial - theta[work]
         tried = objective(trial, lane[work], order)
-        expected = -(g * step).sum(axis=1) - np.einsum("bp,bpq,bq->b", step, m, step) / 2
+        square = np.einsum("bp,bpq,bq->b", step, m, step)
+        expected = -(g * step).sum(axis=1) - square / 2
         gained = value[work] - tried.value
         better = gained > 0
         # a gain this small is lost in the rounding of the value: such a step is accepted because the gradient promises it
-        tiny = np.abs(gained) <= 1e-13 * np.maximum(1, np.abs(value[work]))
-        accept = better | tiny & (expected <= 1e-10 * np.maximum(1, np.abs(value[work])))
+        tiny = np.abs(gained) <= 1e-13 * scale
+        accept = better | tiny & (expected <= 1e-10 * scale)
         with np.errstate(invalid="ignore"):
             share = gained / np.where(expected > 0, expected, np.inf)
         factor = np.where(accept & (share > 0.75), 0.1, np.where(accept & (share > 0.25), 1.0, np.where(accept, 3.0, 8.0)))
@@ -148,6 +154,9 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
         own = tried.metric[accept] if order == 1 else _positive(_second(tried)[accept], tried.metric[accept])
         metric[moved] = own
         steps[work] += 1
+        kink = ~accept & (square <= given.tolerance * scale) & (left <= KINK * scale)
+        ends[work[kink]] = Convergence.CONVERGED
+        work = work[~kink]
     return Ends(theta, value, ends, steps)
 
 

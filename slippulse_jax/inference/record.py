@@ -67,6 +67,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             "b": result.regime.b,
             "rebreaking_b": rebreaking_b(),
             "slow_decay_length": result.regime.slow_decay_length,
+            "block_length_over_height": result.block_length_over_height,
         },
         "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
         "unstated_ends": result.unstated_ends,

@@ -177,7 +177,7 @@ def _quality(result: "FitResult") -> str:
         if result.dof <= 0:
             return f"Fit: {name} {result.deviance:.3g} with no degree of freedom: {why}"
         return f"Fit: {name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
-    degrees = _plural(result.dof, "degree") + " of freedom"
+    degrees = _plural(result.testable_dof or 0, "degree") + " of freedom"
     return f"Fit: {name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
 
 
@@ -187,14 +187,15 @@ def _regime(result: "FitResult") -> str:
     scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
     decay = at.slow_decay_length * scale
     again = f" (the edge of a tall slider breaks again from {rebreaking_b():.3g} on)" * (result.parameters.event != "crack")
-    return f"Regime: b = {_range(at.b)}{again}; 1/κ₂ = {_range(decay)} {unit}" + (
-        "" if m.block_length is not None else f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}"
-    )
+    ends = f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}"
+    if result.block_length_over_height is not None:
+        ends = f"; L/H = {_range(result.block_length_over_height)}"
+    return f"Regime: b = {_range(at.b)}{again}; 1/κ₂ = {_range(decay)} {unit}{ends}"
 
 
 def _range(x: np.ndarray) -> str:
     """``0.42 to 1.3``, or one number."""
-    low, high = (f"{float(f'{end:.2g}'):g}" for end in (x.min(), x.max()))
+    low, high = (f"{float(f'{end:.2g}'):g}" for end in (np.nanmin(x), np.nanmax(x)))
     return low if low == high else f"{low} to {high}"
 
 
@@ -452,7 +453,7 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         factor = np.sqrt(result.variance_factor)
         yield f"the stated σ are taken as relative, and scaled by {factor:.3g} to the scatter about the fit"
     if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
-        factor = np.sqrt(result.deviance / result.dof)
+        factor = np.sqrt(result.deviance / (result.testable_dof or 1))
         yield (
             f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
             "sigma = 'relative' takes its size from the scatter"

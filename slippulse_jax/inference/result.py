@@ -204,6 +204,12 @@ class FitResult:
         """B and 1/κ_2 of each measurement at the best fit."""
         return regime(self.parameters.inputs_at(self.theta))
 
+    @property
+    def block_length_over_height(self) -> np.ndarray | None:
+        """L/H of each measurement, NaN for a block without end; None where no length is stated."""
+        m = self.measurements
+        return None if m.block_length is None else m.block_length / m.height
+
     @functools.cached_property
     def budget(self) -> dict[str, Moved]:
         """What usual errors of the inputs that are taken as exact would change, by the input."""

@@ -111,7 +111,7 @@ def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
         return Verdict(
             Identifiability.POOR_FIT,
             f"chi-squared is {e.deviance:.3g} for {e.dof} degree{'s' * (e.dof > 1)} of freedom: with the stated σ nothing in "
-            "the range searched gives these lengths, so no uncertainty is given",
+            "the range searched gives these measurements, so no uncertainty is given",
         )
     return None
 
