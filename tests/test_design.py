@@ -22,6 +22,8 @@ from slippulse_jax.inference.design.information import (
     log_likelihoods,
     outcomes,
 )
+from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.parameters import Inputs
 
 
 def normal_prior(sd, nodes=801):
@@ -212,6 +214,31 @@ def test_a_fit_is_the_knowledge_of_its_measurements():
     each = sp.Measurements(height=[10, 25], poisson=0.3, length=[7, 20], length_sigma=0.3, specimen=("A", "B"))
     with pytest.raises(ValueError, match="2 stiffnesses"):
         sp.Knowledge.from_fit(sp.fit(each, [sp.Parameter("stiffness", each="specimen")]))
+
+
+def test_designs_take_lengths_as_the_fit_did():
+    """Of whole events where contacts break again; no design predicts cracks or smooth fronts."""
+    height, stiffness = np.array([20.0, 40.0]), 0.1
+    length = sp.precursor_lengths(sp.Slider(height, stiffness, 0.3), event="full")
+    m = sp.Measurements(height, 0.3, length, 0.02 * length)
+    whole = sp.Knowledge.from_fit(sp.fit(m, event="full", intervals="profile"))
+    found = sp.design(whole, height=40.0, sigma=1.0)
+    expected = lengths(Inputs.of(40.0, np.exp(whole.theta), 0.3), event="full").value
+    np.testing.assert_array_equal(found.length[:, 0], expected)
+    assert (expected > sp.exact_lengths(sp.Slider(40.0, np.exp(whole.theta), 0.3)) + 0.2).mean() > 0.5
+    assert "those of whole events" in found.report()
+    assert found.to_dict()["knowledge"]["event"] == "full"
+    again = sp.Knowledge.from_measurements(m, prior=whole)
+    assert again.event == "full"
+    assert again.log_sd < whole.log_sd
+    crack = sp.fit(m, fixed={"friction": 0.3}, event="crack", intervals="profile")
+    with pytest.raises(ValueError, match="the fit is of crack-like fronts: designs predict"):
+        sp.Knowledge.from_fit(crack)
+    smooth = sp.fit(m, ("stiffness", sp.Parameter("width", value=0.005)), intervals="profile")
+    with pytest.raises(ValueError, match="the fit is under a smooth break rule: designs predict"):
+        sp.Knowledge.from_fit(smooth)
+    with pytest.raises(ValueError, match="event = 'crack'"):
+        sp.Knowledge([0.0], event="crack")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import report, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.lattice.events import Event
 
 MOST_EXPERIMENTS = 12
 
@@ -115,7 +116,7 @@ def design(
     Parameters
     ----------
     knowledge : Knowledge
-        Knowledge of k/K, or of the areal stiffness where the material is given.
+        Knowledge of k/K, or of the areal stiffness where the material is given, and of what event the lengths will be.
     height, sigma : array_like, shape () or (c,)
         Height of the block, and standard error σ of a length measured on it: in λc, or in m where the material is given. σ may
         be 0 for counts.
@@ -155,7 +156,7 @@ def design(
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
     prior = Prior(knowledge.theta, knowledge.probability, knowledge.labels)
-    length, slope = lengths_of(candidates, knowledge.theta)
+    length, slope = lengths_of(candidates, knowledge.theta, knowledge.event)
     error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
     gains = [expected_gain(prior, column, s, kind) for column, s in zip(length.T, error, strict=True)]
     # a count adds to σ² the variance of rounding to a whole contact
@@ -222,14 +223,14 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
         domain.check(name, columns[name])
 
 
-def lengths_of(candidates: list[Candidate], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: Event) -> tuple[np.ndarray, np.ndarray]:
     """Length ℓ* of every candidate at every ln(stiffness), in λc, and dℓ*/d ln k, which is 0 where the front never stops."""
     numbers = np.array([c[:5] for c in candidates])
     scale = np.array([c.correlation_length or 1.0 for c in candidates])
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
     ratio = np.exp(theta)[:, None] * per_unit
     inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
-    found = lengths(inputs.ravel(), ("log_stiffness",))
+    found = lengths(inputs.ravel(), ("log_stiffness",), event)
     return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
 
 

@@ -13,10 +13,9 @@ from jaxtyping import ArrayLike
 from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, refuse_ends
-from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES, ratio_per_unit, softest
-from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.slider import Slider
+from slippulse_jax.inference.model import lengths
+from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES, Inputs, ratio_per_unit, softest
+from slippulse_jax.lattice.events import Event, check_event
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -45,6 +44,8 @@ class Knowledge:
         Root (mode) that each sample belongs to; one for all by default.
     in_si : bool
         Whether the stiffness is areal, in Pa/m.
+    event : {"domino", "full"}
+        Event whose length is measured, by which `design` predicts: the first front, or the whole event (`precursor_lengths`).
 
     Raises
     ------
@@ -56,8 +57,10 @@ class Knowledge:
     weight: ArrayLike | None = None
     root: ArrayLike | None = None
     in_si: bool = False
+    event: Event = "domino"
 
     def __post_init__(self) -> None:
+        check_event(self.event)
         theta = np.atleast_1d(np.asarray(self.log_stiffness, dtype=np.float64))
         weight = np.full(theta.shape, 1.0) if self.weight is None else np.asarray(self.weight, dtype=np.float64)
         root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)
@@ -131,8 +134,8 @@ class Knowledge:
         measurements : Measurements
             Lengths, counts and censored lengths. In SI with Young's modulus the stiffness is areal, in Pa/m.
         prior : Knowledge, optional
-            Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood. By default ln(stiffness) is
-            uniform.
+            Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood, of its `event`. By default
+            ln(stiffness) is uniform, and the lengths are those of first fronts.
         bounds : (float, float), optional
             Range of the uniform prior; by default from the softest interface with a precursor up to k/K = 1.
         nodes : int
@@ -151,7 +154,7 @@ class Knowledge:
             if prior.in_si != m.in_si:
                 raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
             theta = prior.theta
-            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio)
+            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio, prior.event)
         else:
             theta, log_weight = _scan(m, ratio, bounds, nodes)
         if not np.isfinite(log_weight).any():
@@ -161,13 +164,14 @@ class Knowledge:
         # the density, not the weight, has peaks: samples may be unevenly spaced
         spacing = np.gradient(theta) if prior is None else np.ones_like(theta)
         root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / spacing)
-        return cls(theta[kept], weight[kept], root[kept], m.in_si)
+        return cls(theta[kept], weight[kept], root[kept], m.in_si, "domino" if prior is None else prior.event)
 
     @classmethod
     def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
         """Take the profile likelihood of the stiffness of a fit.
 
         With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
+        Designs take lengths as the fit did, of first fronts or of whole events.
 
         Parameters
         ----------
@@ -179,7 +183,8 @@ class Knowledge:
         Raises
         ------
         ValueError
-            If no stiffness was fitted, or one for each specimen, or the data are in SI without Young's modulus.
+            If no stiffness was fitted, or one for each specimen, or the data are in SI without Young's modulus; or the fronts
+            are crack-like or those of a smooth rule, which designs do not predict.
         """
         from scipy.interpolate import PchipInterpolator
 
@@ -188,6 +193,10 @@ class Knowledge:
             raise ValueError(f"the fit has {len(asked)} stiffnesses ({', '.join(asked)}): one is needed")
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
+        event = result.parameters.event
+        if event == "crack" or result.parameters.smooth:
+            fronts = "of crack-like fronts" if event == "crack" else "under a smooth break rule"
+            raise ValueError(f"the fit is {fronts}: designs predict self-healing fronts of the hard rule only")
         curve = result.curves[asked[0]]
         low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))
         node = curve.node[max(low[0] - 1, 0) : low[-1] + 2]
@@ -195,7 +204,7 @@ class Knowledge:
         theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
         deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
         density = np.exp((deviance.min() - deviance) / (2 * result.rise.factor))
-        return cls(theta, density * np.gradient(theta), _roots(density), result.measurements.in_si)
+        return cls(theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event)
 
     @property
     def mean(self) -> float:
@@ -234,14 +243,15 @@ class Knowledge:
         return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
 
 
-def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray) -> np.ndarray:
+def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, event: Event = "domino") -> np.ndarray:
     """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
     refuse_ends(m, "design")
     sigma = m.sigma
     if not np.isfinite(sigma).all():
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
-    slider = Slider(m.height, np.exp(theta)[:, None] * ratio, m.poisson)
-    length = exact_lengths(slider, Interface(m.or_zero("prestress"), m.or_zero("threshold_slope")))
+    stiffness = np.exp(theta)[:, None] * ratio
+    inputs = Inputs.of(m.height, stiffness, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    length = lengths(inputs.ravel(), event=event).value.reshape(stiffness.shape)
     kind = np.array(m.kind)
     total = np.zeros(len(theta))
     for one in set(m.kind):

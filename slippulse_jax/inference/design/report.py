@@ -78,6 +78,8 @@ def _by_root(found: "Design") -> str:
 def notes(found: "Design") -> list[str]:
     """List warnings to read before the experiment."""
     said = []
+    if found.knowledge.event == "full":
+        said.append("Lengths are those of whole events, in which contacts may break again.")
     if (found.information_error > 0.1 * np.maximum(found.information, 0.05)).any():
         said.append("Note: too few samples for an error this small; give more (nodes, or a longer chain).")
     endless = found.knowledge.probability @ np.isinf(found.length)
@@ -106,6 +108,7 @@ def to_dict(found: "Design") -> dict[str, Any]:
         "knowledge": {
             "unit": "Pa/m" if found.knowledge.in_si else "",
             "log_sd": found.knowledge.log_sd,
+            "event": found.knowledge.event,
             "roots": [{"probability": p, "stiffness": k, "log_sd": sd} for p, k, sd in found.knowledge.roots],
         },
         "units": {"information": "nat", "length": "λc", "height": "m" if found.knowledge.in_si else "λc"},
