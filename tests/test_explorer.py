@@ -58,6 +58,16 @@ def test_slopes_are_those_of_the_length():
         np.testing.assert_allclose(seen.slopes[i], slope, rtol=1e-4)
 
 
+def test_the_edge_that_breaks_again_is_marked():
+    """From the contact on whose break brings contact 0 back to its threshold."""
+    seen = explorer.view(np.array([25.0, 0.1, 0.3, 0.0, 0.0]), np.asarray(-1))
+    front = sp.first_precursor(sp.Slider(25.0, 0.1, 0.3))
+    assert 0 < seen.again < seen.contacts_broken
+    assert front.fields_at(int(seen.again)).stress[0] >= 1 > front.fields_at(int(seen.again) - 1).stress[0]
+    for theta in ([25.0, 0.03, 0.3, 0.0, 0.0], [5.0, 1e-4, 0.3, 0.0, 0.0]):
+        assert explorer.view(np.array(theta), np.asarray(-1)).again == -1
+
+
 def test_a_front_that_never_stops_is_said_to(widget):
     widget.slope.value = 0.0
     widget.prestress.value = 0.7

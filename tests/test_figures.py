@@ -40,6 +40,8 @@ def test_fig3_numbers():
     assert table["contacts"][here] == 26
     assert table["free_L100"][here] == 28
     assert table["clamped_L100"][here] == 25
+    again = np.isclose(table["stiffness"], 0.03) & table["breaks_again"]
+    assert table["height"][again].min() == 53  # b = 4.1
     through = np.isclose(table["stiffness"], 0.03) & np.isclose(table["height"], 50)
     assert np.isnan(table["free_L100"][through]).all()
 

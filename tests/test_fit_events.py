@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 
 import slippulse_jax as sp
+from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.events import whole_over_front
 from slippulse_jax.inference.likelihood import log_density
@@ -15,6 +18,7 @@ from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request
 from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.plot.labels import AGAIN
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
 
@@ -24,6 +28,10 @@ def study(b, error=0.01):
     stiffness = b / (2.6 * np.exp(np.log(HEIGHT).mean()))
     length = sp.precursor_lengths(sp.Slider(HEIGHT, stiffness, 0.3), event="full")
     return stiffness, sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=error * length)
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
 def test_fits_of_whole_events_recover_the_stiffness():
@@ -41,6 +49,9 @@ def test_fits_of_whole_events_recover_the_stiffness():
         assert "of the first front alone" in front.report()
         assert "of the first front alone" not in whole.report()
         assert "thresholds are taken as uniform" in whole.report()
+        for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
+            assert AGAIN in legend(draw(front, ax=Figure().subplots()))
+            assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
 
 
 def test_the_model_of_a_fit_against_the_cascade():

@@ -13,9 +13,11 @@ from slippulse_jax import theory
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
 from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.lattice.lengths import precursor_lengths
+from slippulse_jax.lattice.lengths import arrests, precursor_lengths
+from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.style import LIGHT
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 POISSON, SITES = 0.3, 100
 """Poisson's ratio and L/λc of both figures."""
@@ -53,12 +55,13 @@ def fig2_stress() -> Table:
 
 
 def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
-    """Λ/λc by every level of theory, and contacts broken in finite chains, NaN where the front runs through."""
+    """Λ/λc by every level of theory, where contact 0 breaks again, and contacts broken in finite chains (NaN: all)."""
     slider = Slider(height, stiffness, POISSON)
     lattice = exact_lengths(slider)
     table = {
         "lattice": lattice,
         "contacts": _contacts(lattice),
+        "breaks_again": arrests(slider).status == Outcome.REBREAK,
         "continuum": theory.length_continuum(slider),
         "frozen": theory.length_frozen(slider),
         "eq58": theory.length(slider),
@@ -206,7 +209,10 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
             here = np.isclose(table[group], value)
             x = table[along][here]
             sparse = slice(None, None, 5 if ax is a else 4)
-            ax.plot(x[sparse], table["contacts"][here][sparse], MARKERS[colour], color=colour, ms=4.5, mfc="white", zorder=5)
+            again = table["breaks_again"][here]
+            for face, shown in (("white", ~again), (colour, again)):
+                contacts = np.where(shown, table["contacts"][here], np.nan)
+                ax.plot(x[sparse], contacts[sparse], MARKERS[colour], color=colour, ms=4.5, mfc=face, zorder=5)
             for end, marker in (("free", "x"), ("clamped", "+")):
                 ax.plot(x[sparse], table[f"{end}_L{SITES}"][here][sparse], marker, color=colour, ms=5, mew=0.9, zorder=6)
             for level, style, width in (
@@ -226,9 +232,13 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
         a.plot([], [], style, color="0.3", ms=5, lw=width)[0]
         for style, width in (("x", 1), ("+", 1), ("-", 1.4), (":", 1.4), ("-.", 0.8), ("--", 0.8))
     ]
-    symbols = tuple(a.plot([], [], m, color=colour, mfc="white", ms=4.5)[0] for colour, m in MARKERS.items())
+    symbols, filled = (
+        tuple(a.plot([], [], m, color=colour, mfc=face or colour, ms=4.5)[0] for colour, m in MARKERS.items())
+        for face in ("white", None)
+    )
     labels = [
         "lattice, semi-infinite",
+        f"the same, {AGAIN}",
         "lattice, $L=100\\,\\lambda_c$, free end (none: runs through)",
         "the same, clamped end",
         "Eq. (58), corrected",
@@ -237,7 +247,7 @@ def _draw_fig3(data: dict[str, Table]) -> Any:
         "continuum, frozen slider",
     ]
     together = {tuple: HandlerTuple(ndivide=None)}
-    a.legend([symbols, *kinds], labels, frameon=False, fontsize=8, handler_map=together)
+    a.legend([symbols, filled, *kinds], labels, frameon=False, fontsize=8, handler_map=together)
     return figure
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.plot import style
-from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -40,6 +40,7 @@ class View(NamedTuple):
     status: Array
     load: Array
     front_stress: Array
+    again: Array  # contacts broken from which on the edge contact is back at its threshold; −1 where it never is
     threshold: Array
     upper: Array
     layer: Array
@@ -60,7 +61,9 @@ def view(theta: Array, position: Array) -> View:
     slider = Slider(theta[0], theta[1], theta[2])
     front = first_precursor(slider, interface=interface, recorded_sites=SITES, max_contacts=MOST_CONTACTS)
     at = jnp.where(position < 0, front.contacts_broken, position)
-    fields, sites = front.fields_at(at), jnp.arange(SITES, dtype=theta.dtype)
+    fields, sites = front.fields_at(at), jnp.arange(SITES)
+    # repinned behind the front
+    again = (jax.vmap(lambda s: front.fields_at(s).stress[0])(sites) >= 1) & (sites > 0)
     return View(
         length=length(theta),
         slopes=jax.jacfwd(length)(theta),
@@ -68,7 +71,10 @@ def view(theta: Array, position: Array) -> View:
         status=front.status,
         load=front.load,
         front_stress=front.front_stress,
-        threshold=interface.threshold_at(sites),
+        again=jnp.where(
+            again.any() & ((front.status == Outcome.REBREAK) | (front.status == Outcome.RUN_AWAY)), again.argmax(), -1
+        ),
+        threshold=interface.threshold_at(sites.astype(theta.dtype)),
         upper=fields.upper,
         layer=fields.layer,
         stress=fields.stress,
@@ -203,6 +209,7 @@ class Drawing:
             (self.tip,) = self.front.plot(x, x, "o-", ms=2.5, lw=1, color=c.blue, label="front stress")
             (self.limit,) = self.front.plot(x, x, ":", color=c.grey, label="threshold")
             self.arrest = self.front.axvline(0, color=c.vermilion, ls="--", lw=1, label="length, $\\ell$")
+            self.again = self.front.axvline(0, color=c.purple, lw=1, label=AGAIN)
             panels = (self.fields, self.stress, self.front)
             self.marks = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in panels]
             self.bars = self.slopes.barh(list(STEPS), np.zeros(len(STEPS)), color=c.blue)
@@ -213,7 +220,7 @@ class Drawing:
                 ax.set(xlabel=DISTANCE, ylabel=axis_label(name, unit))
                 ax.legend(loc="upper right")
             self.front.set(xlabel="contact, $s$ ($x/\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
-            self.front.legend(loc="upper right")
+            self.front.legend(**style.ABOVE, ncols=3)
             self.slopes.set(xlabel="change of the length, $\\lambda_c$")
 
     def __call__(self, seen: View, theta: np.ndarray) -> bytes:
@@ -229,6 +236,7 @@ class Drawing:
         for mark in self.marks:
             mark.set_xdata([float(seen.position) - 0.5] * 2)
         self.arrest.set_xdata([float(seen.length) if stops else -10] * 2)
+        self.again.set_xdata([float(seen.again) if seen.again > 0 else -10] * 2)
         for ax, y, least in (
             (self.fields, seen.upper, 0.1),
             (self.stress, seen.stress, 1.3),

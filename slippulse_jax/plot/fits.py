@@ -10,8 +10,10 @@ from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
+from slippulse_jax.inference.result import recursion_status
 from slippulse_jax.plot.labels import axis_label, printed
-from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
+from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, dashed_where, drawn, handles_of, new_figure
+from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,27 +111,30 @@ def gauges(result: "FitResult") -> "Figure":
 def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw measured lengths against height, and the fitted curve.
 
-    With its 95 % band, and the longest lengths possible.
+    With its 95 % band, and the longest lengths possible. The curve is dashed where the edge contact breaks again before the
+    front stops, so that the event goes on.
     """
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
     scale, unit = _display_unit(result)
     groups = _groups(result)
-    top = 0.0
+    top, any_again = 0.0, False
     for number, rows in enumerate(groups):
         color, first = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, number == 0
         one = rows[0]
         height = np.linspace(m.height[rows].min() * 0.85, m.height[rows].max() * 1.15, 41)
         x, y = height * scale[one], scale[one]
         label = _group_name(result, one) if len(groups) > 1 else "best fit"
-        ax.plot(x, _lengths_at(result, result.theta, one, height) * y, color=color, label=label)
+        again = _breaks_again(result, _inputs_at(result, result.theta, one, height))
+        any_again |= bool(again.any())
+        dashed_where(ax, x, _lengths_at(result, result.theta, one, height) * y, again, color=color, label=label)
         for i, (low, high) in enumerate(_bands(result, one, height)):
             thin = " (thinner than the line)" if np.max(high - low) * y < 0.012 * float(m.length.max() * y) else ""
             label = f"{BAND_LEVEL:.0%} band{thin}" if first and i == 0 else None
             ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0, label=label)
         longest = _longest(result, height, one) * y
-        ax.plot(x, longest, color=c.grey, ls="--", lw=1)
+        ax.plot(x, longest, color=c.grey, lw=0.8)
         beyond = "longer than the model allows" if first else None
         ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
         top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
@@ -137,8 +142,14 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.set(xlabel=axis_label("height", unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
-    ax.legend(loc="upper left" if len(set(m.height)) > 1 else "lower right")
-    ax.set_title("Lengths and fit")
+    ax.legend(
+        handles=handles_of(ax, again=any_again),
+        **ABOVE,
+        ncols=1 + (len(groups) == 1),
+        fontsize="small",
+        title="Lengths and fit",
+        alignment="left",
+    )
     return ax
 
 
@@ -183,7 +194,7 @@ def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw ℓ/H against stiffness for up to six measured heights.
 
-    With the measured ℓ/H, and the interval of the stiffness.
+    With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
     """
     from matplotlib.ticker import LogLocator
 
@@ -195,7 +206,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     stiffness = np.exp(theta)
     _, first_of_height = np.unique(m.height, return_index=True)
     shown = first_of_height[np.unique(np.linspace(0, len(first_of_height) - 1, MOST_CURVES).round().astype(int))]
-    largest = 0.0
+    largest, any_again = 0.0, False
     visible = []
     for color, i in zip(c.data, shown, strict=False):
         tall = m.height[i]
@@ -203,7 +214,9 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
         name = f"$H$ = {tall * scale[i]:.4g} {unit}" if m.in_si else rf"$H/\lambda_c$ = {tall:.4g}"
         name += f" ({len(together)}×)" if len(together) > 1 else ""
         share = _lengths_over(result, theta[:, None], i, np.array([tall]))[:, 0] / tall
-        ax.plot(stiffness, share, color=color, label=name)
+        again = _breaks_again(result, _inputs_at(result, theta[:, None], i, np.array([tall])))[:, 0]
+        any_again |= bool(again.any())
+        dashed_where(ax, stiffness, share, again, color=color, label=name)
         ax.axhspan(*_measured_share(result, together), color=color, alpha=0.2, lw=0)
         largest = max(largest, float(share.max()))
         visible.append(share)
@@ -219,7 +232,8 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
         ax.set_ylim(0, 1.1 * largest)
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
-    ax.legend(**ABOVE, ncols=3, fontsize="small", title="Length versus stiffness; bands: measured ± σ", alignment="left")
+    handles, title = handles_of(ax, again=any_again), "Length versus stiffness; bands: measured ± σ"
+    ax.legend(handles=handles, **ABOVE, ncols=3, fontsize="small", title=title, alignment="left")
     return ax
 
 
@@ -242,7 +256,7 @@ def residuals(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     ax.plot(result.fitted.length * scale, result.residuals, "o", color=c.vermilion)
-    ax.set_xlabel(f"fitted {axis_label('length', unit)}")
+    ax.set_xlabel(axis_label("length", unit).replace("precursor", "fitted"))
     ax.set_ylabel("(fitted − measured)/σ")
     reach = max(2.5, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
@@ -254,7 +268,7 @@ def residuals(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the profile of the deviance along one parameter.
 
-    All others are fitted anew; lines mark the levels of its intervals.
+    All others are fitted anew; lines mark the levels of its intervals. Dashed as in `fit_lengths`.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -262,14 +276,16 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     one = result.parameters.free[result.parameters.index(name)]
     limit = 2.2 * result.rise(BAND_LEVEL)
     rise = curve.deviance - result.deviance
-    ax.plot(one.value(curve.node), rise, color=c.blue, marker=".", ms=3, label="profile")
+    again = np.any(_breaks_again(result, result.parameters.inputs_at(curve.theta)), axis=1)
+    assert isinstance(again, np.ndarray)
+    dashed_where(ax, one.value(curve.node), rise, again, color=c.blue, marker=".", ms=3, label="profile")
     covariance = result.covariance
     if covariance is not None:
         j = result.parameters.index(name)
         error = np.sqrt(covariance[j, j])
         theta = np.linspace(result.theta[j] - 3 * error, result.theta[j] + 3 * error, 101)
         parabola = result.rise(0.6827) * ((theta - result.theta[j]) / error) ** 2
-        ax.plot(one.value(theta), parabola, color=c.grey, ls="--", lw=1, label="from covariance")
+        ax.plot(one.value(theta), parabola, color=c.grey, ls="-.", lw=1, label="from covariance")
     for level in (0.6827, BAND_LEVEL):
         height = result.rise(level)
         ax.axhline(height, color=c.ink, lw=0.8, ls=":")
@@ -279,12 +295,14 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     if len(below) > 1:
         pad = 0.1 * (below[-1] - below[0])
         ax.set_xlim(float(one.value(max(one.low, below[0] - pad))), float(one.value(min(one.high, below[-1] + pad))))
-        if one.log and below[-1] - below[0] > 1:
+        if one.log and below[-1] - below[0] > np.log(10):
             ax.set_xscale("log")
     ax.set_ylim(0, limit)
     _name(one, ax.xaxis)
     ax.set_ylabel("rise of the deviance")
-    ax.legend(**ABOVE, ncols=2, fontsize="small")
+    # of those in sight
+    seen = (one.value(curve.node) >= ax.get_xlim()[0]) & (one.value(curve.node) <= ax.get_xlim()[1]) & (rise < limit)
+    ax.legend(handles=handles_of(ax, again=bool(again[seen].any())), **ABOVE, ncols=2, fontsize="small")
     return ax
 
 
@@ -378,6 +396,13 @@ def _lengths_over(result: "FitResult", theta: np.ndarray, row: int, height: np.n
     inputs = _inputs_at(result, theta, row, height)
     length = lengths(inputs.ravel(), event=q.event).value.reshape(len(theta), -1)
     return length * np.exp(q.scales["length"](theta)[:, row, None]) + q.offset(theta)[:, row, None]
+
+
+def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
+    """Whether the edge contact breaks again before the front stops, where the model is that of a front under the hard rule."""
+    if result.parameters.event != "domino" or result.parameters.smooth:
+        return np.zeros(np.shape(inputs.log_height), bool)
+    return (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(np.shape(inputs.log_height))
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:

@@ -12,6 +12,7 @@ NAMES = {
     "threshold_slope": ("threshold gradient", r"\epsilon"),
     "repin_delay": ("repinning delay", "n"),
     "strength": ("strength", r"\sigma_s"),
+    "friction": ("friction behind the front", r"\sigma_k"),
     "offset": ("offset of the lengths", ""),
     "model_factor": ("factor on the model's lengths", ""),
     "width": ("width of the break rule", "w"),
@@ -66,3 +67,6 @@ def printed(unit: str) -> str:
 
 DISTANCE = axis_label("position", "λc")
 """Label of every axis along the interface."""
+
+AGAIN = "edge contact breaks again"
+"""Legend entry of what lies beyond the onset of re-breaking, where the length is that of the front, not of the event."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slippulse_jax.plot import style
-from slippulse_jax.plot.labels import NAMES, axis_label, in_unit, symbol
+from slippulse_jax.plot.labels import AGAIN, NAMES, axis_label, in_unit, symbol
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
 
-AGAIN = "edge contact breaks again"
-"""Legend entry of points beyond the onset of re-breaking, where the length is that of the front, not of the event."""
 WIDEST = 36
 """Characters in a line of the label of a colour bar."""
 
@@ -67,7 +65,6 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
 
 def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str, family: str | None) -> None:
     import matplotlib as mpl
-    from matplotlib.lines import Line2D
 
     every = [{}] if family is None else [{family: i} for i in range(column.sizes[family])]
     members = [column.isel(one) for one in every]
@@ -76,16 +73,10 @@ def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str
     for one, member, colour in zip(every, members, colours, strict=True):
         label = None if family is None else f"{float(member[family]):.4g}"
         x, y = member[along].values, np.where(np.isfinite(member.values), member.values, np.nan)
-        beyond = again.isel(one).values
-        ax.plot(x, np.where(beyond, np.nan, y), color=colour, label=label)
-        if beyond.any():  # from the last point before on, so that the line has no gap
-            near = beyond | np.append(beyond[1:], False) | np.append(False, beyond[:-1])
-            ax.plot(x, np.where(near, y, np.nan), color=colour, linestyle="--")
+        style.dashed_where(ax, x, y, again.isel(one).values, color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
     ax.set(xlabel=_axis(along), ylabel=_label(column))
-    handles = ax.get_legend_handles_labels()[0]
-    if again.any():
-        handles.append(Line2D([], [], color=style.colours(ax).ink, linestyle="--", label=AGAIN))
+    handles = style.handles_of(ax, again=bool(again.any()))
     if handles:
         title = None if family is None else _axis(family)
         ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside

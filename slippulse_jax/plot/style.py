@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
@@ -151,6 +152,22 @@ def drawn(function: Draw) -> Draw:
             return function(*arguments, ax=axes(), **options)
 
     return draw  # pyright: ignore[reportReturnType]
+
+
+def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **options: Any) -> None:
+    """Draw a line, dashed where the edge contact breaks again."""
+    ax.plot(x, np.where(again, np.nan, y), **options)
+    if again.any():  # from the last point before on, so that the line has no gap
+        near = again | np.append(again[1:], False) | np.append(False, again[:-1])
+        ax.plot(x, np.where(near, y, np.nan), **options | {"linestyle": "--", "linewidth": 0.8, "label": None})
+
+
+def handles_of(ax: Any, *, again: bool) -> list[Any]:
+    """Handles for a legend, with one for dashed lines if the edge contact breaks `again` somewhere."""
+    from matplotlib.lines import Line2D
+
+    key = Line2D([], [], color=colours(ax).ink, linestyle="--", linewidth=0.8, label=AGAIN)
+    return ax.get_legend_handles_labels()[0] + [key] * again
 
 
 def contrast(one: str, other: str) -> float:
