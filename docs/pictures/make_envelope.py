@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 import slippulse_jax as sp
 from slippulse_jax import theory
 from slippulse_jax.files import write_atomically
+from slippulse_jax.plot.labels import AGAIN
+from slippulse_jax.plot.style import LIGHT
 
 HERE = Path(__file__).resolve().parent
 LEVELS = [0, 0.25, 0.5, 0.75, 1, 2, 5, 10, 60]
@@ -24,6 +26,7 @@ def main() -> None:
         slider = sp.Slider(H, q, nu)
         exact = np.asarray(sp.exact_length(slider))
         found = [np.asarray(f(slider)) for f in (theory.envelope_length, theory.length_eq25)]
+    onset = sp.rebreaking_onset(height, 0.3) / (2.6 * height)
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for ax, title, length in zip(axes, ("The envelope formula", "Eq. (25)"), found, strict=True):
@@ -31,10 +34,13 @@ def main() -> None:
         worst = error.reshape(100, 3, 100).max(axis=1)
         shown = ax.pcolormesh(height, stiffness, worst, norm=BoundaryNorm(LEVELS, 256), cmap="cividis", rasterized=True)
         ax.contour(height, stiffness, worst, levels=[1], colors="white", linewidths=1)
+        ax.plot(height, onset, "--", color=LIGHT.vermilion, linewidth=1.2)
         ax.set(xscale="log", yscale="log", xlabel="$H/\\lambda_c$")
         ax.set_title(f"{title}: at most {worst.max():.2g}", loc="left", fontsize=10)
         print(f"{title}: worst {worst.max():.3g}, within 1 on {np.mean(worst <= 1):.1%}")
-    axes[0].set_ylabel("$k/K$")
+    label = f"above: {AGAIN} (ν = 0.3)"
+    figure.legend(axes[0].lines, [label], loc="outside lower center", frameon=False, fontsize=9)
+    axes[0].set(ylabel="$k/K$", ylim=(1e-6, 1))
     figure.colorbar(shown, ax=axes, ticks=LEVELS, label="error / max(0.5 $\\lambda_c$, 2 %), worst over $\\nu$")
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=110)
