@@ -119,16 +119,16 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     m = result.measurements
     scale, unit = _display_unit(result)
     groups = _groups(result)
+    names = _group_names(result, groups)
     top, any_again = 0.0, False
     for number, rows in enumerate(groups):
         color, first = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, number == 0
         one = rows[0]
         height = np.linspace(m.height[rows].min() * 0.85, m.height[rows].max() * 1.15, 41)
         x, y = height * scale[one], scale[one]
-        label = _group_name(result, one) if len(groups) > 1 else "best fit"
         again = _breaks_again(result, _inputs_at(result, result.theta, one, height))
         any_again |= bool(again.any())
-        dashed_where(ax, x, _lengths_at(result, result.theta, one, height) * y, again, color=color, label=label)
+        dashed_where(ax, x, _lengths_at(result, result.theta, one, height) * y, again, color=color, label=names[number])
         for i, (low, high) in enumerate(_bands(result, one, height)):
             thin = " (thinner than the line)" if np.max(high - low) * y < 0.012 * float(m.length.max() * y) else ""
             label = f"{BAND_LEVEL:.0%} band{thin}" if first and i == 0 else None
@@ -145,7 +145,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.legend(
         handles=handles_of(ax, again=any_again),
         **ABOVE,
-        ncols=1 + (len(groups) == 1),
+        ncols=2,
         fontsize="small",
         title="Lengths and fit",
         alignment="left",
@@ -415,10 +415,12 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
     return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
 
 
-def _group_name(result: "FitResult", row: int) -> str:
-    one = result.parameters.inputs_at(result.theta).take(row)
-    condition = rf", $\varphi$ = {one.prestress:.3g}" if one.prestress else ""
-    return f"best fit, $k/K$ = {np.exp(one.log_stiffness):.3g}, ν = {one.poisson:.3g}{condition}"
+def _group_names(result: "FitResult", groups: list[np.ndarray]) -> list[str]:
+    """Name the curves by what differs between them."""
+    one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
+    numbers = {"$k/K$": np.exp(one.log_stiffness), "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
+    differ = {name: x for name, x in numbers.items() if np.ptp(x) > 1e-9 * np.abs(x).max()}
+    return [", ".join(["best fit", *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
 
 
 def _longest(result: "FitResult", height: np.ndarray, row: int) -> np.ndarray:
