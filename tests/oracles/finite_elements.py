@@ -10,33 +10,21 @@ from numpy.polynomial import Polynomial
 from scipy.sparse.linalg import splu
 
 
-def _integral(f, g, size):
-    """∫ f g over an edge of length `size`; polynomials on [−1, 1]."""
-    whole = (f * g).integ()
-    return (whole(1) - whole(-1)) * size / 2
+# on an edge from −1 to 1: its two linear shapes, a bubble, and a constant; ∫ f g, ∫ f′ g and ∫ f′ g′
+EDGE = [Polynomial([0.5, -0.5]), Polynomial([0.5, 0.5]), Polynomial([1, 0, -1]), Polynomial([1])]
+PRODUCTS = [
+    np.array([[np.diff((f.deriv(m) * g.deriv(n)).integ()([-1, 1]))[0] for g in EDGE] for f in EDGE])
+    for m, n in ((0, 0), (1, 0), (1, 1))
+]
+ALONG, ACROSS = np.array([0, 1, 1, 0, 2, 3]), np.array([0, 0, 1, 1, 3, 2])
+"""Which of them, along x and along y, make up the four nodal shapes and the two incompatible modes."""
 
 
 def rectangle(width, height, poisson):
     """Four-node rectangle with incompatible modes 1 − ξ² and 1 − η², plane stress, E = 1."""
-    line = Polynomial([0.5, -0.5]), Polynomial([0.5, 0.5])
-    bubble, one = Polynomial([1, 0, -1]), Polynomial([1])
-    shapes = [(line[a], line[b]) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))] + [(bubble, one), (one, bubble)]
-
-    def products(d, e):
-        """∫ ∂_d N_i ∂_e N_j for all shapes; 0 is x, 1 is y."""
-        found = np.zeros((6, 6))
-        for i, f in enumerate(shapes):
-            for j, g in enumerate(shapes):
-                fs = [
-                    p.deriv() * (2 / s) if d == axis else p for axis, (p, s) in enumerate(zip(f, (width, height), strict=True))
-                ]
-                gs = [
-                    p.deriv() * (2 / s) if e == axis else p for axis, (p, s) in enumerate(zip(g, (width, height), strict=True))
-                ]
-                found[i, j] = _integral(fs[0], gs[0], width) * _integral(fs[1], gs[1], height)
-        return found
-
-    xx, xy, yy = products(0, 0), products(0, 1), products(1, 1)
+    plain_x, mixed_x, bent_x = (one[np.ix_(ALONG, ALONG)] for one in PRODUCTS)
+    plain_y, mixed_y, bent_y = (one[np.ix_(ACROSS, ACROSS)] for one in PRODUCTS)
+    xx, xy, yy = bent_x * plain_y * height / width, mixed_x * mixed_y.T, plain_x * bent_y * width / height
     stiff, shear = 1 / (1 - poisson**2), 1 / (2 * (1 + poisson))
     K = np.zeros((12, 12))
     K[0::2, 0::2] = stiff * xx + shear * yy
@@ -48,21 +36,17 @@ def rectangle(width, height, poisson):
 
 
 class WholeBlock:
-    """A block of so many contacts, two elements side by side over each."""
+    """A block of so many contacts, two elements side by side over each; the response to the pinning of the first `reach` of them."""
 
-    def __init__(self, y, stiffness, poisson, contacts, pushed, force=None):
+    def __init__(self, y, stiffness, poisson, contacts, pushed, force=None, reach=None):
         rows, columns = y.size, 2 * contacts + 1
         index = np.arange(2 * rows * columns).reshape(columns, rows, 2)
-        elements = [rectangle(0.5, h, poisson) for h in np.diff(y)]
-        i, j, v = [], [], []
-        for c in range(columns - 1):
-            for r, K in enumerate(elements):
-                at = np.concatenate([index[c, r], index[c + 1, r], index[c + 1, r + 1], index[c, r + 1]])
-                i.append(np.repeat(at, 8))
-                j.append(np.tile(at, 8))
-                v.append(K.ravel())
+        elements = np.array([rectangle(0.5, h, poisson) for h in np.diff(y)])
+        corners = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        at = np.concatenate(corners, axis=-1)  # of every element its eight freedoms
+        i, j, v = np.broadcast_arrays(at[..., :, None], at[..., None, :], elements)
         size = index.size
-        K = sparse.csr_matrix((np.concatenate(v), (np.concatenate(i), np.concatenate(j))), (size, size))
+        K = sparse.csr_matrix((v.ravel(), (i.ravel(), j.ravel())), (size, size))
         mean = sparse.lil_matrix((contacts, size))
         for n in range(contacts):
             mean[n, index[2 * n : 2 * n + 3, 0, 0]] = [0.25, 0.5, 0.25]
@@ -83,7 +67,8 @@ class WholeBlock:
             x[at[pushed]] = 1
         x[free] = solve(load[free] - K[free] @ x)
         self.push = mean @ x
-        inner = mean[:, free]
+        inner = mean[:reach, free]
+        self.push = self.push[:reach]
         self.matrix = stiffness * (inner @ solve(np.ascontiguousarray(inner.T.toarray())))
 
 
