@@ -15,7 +15,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 COMPILED = os.environ.get("SLIPPULSE_TEST_CACHE") or str(Path(__file__).resolve().parent.parent / ".pytest_cache" / "compiled")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", COMPILED)
 os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2 * 10**9))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import hypothesis
 import jax
@@ -47,8 +47,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None, max_examples=25)
 hypothesis.settings.load_profile("same")
 
-MOST_MEMORY = 2.5e9
-"""Bytes that a worker may keep in compiled programs and the rest."""
+MOST_MEMORY = max(2.5e9, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 5)
+"""Bytes that a worker may keep in compiled programs and the rest: to compile them again takes longest where there is room for all."""
 
 
 def resident():

@@ -73,7 +73,9 @@ def whole(block, contacts, reach=None):
     displaced, force = (np.insert(np.asarray(x), 1, 0)[0::2] for x in load)
     force = force if block.push.control == "force" else None
     nu, young = map(float, block.plane_constants)
-    found = WholeBlock(np.asarray(elements.heights(block)), float(block.stiffness) / young, nu, contacts, displaced > 0, force, reach)
+    found = WholeBlock(
+        np.asarray(elements.heights(block)), float(block.stiffness) / young, nu, contacts, displaced > 0, force, reach
+    )
     if force is not None:
         found.push = found.push / young
     return found

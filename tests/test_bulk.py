@@ -66,7 +66,7 @@ def test_gradients_equal_those_of_one_front(general):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
 
 
-@pytest.mark.parametrize("numbers", [3, 5])
+@pytest.mark.parametrize("numbers", [pytest.param(3, marks=pytest.mark.slow), 5])
 def test_arrests_equal_the_general_recursion(numbers):
     """Count, length, status and edge stress, of every way to end: given up at just so many contacts among them."""
     rng = np.random.default_rng(numbers)

@@ -182,7 +182,7 @@ def lanes():
     return run, run(jnp.asarray(LOADS))
 
 
-@pytest.mark.parametrize("size", [1, 2, 33, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 64))])
+@pytest.mark.parametrize("size", [1, 33, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 7, 64))])
 def test_lanes_do_not_depend_on_the_size_of_the_batch(lanes, size):
     run, all_of_them = lanes
     assert len(np.unique(all_of_them.breaks)) > 20
@@ -205,11 +205,8 @@ def test_lanes_do_not_depend_on_their_order_and_one_may_fail(lanes):
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(np.asarray(a)[others], np.asarray(b)[others]), all_of_them, found)
 
 
-def test_lanes_do_not_depend_on_the_number_of_devices():
-    """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/cascade.md)."""
-    program = """
+DEALT = """
     import jax, jax.numpy as jnp, numpy as np
-    from jax.sharding import PartitionSpec
     jax.config.update("jax_enable_x64", True)
     import slippulse_jax as sp
     from slippulse_jax.lattice.rupture import rupture
@@ -223,15 +220,23 @@ def test_lanes_do_not_depend_on_the_number_of_devices():
     two = [run(jax.device_put(part, device)) for part, device in zip(np.split(loads, 2), devices)]
     for a, first, second in zip(*map(jax.tree.leaves, (one, *two))):
         assert np.asarray(a).tobytes() == np.asarray(first).tobytes() + np.asarray(second).tobytes()
+"""
+PARTITIONED = """
+    from jax.sharding import PartitionSpec
     mesh = jax.make_mesh((2,), ("lanes",), axis_types=(jax.sharding.AxisType.Auto,))
     spec = PartitionSpec("lanes")
     shared = jax.jit(jax.shard_map(run, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))(loads)
     np.testing.assert_array_equal(shared.order, one.order)
     np.testing.assert_allclose(shared.after.layer, one.after.layer, rtol=0, atol=1e-12)
-    """
+"""
+
+
+@pytest.mark.parametrize("further", ["", pytest.param(PARTITIONED, marks=pytest.mark.slow)], ids=["dealt", "partitioned"])
+def test_lanes_do_not_depend_on_the_number_of_devices(further):
+    """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/cascade.md)."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     found = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
+        [sys.executable, "-c", textwrap.dedent(DEALT) + textwrap.dedent(further)],
         env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,

@@ -64,8 +64,8 @@ def test_help_and_version_do_not_import_jax():
         assert "--json" in done.stdout
 
 
-def test_length():
-    done = slippulse("length", *FIG2)
+def test_length(in_this_process):
+    done = in_this_process("length", *FIG2)
     assert (done.returncode, done.stderr) == (0, "")
     assert "ℓ   = 25.789811 λc" in done.stdout
     assert "Λ   = 26 λc" in done.stdout

@@ -20,7 +20,7 @@ def rough(delay):
     return DenseChain.uniform(slider, theta, phi, delay=delay), chain
 
 
-@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("delay", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 3))])
 def test_series_against_dense_program(delay):
     plain, chain = rough(delay)
     got = sp.series(chain, events=20, repin_delay=delay, recorded_breaks=4000, stop_when_spanning=False)
@@ -39,7 +39,7 @@ def test_series_against_dense_program(delay):
     assert got.energy_drift < 1e-12
 
 
-@pytest.mark.parametrize("delay", [1, 2])
+@pytest.mark.parametrize("delay", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_rupture_against_dense_program(delay):
     plain, chain = rough(delay)
     load = 5.0
@@ -53,7 +53,7 @@ def test_rupture_against_dense_program(delay):
     assert got.drift < 1e-12
 
 
-@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("delay", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_first_precursor_is_that_of_the_recursion(delay):
     expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
     chain = sp.chain(FIG2, sites=150)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import SITES, long_series
 from oracles import dense_chain
 
 import slippulse_jax as sp
@@ -62,7 +63,7 @@ def test_a_machine_of_infinite_stiffness_imposes_the_displacement():
     assert lengths[0] == pytest.approx(float(sp.precursor_lengths(FIG2)), rel=1e-14)
 
 
-@pytest.mark.parametrize("right", ["free", "clamped"])
+@pytest.mark.parametrize("right", ["free", pytest.param("clamped", marks=pytest.mark.slow)])
 def test_bulk_lengths_on_prestressed_interfaces_with_gradients(right):
     """The loop over lanes against the general recursion, beyond run-away too, where an end decides what becomes of the front."""
     rng = np.random.default_rng(3)
@@ -96,13 +97,12 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
 def test_the_machine_stays_while_the_front_runs():
     """The first event of a series under the same spring breaks the same contacts."""
     with jax.enable_x64(True):
-        chain = sp.chain(FIG2, sites=120, right="free")
-        event = sp.series(chain, Spring(10.0), events=1)
-        front = sp.first_precursor(FIG2, right="free", sites=120, machine=10.0)
+        event = long_series(sp.chain(FIG2, sites=SITES, right="free"), Spring(10.0))
+        front = sp.first_precursor(FIG2, right="free", sites=SITES, machine=10.0)
     assert int(event.extent[0]) == int(front.contacts_broken)
 
 
-@pytest.mark.parametrize("right", ["free", "clamped"])
+@pytest.mark.parametrize("right", [pytest.param("free", marks=pytest.mark.slow), "clamped"])
 def test_derivatives_in_the_number_of_sites_and_the_machine(right):
     """Against central differences, by the traced length and in bulk; both are smooth between whole counts."""
     with jax.enable_x64(True):

@@ -44,7 +44,7 @@ def balance_bound(chains, found, floor=1e-12):
 
 
 @pytest.mark.parametrize("right", ENDS)
-@pytest.mark.parametrize("sites", [2, 3, 17, 120])
+@pytest.mark.parametrize("sites", [2, 120, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 17))])
 def test_against_dense_matrices(sites, right):
     rng = np.random.default_rng(sites)
     dense, mine, states = zip(*[random_case(rng, sites, right) for _ in range(25)], strict=True)
@@ -150,7 +150,9 @@ def hardening(stretch):
     return stretch + 0.3 * stretch**3
 
 
-@pytest.mark.parametrize("law", [jnp.tanh, jnp.arctan, hardening, jnp.sinh])
+@pytest.mark.parametrize(
+    "law", [jnp.tanh, hardening, *(pytest.param(x, marks=pytest.mark.slow) for x in (jnp.arctan, jnp.sinh))]
+)
 def test_nonlinear_contacts_against_a_general_root_finder(law):
     rng = np.random.default_rng(5)
     for right in ENDS:
@@ -175,6 +177,10 @@ def test_nonlinear_contacts_against_a_general_root_finder(law):
 
 
 # --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+LAWS = [pytest.param(None, id="linear", marks=pytest.mark.slow), pytest.param(jnp.tanh, id="tanh")]
+"""The second takes every step of the first, and more."""
 
 
 def from_parameters(law, parameters):
@@ -202,7 +208,7 @@ def random_parameters(rng):
     }
 
 
-@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+@pytest.mark.parametrize("law", LAWS)
 def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     rng = np.random.default_rng(0)
     points = batch([jax.tree.map(jnp.asarray, random_parameters(rng)) for _ in range(200)])
@@ -230,7 +236,7 @@ def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     assert all(np.all(np.any(g.reshape(200, -1) != 0, axis=1)) for g in jax.tree.leaves(gradient))
 
 
-@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+@pytest.mark.parametrize("law", LAWS)
 def test_second_derivatives(law):
     rng = np.random.default_rng(1)
     p = jax.tree.map(jnp.asarray, random_parameters(rng))
@@ -258,7 +264,7 @@ def test_second_derivatives(law):
     np.testing.assert_allclose([over, again], twice, rtol=1e-10)
 
 
-@pytest.mark.parametrize("law", [None, jnp.tanh], ids=["linear", "tanh"])
+@pytest.mark.parametrize("law", LAWS)
 def test_implicit_and_unrolled_routes_agree(law):
     """Differentiate through the elimination itself, and through Newton's steps one by one."""
     rng = np.random.default_rng(2)

@@ -14,7 +14,7 @@ from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
 
-@pytest.mark.parametrize("prestress", [0.0, 0.3])
+@pytest.mark.parametrize("prestress", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_fields_behind_and_ahead_against_a_dense_chain(prestress):
     height, stiffness, poisson, sites = 12.0, 0.05, 0.2, 600
     slider = sp.Slider(height, stiffness, poisson)

@@ -34,24 +34,24 @@ def legend(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
-def test_fits_of_whole_events_recover_the_stiffness():
+@pytest.mark.parametrize("b", [6.5, pytest.param(20.0, marks=pytest.mark.slow)])
+def test_fits_of_whole_events_recover_the_stiffness(b):
     """Taken as fronts they give three quarters of it and less, and say so."""
-    for b in (6.5, 20.0):
-        stiffness, m = study(b)
-        whole, front = sp.fit(m, event="full"), sp.fit(m)
-        assert whole.identifiability is Identifiability.IDENTIFIED
-        assert whole.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
-        assert abs(whole.values["stiffness"] - stiffness) < whole.stderrs["stiffness"]
-        assert front.identifiability is Identifiability.REBREAKS
-        assert front.values["stiffness"] < 0.75 * stiffness
-        assert front.values["stiffness"] < whole.intervals["stiffness"][0.95][0].low
-        assert "length of the whole event" in whole.report()
-        assert "of the first front alone" in front.report()
-        assert "of the first front alone" not in whole.report()
-        assert "thresholds are taken as uniform" in whole.report()
-        for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
-            assert AGAIN in legend(draw(front, ax=Figure().subplots()))
-            assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
+    stiffness, m = study(b)
+    whole, front = sp.fit(m, event="full"), sp.fit(m)
+    assert whole.identifiability is Identifiability.IDENTIFIED
+    assert whole.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
+    assert abs(whole.values["stiffness"] - stiffness) < whole.stderrs["stiffness"]
+    assert front.identifiability is Identifiability.REBREAKS
+    assert front.values["stiffness"] < 0.75 * stiffness
+    assert front.values["stiffness"] < whole.intervals["stiffness"][0.95][0].low
+    assert "length of the whole event" in whole.report()
+    assert "of the first front alone" in front.report()
+    assert "of the first front alone" not in whole.report()
+    assert "thresholds are taken as uniform" in whole.report()
+    for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
+        assert AGAIN in legend(draw(front, ax=Figure().subplots()))
+        assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
 
 
 def test_the_model_of_a_fit_against_the_cascade():

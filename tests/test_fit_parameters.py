@@ -147,7 +147,7 @@ def test_huber_and_student_information():
     def density(r):
         return norm.pdf(r)
 
-    weight = jax.grad(Loss("huber"))
+    weight = jax.jit(jax.grad(Loss("huber")))
 
     def psi(r):
         return r * float(weight(r**2 / 2))

@@ -64,7 +64,7 @@ def test_density_is_the_objective(loss, monkeypatch):
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
 
 
-@pytest.mark.parametrize("relaxed", [True, False])
+@pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_traced_length_is_that_of_the_fit(relaxed):
     inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)
     assert float(model.traced_length(inputs, relaxed)) == pytest.approx(lengths(inputs.ravel()).value[0], rel=1e-11)

@@ -154,7 +154,7 @@ def rises(kind, studies, seed):
 
 
 @pytest.mark.parametrize("kind", ["whole", "length"])
-@pytest.mark.parametrize("studies", [pytest.param(12, id="sample"), pytest.param(300, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("studies", [pytest.param(6, id="sample"), pytest.param(300, id="full", marks=pytest.mark.slow)])
 def test_errors_are_honest(kind, studies):
     """Regions of 68 and 95 % hold the truth as often as they say, counted or measured to a contact."""
     found = rises(kind, studies, 3)

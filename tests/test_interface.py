@@ -19,9 +19,11 @@ from slippulse_jax.status import Outcome
 FIG2 = Slider(25.0, 0.03, 0.3)
 
 
-@pytest.mark.parametrize("delay", [0, 1, 3])
-@pytest.mark.parametrize("right", ["semi-infinite", "free"])
-def test_against_dense_chain(delay, right):
+FEW, ALL = (("semi-infinite", 1), ("free", 3)), (("semi-infinite", 0), ("semi-infinite", 3), ("free", 0), ("free", 1))
+
+
+@pytest.mark.parametrize(("right", "delay"), [*FEW, *(pytest.param(*x, marks=pytest.mark.slow) for x in ALL)])
+def test_against_dense_chain(right, delay):
     rng = np.random.default_rng([delay, right == "free"])
     sites = 80
     for _ in range(4):
@@ -65,7 +67,7 @@ def test_profile_against_dense_chain():
 def test_negative_prestress_in_bulk_and_in_the_cascade():
     """Sheared against the push: batches, and every break of the general cascade, as dense solves have them."""
     rng = np.random.default_rng(11)
-    sites, cases = 70, [(rng.uniform(4, 20), 10 ** rng.uniform(-2, -0.5), rng.uniform(0, 0.45)) for _ in range(4)]
+    sites, cases = 80, [(rng.uniform(4, 20), 10 ** rng.uniform(-2, -0.5), rng.uniform(0, 0.45)) for _ in range(4)]
     phi, site = np.linspace(-0.95, -0.05, len(cases)), np.arange(sites)
     found = arrests(Slider(*np.transpose(cases)), interface=Interface(phi))
     for i, (height, stiffness, poisson) in enumerate(cases):
@@ -299,17 +301,16 @@ def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
     assert (int(record.status), int(record.contacts_broken)) == (Outcome.RUN_AWAY, 20)
 
 
-@pytest.mark.parametrize("threads", [1, 2, 4])
-def test_long_delays_in_bulk_end(threads):
+def test_long_delays_in_bulk_end():
     """Once such a program waited for its own threads for ever: in a process of its own, under a time limit."""
     code = (
         "import numpy as np, slippulse_jax as sp\n"
         "from slippulse_jax.bulk import threads\n"
-        f"threads.workers = lambda: {threads}\n"
         "slider = sp.Slider(np.linspace(20.0, 30.0, 600), 0.03, 0.3)\n"
-        "for delay in (10, 25):\n"
-        "    found = sp.precursor_lengths(slider, sp.Interface(repin_delay=delay))\n"
-        "    one = sp.precursor_length(sp.Slider(20.0, 0.03, 0.3), sp.Interface(repin_delay=delay))\n"
+        "one = sp.precursor_length(sp.Slider(20.0, 0.03, 0.3), sp.Interface(repin_delay=25))\n"
+        "for count in (1, 2, 4):\n"
+        "    threads.workers = lambda: count\n"
+        "    found = sp.precursor_lengths(slider, sp.Interface(repin_delay=25))\n"
         "    assert abs(found[0] - one) < 1e-3, (found[0], one)\n"
     )
     subprocess.run([sys.executable, "-c", code], timeout=300, check=True)

@@ -47,7 +47,7 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     np.testing.assert_allclose(found.length, smooth_length(FIG2, rule)[0], rtol=1e-12)
     theta, phi = fields(2)
     theta[0], phi[0] = 0.9, 0.0
-    c = chain(FIG2, sites=SITES, threshold=theta, prestress=phi)
+    c = chain(FIG2, sites=80, threshold=theta[:80], prestress=phi[:80])
     state, site = nucleate(c)
     event = jax.tree.map(np.asarray, rupture(c, state, trigger=site))
     assert site == 0

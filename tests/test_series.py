@@ -24,9 +24,9 @@ CASES = [
     ("adiabatic", "free", None),
     ("adiabatic", "semi-infinite", ("exponential", 0.3, 3.0)),
     ("steps", "clamped", None),
-    ("steps", "free", ("exponential", 0.5, 1.0)),
     ("spring", "semi-infinite", None),
     ("spring", "free", ("logarithmic", 0.4, 2.0)),
+    pytest.param("steps", "free", ("exponential", 0.5, 1.0), marks=pytest.mark.slow),
 ]
 
 
@@ -74,8 +74,16 @@ def energies(catalogue):
     return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
 
 
-@pytest.mark.parametrize("protocol", [Adiabatic(), sp.Steps(0.5), sp.Spring(10.0)])
-@pytest.mark.parametrize("ageing", [None, sp.Ageing(0.3, 3.0)])
+@pytest.mark.parametrize(
+    ("protocol", "ageing"),
+    [
+        (Adiabatic(), None),
+        (Adiabatic(), sp.Ageing(0.3, 3.0)),
+        (sp.Steps(0.5), None),
+        (sp.Spring(10.0), None),
+        *(pytest.param(protocol, sp.Ageing(0.3, 3.0), marks=pytest.mark.slow) for protocol in (sp.Steps(0.5), sp.Spring(10.0))),
+    ],
+)
 def test_energy_of_every_event(protocol, ageing):
     """Work of the drive = stored + broken + relaxed, and the stored energy is that of the springs of the final state."""
     got = long_series(CHAIN, protocol, ageing=ageing)

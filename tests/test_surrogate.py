@@ -156,7 +156,7 @@ def test_rupture_of_a_chain_approaches_the_hard_one():
         np.testing.assert_allclose(found.energy, exact.energy, rtol=tolerance)
 
 
-@pytest.mark.parametrize("quantity", ["length", "energy"])
+@pytest.mark.parametrize("quantity", ["length", pytest.param("energy", marks=pytest.mark.slow)])
 def test_derivatives_of_a_smooth_rupture_in_every_threshold(quantity):
     rng = np.random.default_rng(8)
     threshold = jnp.asarray(1 + 0.03 * rng.uniform(-1, 1, 120))

@@ -290,7 +290,9 @@ OF_B = {
 }
 
 
-@pytest.mark.parametrize("name", FIG2_LENGTHS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "length_frozen" else name for name in FIG2_LENGTHS]
+)
 def test_values_derivatives_and_batches(name):
     function = OF_B.get(name, getattr(theory, name))
     x = np.array([25.0, 0.03, 0.3])

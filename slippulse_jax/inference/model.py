@@ -58,7 +58,7 @@ RISING = 0.01
 CRACKS = Layout(chunk=250)
 """Layout of crack-like fronts."""
 
-FEW_SITES, MOST_SITES = 64, 2**20
+FEW_SITES, MOST_SITES, TOGETHER = 64, 2**20, 32
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
 
 
@@ -298,7 +298,7 @@ def _readings_of(names: tuple[str, ...], numbers: bytes, shape: tuple[int, ...])
     size = FEW_SITES * 4 ** np.ceil(np.log(np.maximum(np.where(known, reach, 0) + 2, FEW_SITES) / FEW_SITES) / np.log(4) - 1e-9)
     for count in np.unique(size[known]).astype(int):
         chosen = np.nonzero(known & (size == count))[0]
-        at_once = min(LANES, max(1, LANES * 1024 // count))
+        at_once = min(TOGETHER, max(1, LANES * 1024 // count))
         for start in range(0, len(chosen), at_once):
             part = chosen[start : start + at_once]
             padded = np.resize(part, at_once)

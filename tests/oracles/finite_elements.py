@@ -9,7 +9,6 @@ import scipy.sparse as sparse
 from numpy.polynomial import Polynomial
 from scipy.sparse.linalg import splu
 
-
 # on an edge from −1 to 1: its two linear shapes, a bubble, and a constant; ∫ f g, ∫ f′ g and ∫ f′ g′
 EDGE = [Polynomial([0.5, -0.5]), Polynomial([0.5, 0.5]), Polynomial([1, 0, -1]), Polynomial([1])]
 PRODUCTS = [
