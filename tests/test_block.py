@@ -40,17 +40,22 @@ def slider_guide(slider):
     return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held)
 
 
+@jax.jit
+def slider_as_a_waveguide(slider):
+    """Its response at 80 contacts, its modes with the edge driven, and the first event."""
+    found, modes = waveguide.response(slider_guide(slider), slider.stiffness, 80), lattice_modes(slider)
+    driven = jax.vmap(modes.profile)(jnp.arange(80.0)) @ modes.drive / modes.load
+    return found, modes, driven, blocks.event(found, jnp.ones(80), jnp.zeros(80))
+
+
 @pytest.mark.parametrize(
     ("height", "stiffness", "count", "length"),
     [(10, 0.03, 10, 9.722), (25, 0.03, 26, 25.790), (50, 0.03, 52, 51.393), (25, 0.01, 22, 21.637), (25, 0.003, 16, 15.022)],
 )
 def test_the_slider_is_a_waveguide_of_two_freedoms(height, stiffness, count, length):
     slider = sp.Slider(float(height), stiffness, 0.3)
-    found = waveguide.response(slider_guide(slider), jnp.asarray(stiffness), 80)
-    modes = lattice_modes(slider)
-    driven = jax.vmap(modes.profile)(jnp.arange(80.0)) @ modes.drive / modes.load
+    found, modes, driven, (ended, first, load, _) = slider_as_a_waveguide(slider)
     np.testing.assert_allclose(found.push, driven, rtol=0, atol=1e-12)
-    ended, first, load, _ = blocks.event(found, jnp.ones(80), jnp.zeros(80))
     assert int(first) == 0
     assert float(load) == pytest.approx(float(modes.load), rel=1e-13)
     assert int(ended.broken.sum()) == int(ended.breaks) == count
@@ -130,7 +135,7 @@ def strip(q, height, poisson):
 def test_stiffness_of_a_strip_at_one_wavelength(reach):
     """A patch hands on sinc(q/2) of a wave, twice; the elements over a contact do the rest, to some permille."""
     height, poisson = 200.0, 0.3
-    slab = elements.slab(sp.Block(height, 0.01, poisson, sp.Push()))
+    slab = jax.jit(elements.slab)(sp.Block(height, 0.01, poisson, sp.Push()))
     q = reach / height
     phase = np.exp(1j * q)
     D = np.asarray(slab.left + slab.right) + np.asarray(slab.across) * phase + np.asarray(slab.across).T / phase
@@ -231,7 +236,9 @@ def test_lengths_do_not_depend_on_the_contacts_resolved():
     assert float(sp.precursor_length(block, sites=8)) == np.inf  # ran through all that were resolved
 
 
-@pytest.mark.parametrize("push", [sp.Push(0.3), sp.Push(0.4, 0.15)], ids=["top", "patch"])
+@pytest.mark.parametrize(
+    "push", [pytest.param(sp.Push(0.3), id="top", marks=pytest.mark.slow), pytest.param(sp.Push(0.4, 0.15), id="patch")]
+)
 def test_derivatives_at_a_fixed_order_of_breaks(push):
     numbers = [40.0, 0.01, 0.3, *(float(x) for x in (push.height, push.width) if x is not None)]
 
