@@ -387,8 +387,8 @@ def test_a_batch_of_sliders_is_sent_to_vmap():
         chain(sp.Slider(height=[25.0, 26.0], stiffness=0.03, poisson=0.3), sites=5)
 
 
-def test_a_long_chain_is_in_balance_to_rounding():
-    n = 100_000
+@pytest.mark.parametrize("n", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_a_long_chain_is_in_balance_to_rounding(n):
     rng = np.random.default_rng(4)
     c = chain(FIG2, sites=n, contact=0.03 * rng.uniform(0, 2, n))
     found = jax.jit(equilibrium)(c, State(jnp.asarray(rng.uniform(-1, 1, n)), jnp.asarray(3.0)))
