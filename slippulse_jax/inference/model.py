@@ -58,8 +58,11 @@ RISING = 0.01
 CRACKS = Layout(chunk=250)
 """Layout of crack-like fronts."""
 
-FEW_SITES, MOST_SITES, TOGETHER = 64, 2**20, 32
+FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
+
+TOGETHER = 32
+"""Fronts whose fields are computed at once; a fit often asks for few, and a call computes them all."""
 
 
 class Prediction(NamedTuple):
