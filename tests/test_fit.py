@@ -145,7 +145,7 @@ def test_hopeless_sigma_allows_every_stiffness():
 
 def test_information_too_small_to_invert_is_none():
     """Fronts that ran far past where they were seen last: 1/information overflows, or is a million ranges."""
-    for sigma in np.geomspace(0.05, 2, 4):
+    for sigma in (0.05, 0.3, 2.0):
         result = fit(Measurements(height=[20, 30], poisson=0.3, length=[8, 12], length_sigma=sigma, kind=["at_least"] * 2))
         assert result.stderrs["stiffness"] is None
         assert np.isfinite([root.covariance for root in result.roots]).all()
