@@ -56,7 +56,7 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
         [jnp.stack([one, poisson, none]), jnp.stack([poisson, one, none]), jnp.stack([none, none, (1 - poisson) / 2])]
     ) / (1 - poisson**2)
     x, y = CORNERS.T
-    nodal, bubbles, mixed = jnp.zeros((8, 8)), jnp.zeros((4, 4)), jnp.zeros((8, 4))
+    nodal, bubbles, mixed = jnp.zeros((8, 8)), jnp.zeros(4), jnp.zeros((8, 4))
     for a in (-GAUSS, GAUSS):
         for b in (-GAUSS, GAUSS):
             dx, dy = x * (1 + y * b) / (2 * width), y * (1 + x * a) / (2 * height)
@@ -66,8 +66,9 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
             area = width * height / 4
             nodal += area * B.T @ elastic @ B
             mixed += area * B.T @ elastic @ G
-            bubbles += area * G.T @ elastic @ G
-    return nodal - mixed @ jnp.linalg.solve(bubbles, mixed.T)
+            bubbles += area * (G * (elastic @ G)).sum(axis=0)
+    # of a rectangle the incompatible modes do not act on each other: `bubbles` is their diagonal
+    return nodal - (mixed / bubbles[None]) @ mixed.T
 
 
 # 32 bits whatever the precision: JAX takes both, but not within one process

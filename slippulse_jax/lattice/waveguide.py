@@ -13,6 +13,7 @@ stretches of the contacts are U t + (R − 1) u_b. The slider is the case n = 2;
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -56,9 +57,30 @@ class Response(NamedTuple):
     matrix: Float[Array, "N N"]  # R
 
 
+@jax.custom_batching.sequential_vmap
+def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    return jnp.linalg.inv(matrix)
+
+
+@jax.custom_jvp
+def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a matrix; of many, one after another.
+
+    On a CPU jaxlib's elimination of a batch waits, within a thread of XLA's pool, for others of the same pool: two batches at
+    once were seen to wait for each other for ever, in one program on two cores.
+    """
+    return _inverse(matrix)
+
+
+@inverse.defjvp
+def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    found = inverse(primals[0])
+    return found, -found @ tangents[0] @ found
+
+
 def joined(a: Slab, b: Slab) -> Slab:
     """Two slabs in a row as one, and what is read of the column between them handed on to the others."""
-    between, read = jnp.linalg.inv(a.right + b.left), a.reading_right + b.reading_left
+    between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
     moved = between @ read
     left, right = a.left - a.across @ between @ a.across.T, b.right - b.across.T @ between @ b.across
     return Slab(
@@ -97,12 +119,12 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 def guide(slab: Slab, loaded: Loaded) -> Guide:
     """The half-infinite guide of a slab with its contact attached."""
     X = driving_point(slab)
-    step = jnp.linalg.inv(X + slab.right)
+    step = inverse(X + slab.right)
     moves = loaded.displaced
     keep = 1 - moves
     # freedoms that the pusher displaces are cut out, and held at one instead
     inner = keep[:, None] * X * keep[None] + jnp.diag(moves)
-    free = keep[:, None] * jnp.linalg.inv(inner) * keep[None]
+    free = keep[:, None] * inverse(inner) * keep[None]
     pushed = moves + free @ (loaded.force - X @ moves)
     return Guide(slab, step, -step @ slab.across.T, free, pushed)
 
