@@ -53,6 +53,12 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     help="Take a length as that of the first front; of the whole event, in which contacts may break again; or of a crack-like "
     "front, with a friction behind it.",
 )
+@click.option(
+    "--body",
+    type=click.Choice(["slider", "block"]),
+    help="Take the body as the paper's slider; or as a block under two-dimensional elasticity, the default where the table "
+    "says at what height it is pushed.",
+)
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")
 @click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
@@ -74,8 +80,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
     LENGTHS.CSV has one precursor per line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
     length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
-    among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), prestress, force and
-    displacement at nucleation, specimen, provenance, label.
+    among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), where the side is pushed
+    (push_height_mm, push_width_mm), prestress, force and displacement at nucleation, specimen, provenance, label.
 
     GAUGES.CSV has one reading per line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
     stress_sigma_MPa. Then fit strength too: --free stiffness --free strength.
@@ -86,7 +92,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
     from slippulse_jax.inference.bootstrap import bootstrap
-    from slippulse_jax.inference.fit import fit
+    from slippulse_jax.inference.fit import body_of, fit
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.report import before_fit
     from slippulse_jax.inference.tables import read_measurements
@@ -96,8 +102,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
         asked = from_request(_asked(request, options))
-        for warning in before_fit(measurements, asked.get("event", "domino")):
-            click.echo(f"before fitting: {warning}", err=True)
+        if body_of(measurements, asked.get("event"), asked.get("body")) == "slider":
+            for warning in before_fit(measurements, asked.get("event") or "domino"):
+                click.echo(f"before fitting: {warning}", err=True)
         result = fit(measurements, bounds=options["bounds"] or None, **asked)
         more = {}
         if options["bootstrap"]:
@@ -158,6 +165,6 @@ def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
             parameters.setdefault(name, {})[key] = values
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
-    names = ("loss", "sigma", "method", "seed", "intervals", "event")
+    names = ("loss", "sigma", "method", "seed", "intervals", "event", "body")
     settings = {name: options[name] for name in names if options[name] is not None}
     return {**request, **settings, "parameters": parameters}

@@ -1,11 +1,14 @@
 """``slippulse length``."""
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slippulse_jax.cli.shared import BadInput, as_json, print_json, refuse, right_end, slider_options
+
+if TYPE_CHECKING:
+    from slippulse_jax.slider import Slider
 
 DIMENSIONLESS = ("height", "stiffness")
 SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
@@ -23,6 +26,14 @@ SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 @click.option(
     "--machine", type=float, metavar="M/K", help="Stiffness of the machine per width of the block, over E. Infinite by default."
 )
+@click.option(
+    "--push-height",
+    type=float,
+    metavar="h/H",
+    help="Take a block under two-dimensional elasticity, pushed above this height, or about it with --push-width.",
+)
+@click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher itself.")
+@click.option("--push-control", type=click.Choice(["displacement", "force"]), help="What is held while an event runs.")
 @as_json
 def command(
     poisson: float,
@@ -30,16 +41,33 @@ def command(
     sites: int | None,
     block_length_mm: float | None,
     machine: float | None,
+    push_height: float | None,
+    push_width: float | None,
+    push_control: Any,
     as_json: bool,
     **given: float | None,
 ) -> None:
-    """Compute the first precursor of one slider.
+    """Compute the first precursor of one slider, or of a block that is pushed at a height.
 
     Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
     """
     import jax
 
     form = _form(given)
+    if push_height is not None:
+        ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
+        given_too = [option for option, value in ends.items() if value is not None] + ["--right"] * (right != "semi-infinite")
+        if given_too:
+            raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
+        with jax.enable_x64(True):
+            result = _block_length(form, poisson, push_height, push_width, push_control or "displacement")
+        if as_json:
+            print_json(result)
+        else:
+            click.echo(_block_text(result))
+        return
+    if push_width is not None or push_control is not None:
+        raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
     length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
     if length is not None and right == "semi-infinite":
         right = "free"
@@ -78,19 +106,13 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
     from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
     from slippulse_jax.lattice.modes import ends_of, lattice_modes
     from slippulse_jax.lattice.precursor import arrest
-    from slippulse_jax.slider import Slider
     from slippulse_jax.status import NotConverged, Outcome
-    from slippulse_jax.units import split_unit
 
     try:
         ends = ends_of(right, sites, machine)
-        if "height" in form:
-            slider = Slider(form["height"], form["stiffness"], poisson)
-        else:
-            in_si = {name: form[option] * size for option in SI for name, size in [split_unit(option)]}
-            slider = Slider.from_material(**in_si, poisson=poisson)
     except ValueError as error:
         refuse(error)
+    slider = _slider(form, poisson)
     ended, load = jax.jit(  # one program: step by step JAX would compile sixty
         lambda slider, ends: (arrest(slider, None, ends), lattice_modes(slider, ends).load)
     )(slider, ends)
@@ -116,6 +138,61 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
     if "correlation_length_um" in form:
         result["length_mm"] = result["length"] * form["correlation_length_um"] * 1e-3
     return result
+
+
+def _slider(form: dict[str, float], poisson: float) -> "Slider":
+    from slippulse_jax.slider import Slider
+    from slippulse_jax.units import split_unit
+
+    try:
+        if "height" in form:
+            return Slider(form["height"], form["stiffness"], poisson)
+        in_si = {name: form[option] * size for option in SI for name, size in [split_unit(option)]}
+        return Slider.from_material(**in_si, poisson=poisson)
+    except ValueError as error:
+        refuse(error)
+
+
+def _block_length(form: dict[str, float], poisson: float, height: float, width: float | None, control: Any) -> dict[str, Any]:
+    from slippulse_jax.block import Block, Push
+    from slippulse_jax.lattice.exact import exact_length
+    from slippulse_jax.lattice.precursor import precursor_length
+
+    slider = _slider(form, poisson)
+    try:
+        block = Block(slider.height, slider.stiffness, poisson, Push(height, width, control))
+        length = float(precursor_length(block))
+    except ValueError as error:
+        refuse(error)
+    result = {
+        "height": float(slider.height),
+        "stiffness": float(slider.stiffness),
+        "poisson": poisson,
+        "push_height": height,
+        "push_width": width,
+        "push_control": control,
+        "length": length,
+        "length_of_slider": float(exact_length(slider)),
+    }
+    if "correlation_length_um" in form:
+        result["length_mm"] = length * form["correlation_length_um"] * 1e-3
+    return result
+
+
+def _block_text(result: dict[str, Any]) -> str:
+    where = f"above {result['push_height']:g} H"
+    if result["push_width"] is not None:
+        where = f"over {result['push_width']:g} H about {result['push_height']:g} H"
+    in_mm = f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""
+    length = f"{result['length']:.6g} λc{in_mm}" if result["length"] else "none: the neighbour of the first contact holds"
+    return "\n".join(
+        [
+            f"block: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
+            f"pushed {where}, {result['push_control']} held",
+            f"ℓ   = {length}",
+            f"      {result['length_of_slider']:.6g} λc with the slider of the same contacts",
+        ]
+    )
 
 
 def _text(result: dict[str, Any]) -> str:

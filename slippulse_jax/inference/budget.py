@@ -9,24 +9,31 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from slippulse_jax.inference.blocks import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
 from slippulse_jax.inference.verdict import Identifiability
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "correlation_length": -1e-3}
+STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "correlation_length": -1e-3, "push_height": 1e-3}
 """Relative change of an input for a fit, of ν the change itself: upward where H/λc then grows, so that it stays above one."""
 
-USUAL = {"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correlation_length": float(np.log(2))}
+USUAL = {
+    **{"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correlation_length": float(np.log(2))},
+    "push_height": 0.05,
+}
 """Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
 known better than to a factor of two."""
 
 SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
 """Length of a block over 1/κ_2, and stiffness of a machine over the block's, supposed where the table states none."""
+
+PUSHES = (0.5, 0.25, 0.1)
+"""Heights above which a block is supposed to be pushed where the table does not say, over H."""
 
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED)
 """Verdicts with a value that an input can move."""
@@ -51,6 +58,8 @@ def budget(result: "FitResult") -> dict[str, Moved]:
     m = result.measurements
     fitted = {one.name for one in result.parameters.free}
     exact = [name for name in USUAL if name not in fitted and _taken_as_exact(m, name)]
+    if result.parameters.body == "slider":
+        exact = [name for name in exact if name != "push_height"]
     if "model_factor" in fitted:  # it contains a scale of all lengths
         exact = [name for name in exact if name != "length"]
     found = {}
@@ -83,6 +92,24 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
     return found
 
 
+def unstated_push(result: "FitResult") -> dict[str, float]:
+    """Stiffness of a block pushed above a height, over that of the slider, for the same lengths, where no push is stated.
+
+    By the height over H, of the measurement with the middle length over H; NaN where no stiffness gives it. Only of first
+    fronts on a relaxed interface whose stiffness has a value.
+    """
+    m, q = result.measurements, result.parameters
+    given = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+    stiff = any(one.startswith(name) for one in given for name in STIFFNESSES)
+    relaxed = q.event == "domino" and not q.smooth and not m.or_zero("prestress").any() and "prestress" not in q.names
+    if not (stiff and relaxed and q.body == "slider") or m.push_height is not None:
+        return {}
+    ratio = result.fitted.length / m.height
+    i = int(np.argsort(ratio)[len(m) // 2])
+    found = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
+    return {at: b / float(result.regime.b[i]) for at, b in found.items() if b is not None}
+
+
 def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | None:
     """Standard error of a parameter with those of the inputs taken as exact; as that, None where there is none."""
     stderr = result.stderrs[name]
@@ -112,10 +139,9 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
     if name != "correlation_length":
         return moved
     shorter = {"height": m.height / factor, "length": np.where(counted, m.length, m.length / factor)}
-    if m.block_length is not None:
-        shorter["block_length"] = m.block_length / factor
-    if m.height_sigma is not None:
-        shorter["height_sigma"] = m.height_sigma / factor
+    for other in ("block_length", "height_sigma", "push_height", "push_width", "push_height_sigma"):
+        if getattr(m, other) is not None:
+            shorter[other] = getattr(m, other) / factor
     if m.length_sigma is not None:
         shorter["length_sigma"] = np.where(counted, m.length_sigma, m.length_sigma / factor)
     return dataclasses.replace(moved, **shorter)
@@ -126,7 +152,7 @@ def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.
     sigma = result.problem.blocks[0].data.sigma
     if name == "correlation_length":
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
-    q = parameter_set(m, result.request["free"], result.parameters.event)
+    q = parameter_set(m, result.request["free"], result.parameters.event, result.parameters.body)
     problem = make_problem(m, q, result.problem.loss, sigma)
     found = minimise(problem, result.theta[None], q.low, q.high)
     return found.theta[0] if np.isfinite(found.value[0]) else np.full(problem.p, np.nan)

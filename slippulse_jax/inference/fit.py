@@ -6,13 +6,14 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
-from slippulse_jax.inference.parameters import Event, Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
+from slippulse_jax.inference.parameters import Body, Event, Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
@@ -48,13 +49,14 @@ def fit(
     max_steps: int = 60,
     seed: int = 0,
     intervals: str = "auto",
-    event: Event = "domino",
+    event: Event | None = None,
+    body: Body | None = None,
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
-    The model is the exact length ℓ* of the first precursor on a semi-infinite slider. The deviance −2 ln(likelihood × prior),
-    which is χ² for plain lengths, is minimised from many starts at once. The intervals are profile-likelihood intervals, in as
-    many disjoint pieces as there are.
+    The model is the exact length ℓ* of the first precursor on a semi-infinite slider, or the length of the whole event on a
+    block whose push is stated. The deviance −2 ln(likelihood × prior), which is χ² for plain lengths, is minimised from many
+    starts at once. The intervals are profile-likelihood intervals, in as many disjoint pieces as there are.
 
     Parameters
     ----------
@@ -88,7 +90,11 @@ def fit(
     event : {"domino", "full", "crack"}
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
         large (`rebreaking_onset`), with a cost that grows with it (docs/fitting.md), for lengths without gauges; or the front
-        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/pulse_or_crack.md).
+        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/pulse_or_crack.md). By default
+        "domino" of a slider and "full" of a block.
+    body : {"slider", "block"}
+        The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/block.md): taken
+        by default where they say so for every line.
 
     Returns
     -------
@@ -101,9 +107,12 @@ def fit(
         If an argument has no meaning for these measurements; the message names it.
     """
     wanted = _wanted(free, bounds, fixed)
+    body = body_of(measurements, event, body)
+    if event is None:
+        event = "full" if body == "block" else "domino"
     settings = (
         *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
-        *(("intervals", intervals, INTERVALS), ("event", event, get_args(Event))),
+        *(("intervals", intervals, INTERVALS), ("event", event, get_args(Event)), ("body", body, get_args(Body))),
     )
     for name, value, known in settings:
         if value not in known:
@@ -113,7 +122,7 @@ def fit(
     scaled = sigma == "relative" or measurements.length_sigma is None
     named = {one.name for one in wanted}
     wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]
-    parameters = parameter_set(measurements, wanted, event)
+    parameters = parameter_set(measurements, wanted, event, body)
     errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(problem, scaled)
@@ -126,6 +135,7 @@ def fit(
         "seed": seed,
         "intervals": intervals,
         "event": event,
+        "body": body,
     }
     # lengths of whole events are interpolated: no count holds or fails by them with certainty
     counts = allowed_by_counts(problem) if event != "full" and are_exact(problem) else None
@@ -176,6 +186,14 @@ def fit(
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
     )
+
+
+def body_of(m: Measurements, event: Event | None, body: Body | None) -> Body:
+    """A block where the measurements say how its side is pushed, unless an event is asked for that only a slider has."""
+    if body is not None:
+        return body
+    said = m.push_height is not None and not np.isnan(m.push_height).any()
+    return "block" if said and event in (None, "full") else "slider"
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:
@@ -262,12 +280,16 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 
     ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
     continuation does. A length is measured to neither convention. Of whole events it is how far the interpolated length is
-    from that of the cascade, which matters to counts as well.
+    from that of the cascade, which matters to counts as well; of a block how far it may be off.
     """
     block, q = problem.blocks[0], problem.parameters
     plain = (block.data.kind == "length") | (q.event == "full")
     # both end between the same two contacts
     widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
+    if q.body == "block":
+        theta = first_look(problem, seed)
+        off = block_lengths(q.inputs_at(theta))[1] * np.exp(q.scales["length"](theta))
+        return off if (off > BETWEEN * block.data.sigma).any() else None
     if q.smooth or q.event == "crack" or not (plain & (widest > BETWEEN * block.data.sigma)).any():
         return None
     theta = first_look(problem, seed)

@@ -5,11 +5,12 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slippulse_jax.block import Control
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
@@ -129,11 +130,16 @@ class Measurements:
         Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
     block_length : array_like, shape (n,), optional
         L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end.
+    push_height, push_width : array_like, shape (n,), optional
+        Height of the middle of the pusher over the interface, and its own height, in λc; without a width, NaN or None, the
+        height of its lower end: it then covers everything above. They describe the push on a block (`fit`, body "block").
+    push_control : sequence of str, optional
+        What is held while an event runs, "displacement" (by default) or "force".
     machine_stiffness : array_like, shape (n,), optional
         Stiffness of the drive over the width of the block, in Pa, or in E where `young` is not given; NaN, like None, for an
         edge that is held while the front runs.
-    height_sigma, poisson_sigma, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
-        Standard errors of the inputs, in their units (of the height in λc). 0 means exactly known.
+    height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma : array_like, shape (n,), optional
+        Standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known.
     displacement, displacement_sigma : array_like, shape (n,), optional
         Displacement of the pushed edge at nucleation, in m; NaN where it was not measured.
     force, force_sigma : array_like, shape (n,), optional
@@ -166,11 +172,15 @@ class Measurements:
     prestress: np.ndarray | None = None
     threshold_slope: np.ndarray | None = None
     block_length: np.ndarray | None = None
+    push_height: np.ndarray | None = None
+    push_width: np.ndarray | None = None
+    push_control: tuple[str, ...] = ()
     machine_stiffness: np.ndarray | None = None
     height_sigma: np.ndarray | None = None
     poisson_sigma: np.ndarray | None = None
     correlation_length_sigma: np.ndarray | None = None
     young_sigma: np.ndarray | None = None
+    push_height_sigma: np.ndarray | None = None
     displacement: np.ndarray | None = None
     displacement_sigma: np.ndarray | None = None
     force: np.ndarray | None = None
@@ -197,11 +207,15 @@ class Measurements:
             prestress: ArrayLike | None = None,
             threshold_slope: ArrayLike | None = None,
             block_length: ArrayLike | None = None,
+            push_height: ArrayLike | None = None,
+            push_width: ArrayLike | None = None,
+            push_control: Sequence[str] = (),
             machine_stiffness: ArrayLike | None = None,
             height_sigma: ArrayLike | None = None,
             poisson_sigma: ArrayLike | None = None,
             correlation_length_sigma: ArrayLike | None = None,
             young_sigma: ArrayLike | None = None,
+            push_height_sigma: ArrayLike | None = None,
             displacement: ArrayLike | None = None,
             displacement_sigma: ArrayLike | None = None,
             force: ArrayLike | None = None,
@@ -218,7 +232,7 @@ class Measurements:
     def __post_init__(self) -> None:
         given = set_columns(self, NUMERIC)
         n = len(self)
-        for name in ("kind", "specimen", "provenance", "label", "lines"):
+        for name in ("kind", "specimen", "provenance", "label", "lines", "push_control"):
             values = tuple(getattr(self, name))
             if values and len(values) != n:
                 raise MeasurementError(f"{self.source}: {name} has {len(values)} entries for {n} lengths")
@@ -233,6 +247,14 @@ class Measurements:
             check_domain({name: float(getattr(self, name)[i]) for name in given}, self.kind[i], self.place(i), {})
 
     def _check_companions(self) -> None:
+        if self.push_height is None and (self.push_width is not None or self.push_control):
+            given = "push_width" if self.push_width is not None else "push_control"
+            raise MeasurementError(f"{self.source}: {given} is given without push_height")
+        for i, control in enumerate(self.push_control):
+            if control not in get_args(Control):
+                raise MeasurementError(
+                    f"{self.place(i)}, column push_control: {control!r}: one of {', '.join(get_args(Control))}"
+                )
         if self.young is not None and self.correlation_length is None:
             raise MeasurementError(
                 f"{self.source}: young is given without correlation_length: no areal stiffness can be formed"
@@ -323,7 +345,7 @@ def set_columns(table: Any, names: Sequence[str]) -> list[str]:
 NUMERIC = tuple(
     field.name
     for field in dataclasses.fields(Measurements)
-    if field.name not in ("kind", "specimen", "provenance", "label", "gauges", "lines", "source", "other")
+    if field.name not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other")
 )
 
 # quantity -> (test, requirement)
@@ -340,6 +362,8 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
     "prestress": (PRESTRESS.holds, PRESTRESS.requirement),
     "threshold_slope": (THRESHOLD_SLOPE.holds, THRESHOLD_SLOPE.requirement),
     "block_length": (lambda x: x >= 2, "a block must be at least two correlation lengths λc long"),
+    "push_height": (lambda x: x > 0, "the push must lie above the interface"),
+    "push_width": (lambda x: x > 0, "the height of a pusher must be positive; blank where it covers everything above"),
     "machine_stiffness": (lambda x: x > 0, "the stiffness of a machine must be positive"),
     "block_width": (lambda x: x > 0, "the width of a block must be positive"),
     "displacement": (lambda x: x > 0, "a displacement at nucleation must be positive"),
@@ -347,10 +371,12 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
     "displacement_sigma": (lambda x: x > 0, "the standard error must be positive"),
     "force_sigma": (lambda x: x > 0, "the standard error must be positive"),
 }
+IN_LC = ("height", "length", "block_length", "push_height", "push_width")
+"""Quantities held in λc."""
 _ERROR_OF_INPUT = (lambda x: x >= 0, "a standard error cannot be negative")
 MAY_BE_BLANK = (
     *("displacement", "displacement_sigma", "force", "force_sigma"),
-    *("block_length", "machine_stiffness", "block_width"),
+    *("block_length", "machine_stiffness", "block_width", "push_height", "push_height_sigma", "push_width"),
 )
 
 
@@ -364,9 +390,7 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
     """
 
     def refuse(name: str, requirement: str) -> None:
-        column, text = columns.get(
-            name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in ("height", "length")))
-        )
+        column, text = columns.get(name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in IN_LC)))
         raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
 
     if kind not in KINDS:
@@ -380,6 +404,20 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
         if not (np.isfinite(value) and inside(value)):
             refuse(name, requirement)
     _check_kind(values, kind, refuse)
+    _check_push(values, refuse)
+
+
+def _check_push(values: Mapping[str, float], refuse: Callable[[str, str], None]) -> None:
+    """Check that the pusher lies on the side of the block."""
+    height, at, width = values["height"], values.get("push_height", np.nan), values.get("push_width", np.nan)
+    if at >= height:
+        refuse("push_height", "not below the height of the block")
+    if width >= height:
+        refuse("push_width", "wider than the block is high")
+    if not np.isnan(width) and np.isnan(at):
+        refuse("push_height", "missing: the width beside it needs the height of its middle")
+    if at - width / 2 <= 0 or at + width / 2 >= height:
+        refuse("push_width", "reaches beyond the side of the block")
 
 
 def _check_kind(values: Mapping[str, float], kind: str, refuse: Callable[[str, str], None]) -> None:

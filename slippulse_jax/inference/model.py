@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Layout, over_lanes
+from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.events import whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Event, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
@@ -46,6 +47,8 @@ STEPS = {
     "log_sites": 1e-4,
     "log_machine": 1e-4,
     "friction": 1e-5,
+    "log_push": 1e-4,
+    "log_push_width": 1e-4,
 }
 """Half-widths of central differences."""
 
@@ -77,8 +80,8 @@ def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino
 
     The closed form is that of a block without end whose edge is held. Where a block ends or a machine gives way it is ℓ of the
     recursion, which has a kink at every whole contact: the slope jumps there by about the curvature of the front's stress.
-    Of the whole event, with `event` "full", it is ℓ* times the interpolated `whole_over_front`. Where `friction` is given it is
-    that of a crack-like front.
+    Of the whole event, with `event` "full", it is ℓ* times the interpolated `whole_over_front`, or that of a block
+    (`block_lengths`) where its push is given. Where `friction` is given it is that of a crack-like front.
 
     Parameters
     ----------
@@ -97,6 +100,8 @@ def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino
 
 
 def _whole_lengths(inputs: Inputs) -> np.ndarray:
+    if inputs.log_push is not None:
+        return block_lengths(inputs)[0]
     front, lanes = _lengths(inputs), _lanes(inputs)
     stops = np.isfinite(front) & (front > 0)
     found = front.copy()

@@ -20,10 +20,15 @@ from slippulse_jax.units import machine_ratio
 Event = Literal["domino", "full", "crack"]
 """What a length is that of: the first front, whose contacts heal; the whole event, in which they may break again; or the front
 of a crack, behind which they slide."""
+Body = Literal["slider", "block"]
+"""What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 FULL_TO = 200.0
 """Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
+BLOCK_FROM, BLOCK_TO = 3e-3, 40.0
+"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino; above it coarser blocks
+are no measure of finer ones."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0
 """Standard deviations of a prior that are searched where no bounds are given."""
@@ -44,6 +49,9 @@ class Inputs(NamedTuple):
     log_sites: Any = None  # ln L/λc of the block; inf for one without end
     log_machine: Any = None  # ln M/K of the drive; inf where the edge is held
     friction: Any = None  # σ_k behind a crack-like front, in σ_s
+    log_push: Any = None  # of a block: ln of the height of the push over H
+    log_push_width: Any = None  # ln of its width over H; inf where it covers everything above
+    push_force: Any = None  # 1 where its force is held, 0 where its displacement is
 
     @property
     def of_front(self) -> "Inputs":
@@ -193,6 +201,11 @@ class ParameterSet:
     event: Event  # what a length is that of
 
     @property
+    def body(self) -> Body:
+        """What carries the contacts."""
+        return "slider" if self.inputs.log_push is None else "block"
+
+    @property
     def names(self) -> list[str]:
         """Label of every θ."""
         return [one.label for one in self.free]
@@ -250,13 +263,14 @@ PARAMETERS: dict[str, _Kind] = {
     "stiffness": _Kind("k/K", ("", ""), True, {"log_stiffness": 1}),
     "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
     "areal_stiffness_over_young": _Kind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
-    "height": _Kind("H", ("λc", "m"), True, {"log_height": 1}, "height"),
+    "height": _Kind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, "height"),
     "correlation_length": _Kind(
         "λc", ("", "m"), True,
         # H/λc falls; k/K = (k/λc²) λc/E rises
         {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1, "log_sites": -1},
         "correlation_length",
     ),
+    "push_height": _Kind("h", ("λc", "m"), True, {"log_push": 1}, "push_height"),
     "young": _Kind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, "young"),
     "poisson": _Kind("ν", ("", ""), False, {"poisson": 1}, "poisson"),
     "prestress": _Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, "prestress"),
@@ -273,13 +287,17 @@ PARAMETERS: dict[str, _Kind] = {
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
 ARREST = (0.5, 12**-0.5)
 """Mean and deviation of the difference between ℓ* and the number of contacts that break, ceil(ℓ*): uniform from 0 to 1."""
+HEIGHTS = ("height", "push_height")
+"""Lengths that are stated in λc, and shown in metres where that is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
 MODEL_ERROR = 0.1
 """Relative error of a length of the model for blocks that were measured, if nothing else is said: about what a block under
 two-dimensional elasticity, pushed over all but the lowest quarter of its side, differs by. Other pushers: docs/validity.md."""
 
 
-def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Event = "domino") -> ParameterSet:
+def parameter_set(
+    m: Measurements, wanted: Iterable[str | Parameter], event: Event = "domino", body: Body = "slider"
+) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
     Parameters
@@ -290,6 +308,8 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Eve
         stiffness the measurements determine.
     event : {"domino", "full", "crack"}
         What a length is that of, as in `precursor_lengths`.
+    body : {"slider", "block"}
+        What carries the contacts; a block needs event "full".
 
     Raises
     ------
@@ -299,7 +319,9 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Eve
     """
     chosen = _validated(m, wanted)
     _check_friction({one.name for one in chosen}, event)
-    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen), event=event)
+    if body == "block":
+        _check_block(m, {one.name for one in chosen}, event)
+    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen), event=event, body=body)
     for parameter in chosen:
         if parameter.value is not None:
             builder.hold(parameter)
@@ -307,9 +329,9 @@ def parameter_set(m: Measurements, wanted: Iterable[str | Parameter], event: Eve
             for label, rows in _groups(m, parameter):
                 builder.add(parameter, label, rows)
     fitted = {parameter.name for parameter in chosen}
-    for name in ("height", "poisson", "correlation_length", "young"):
+    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if body == "block" else [])):
         sigma = getattr(m, f"{name}_sigma")
-        if sigma is None or not sigma.any():
+        if sigma is None or not np.nan_to_num(sigma).any():
             continue
         if name in fitted:
             raise ValueError(
@@ -342,7 +364,7 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
     groups = [(f"{name}[{one}]", np.array([s == one for s in m.specimen])) for one in specimens]
     groups = groups or [(name, np.ones(len(m), dtype=bool))]
     stated = PARAMETERS[name].stated
-    if stated and name != "height" and getattr(m, stated) is not None:
+    if stated and name not in HEIGHTS and getattr(m, stated) is not None:
         for label, rows in groups:
             if np.ptp(getattr(m, stated)[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
@@ -352,8 +374,9 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
 class _Builder:
     """Collects base and slope of every linear map."""
 
-    def __init__(self, m: Measurements, smooth: bool, event: Event) -> None:
+    def __init__(self, m: Measurements, smooth: bool, event: Event, body: Body) -> None:
         self.m, self.smooth = m, smooth
+        self.body: Body = body
         self.event: Event = event
         if event == "full" and smooth:
             raise ValueError("parameter width: the smooth rule follows one front; leave it out, or event = 'full'")
@@ -372,16 +395,19 @@ class _Builder:
             "poisson": m.poisson,
             "prestress": m.or_zero("prestress"),
             "threshold_slope": m.or_zero("threshold_slope"),
+            "push_height": m.push_height,
         }
         log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []))
+        pushed = _push(m) if body == "block" else {}
+        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []), *pushed)
         self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
             "log_height": np.log(m.height),
             "log_stiffness": log_lc - log_young,
             **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
             "force": log_lc.copy(),
             **_ends(m),
+            **pushed,
         }
         self.free: list[Free] = []
         self.slopes: list[dict[str, np.ndarray]] = []
@@ -399,7 +425,7 @@ class _Builder:
         column = self.stated.get(PARAMETERS[name].stated or "")
         if column is None:
             return np.zeros(len(self.m))
-        if name == "height" and self.m.correlation_length is not None:
+        if name in HEIGHTS and self.m.correlation_length is not None:
             column = column * self.m.correlation_length
         return np.log(column) if PARAMETERS[name].log else column
 
@@ -424,7 +450,7 @@ class _Builder:
         kind = PARAMETERS[name]
         reference = self._reference(name)[rows]
         # a height is fitted as one factor on all of its rows, shown as the height of the first
-        self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name == "height" else -self._reference(name))
+        self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
         low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
@@ -441,7 +467,7 @@ class _Builder:
         if stated is None:
             raise MeasurementError(f"{self.m.source}: {name}_sigma is given without {name}")
         specimen = self.m.specimen or ("",) * len(self.m)
-        in_m = self.m.correlation_length if name == "height" and self.m.correlation_length is not None else 1.0
+        in_m = self.m.correlation_length if name in HEIGHTS and self.m.correlation_length is not None else 1.0
         keys = list(zip(specimen, stated * in_m, sigma * in_m, strict=True))
         for key in dict.fromkeys(keys):
             _, value, error = key
@@ -482,6 +508,17 @@ class _Builder:
         return result
 
 
+def _push(m: Measurements) -> dict[str, np.ndarray]:
+    """Inputs that say where the side of a block is pushed."""
+    force = [one == "force" for one in m.push_control] or [False] * len(m)
+    width = np.full(len(m), np.nan) if m.push_width is None else m.push_width
+    return {
+        "log_push": np.log(m.push_height / m.height),
+        "log_push_width": np.log(np.where(np.isnan(width), np.inf, width / m.height)),
+        "push_force": np.array(force, dtype=float),
+    }
+
+
 def _ends(m: Measurements) -> dict[str, np.ndarray]:
     """Logarithms of L/λc and M/K, those of them that are stated; inf where one is not."""
     found = {}
@@ -511,8 +548,11 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
         # a smooth front on contacts softer than those at which a domino starts does not fade for long
-        lowest = softest(m)[rows] * (100 if builder.smooth else 1)
-        return float((lowest / per_unit).min()), float((stiffest(m, builder.event)[rows] / per_unit).max())
+        lowest = softest(m, builder.body)[rows] / per_unit * (100 if builder.smooth else 1)
+        highest = stiffest(m, builder.event, builder.body)[rows] / per_unit
+        # of blocks, where all have a precursor and b is not too large for any
+        all_of = builder.body == "block" and lowest.max() < highest.min()
+        return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
     by_name = {
         "offset": (-longest * size, longest * size),
@@ -526,6 +566,9 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     }
     if name in by_name:
         return by_name[name]
+    if name == "push_height" and m.push_height is not None:
+        ratio = m.push_height[rows] / m.height[rows]
+        return float(np.exp(reference)) * min(0.5, 0.02 / ratio.min()), float(np.exp(reference)) * min(2.0, 0.98 / ratio.max())
     factor = {"height": 2.0}.get(name, 10.0)
     lowest = 1.01 / m.height[rows].min()
     low = max(1 / factor, lowest) if name == "height" else 1 / factor
@@ -536,14 +579,16 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
 _LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99), "friction": (0.0, 0.99)}
 
 
-def softest(m: Measurements) -> np.ndarray:
+def softest(m: Measurements, body: Body = "slider") -> np.ndarray:
     """k/K of each measurement below which certainly no domino starts (b far below (λc/H)²), so that the length is zero."""
+    if body == "block":
+        return BLOCK_FROM / (2 * (1 + m.poisson) * m.height)
     return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
 
 
-def stiffest(m: Measurements, event: Event) -> np.ndarray:
+def stiffest(m: Measurements, event: Event, body: Body = "slider") -> np.ndarray:
     """Largest k/K of each measurement searched by default."""
-    most = FULL_TO / (2 * (1 + m.poisson) * m.height) if event == "full" else np.inf
+    most = np.inf if event != "full" else (BLOCK_TO if body == "block" else FULL_TO) / (2 * (1 + m.poisson) * m.height)
     return np.broadcast_to(np.minimum(STIFFEST, most), m.height.shape)
 
 
@@ -566,6 +611,9 @@ def _check_domain(parameters: ParameterSet) -> None:
         "log_sites": (np.log(2.0), np.inf, "L/λc", "must be at least 2"),
         "friction": (0.0, 1.0, "σ_k", "must be 0 or more, and below 1"),
         "log_machine": (np.log(1e-30), np.inf, "M/K", "must be positive"),
+        "log_push": (-np.inf, 0.0, "h/H", "the push must lie below the top of the block"),
+        "log_push_width": (-np.inf, np.inf, "w/H", ""),
+        "push_force": (0.0, 1.0, "", ""),
     }
     for name in parameters.inputs.names:
         base, slope = getattr(parameters.inputs, name)
@@ -614,6 +662,8 @@ def _validated(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Param
 
 def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
     """Check that a parameter has a meaning for these measurements."""
+    if one.name == "push_height" and m.push_height is None:
+        raise ValueError("parameter push_height: the measurements state no push_height to start from")
     if one.name == "arrest":
         raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
     if one.name in STIFFNESSES and one.name != stiffness:
@@ -638,6 +688,22 @@ def _check_friction(names: set[str], event: Event) -> None:
         raise ValueError("parameter threshold_slope: a crack-like front has a closed form on level thresholds only")
     if event != "crack" and "friction" in names:
         raise ValueError("parameter friction: of contacts that slide behind a crack-like front: needs event = 'crack'")
+
+
+def _check_block(m: Measurements, names: set[str], event: Event) -> None:
+    """Check that the measurements say where the side is pushed, and nothing that is not known of a block."""
+    if m.push_height is None:
+        raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
+    if np.isnan(m.push_height).any():
+        blank = m.place(int(np.argmax(np.isnan(m.push_height))))
+        raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push on every line")
+    if event != "full":
+        raise ValueError(f"event = {event!r}: contacts of a block break in any order: its event is the whole one, 'full'")
+    for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):
+        if getattr(m, name) is not None:
+            raise ValueError(f"{m.source}: {name}: a fit of a block takes lengths only, half-infinite and with its edge held")
+    if "threshold_slope" in names or m.or_zero("threshold_slope").any():
+        raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 
 
 def _check_smooth(m: Measurements, names: Sequence[str]) -> None:

@@ -69,8 +69,12 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             "slow_decay_length": result.regime.slow_decay_length,
             "block_length_over_height": result.block_length_over_height,
         },
+        "as_slider": None
+        if result.as_slider is None
+        else {"values": result.as_slider.values, "stderr": result.as_slider.stderrs},
         "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
         "unstated_ends": result.unstated_ends,
+        "unstated_push": result.unstated_push,
         "notes": result.notes,
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),
@@ -126,7 +130,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
     """
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
-    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event"}
+    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body"}
     if unknown:
         raise ValueError(f"request: {', '.join(sorted(unknown))} not understood")
     free = []
@@ -171,16 +175,20 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
+MAY_BE_ABSENT = ("block_length", "machine_stiffness", "push_height", "push_width", "push_height_sigma")
+"""Columns that the hash of a table without them does not mention."""
+
+
 def data_hash(measurements: Measurements) -> str:
     """Hash (SHA-256) the numbers that entered the fit, to match a result to its data."""
     digest = hashlib.sha256()
     for name in NUMERIC:
         column = getattr(measurements, name)
-        if column is None and name in ("block_length", "machine_stiffness"):  # the hash of a table without them stays
+        if column is None and name in MAY_BE_ABSENT:  # the hash of a table without them stays
             continue
         digest.update(name.encode() + b"=")
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
-    digest.update(",".join(measurements.kind).encode())
+    digest.update(",".join(measurements.kind + measurements.push_control).encode())
     if measurements.gauges is not None:
         for name in GAUGE_COLUMNS:
             column = getattr(measurements.gauges, name)

@@ -9,7 +9,7 @@ import numpy as np
 from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
-from slippulse_jax.inference.parameters import Event, Inputs, softest, stiffest
+from slippulse_jax.inference.parameters import STIFFNESSES, Body, Event, Inputs, softest, stiffest
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
@@ -46,7 +46,9 @@ def report(result: "FitResult") -> str:
         *_table(result),
         *_further(result),
         *_budget(result),
+        *_bodies(result),
         *_unstated(result),
+        *_unstated_push(result),
     ]
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
@@ -54,11 +56,15 @@ def report(result: "FitResult") -> str:
 
 
 def _front(result: "FitResult") -> str:
+    if result.parameters.body == "block":
+        return "first precursor"
     return "first crack-like precursor" if result.parameters.event == "crack" else "first self-healing precursor"
 
 
 def _body(result: "FitResult") -> str:
     inputs = result.parameters.inputs
+    if result.parameters.body == "block":
+        return "semi-infinite block under two-dimensional elasticity, pushed at a height"
     block = "semi-infinite slider" if inputs.log_sites is None else "block with a free end"
     return block if inputs.log_machine is None else f"{block} pushed through a spring"
 
@@ -186,6 +192,11 @@ def _regime(result: "FitResult") -> str:
     at, m = result.regime, result.measurements
     scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
     decay = at.slow_decay_length * scale
+    if result.parameters.body == "block":
+        return (
+            f"Regime: b = {_range(at.b)}; an edge load decays over {_range(decay)} {unit}: holds only if the block is longer "
+            f"than 4 times that, {_range(4 * decay)} {unit}"
+        )
     again = f" (the edge of a tall slider breaks again from {rebreaking_b():.3g} on)" * (result.parameters.event != "crack")
     ends = f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}"
     if result.block_length_over_height is not None:
@@ -257,7 +268,10 @@ def _further(result: "FitResult") -> list[str]:
     return rows
 
 
-INPUTS = {"height": "H", "length": "every length", "young": "E", "poisson": "ν", "correlation_length": "λc"}
+INPUTS = {
+    **{"height": "H", "length": "every length", "young": "E", "poisson": "ν", "correlation_length": "λc"},
+    "push_height": "height of the push",
+}
 
 
 def _budget(result: "FitResult") -> list[str]:
@@ -285,6 +299,24 @@ def _budget(result: "FitResult") -> list[str]:
     return lines
 
 
+def _bodies(result: "FitResult") -> list[str]:
+    """What the choice of a body is worth: the stiffness that the same lengths give with the paper's slider."""
+    slider = result.as_slider
+    if slider is None:
+        return []
+    rows = ["", "The same lengths with"]
+    for name in result.names:
+        if any(name.startswith(one) for one in STIFFNESSES):
+            unit = result.parameters.free[result.parameters.index(name)].unit
+            for body, found in (("this block", result), ("the slider", slider)):
+                value = value_with_error(found.values[name], found.stderrs[name])
+                verdict = found.verdicts[name].identifiability
+                said = "" if verdict is Identifiability.IDENTIFIED else f" ({verdict.value})"
+                rows.append(f"  {body}  {_symbol(name, 'k/λc²' if unit else 'k/K')} = {value} {unit}".rstrip() + said)
+            rows.append(f"  slider over block: {slider.values[name] / result.values[name]:.3g}")
+    return rows
+
+
 def _unstated(result: "FitResult") -> list[str]:
     """What an end of the block, and a machine that gives way, would move; both lengthen the front, and act one way."""
     supposed = {
@@ -301,6 +333,22 @@ def _unstated(result: "FitResult") -> list[str]:
         would = "would be run through" if np.isnan(list(moved.values())).any() else f"would move {', '.join(changes)}"
         rows.append(f"  {supposed[name]} {would}")
     return ["", "Not stated, and not in any error above", *rows] if rows else []
+
+
+def _unstated_push(result: "FitResult") -> list[str]:
+    """What the same lengths mean for a block, by where its side is pushed."""
+    found = result.unstated_push
+    if not found:
+        return []
+    unit = "_mm" * result.measurements.in_si
+    means = ", ".join(
+        f"above {at} H {'no stiffness gives them' if math.isnan(ratio) else f'{ratio:.2g}'}" for at, ratio in found.items()
+    )
+    return [
+        "",
+        f"Stiffness of a real block over the slider's, by where its side is pushed: {means}.",
+        f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block.",
+    ]
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:
@@ -385,7 +433,7 @@ def _plural(count: int, noun: str) -> str:
 
 
 def before_fit(m: Measurements, event: Event = "domino") -> Iterator[str]:
-    """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated."""
+    """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated, on a slider."""
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
     if event == "crack":  # its friction is not known yet
         return
@@ -397,7 +445,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
-    yield from _of_attainable(result.measurements, result.attainable, result.parameters.event)
+    yield from _of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
@@ -466,7 +514,9 @@ def _of_intervals(result: "FitResult") -> Iterator[str]:
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
         what = "how a length between two whole contacts is defined moves it by"
-        if result.parameters.event == "full":
+        if result.parameters.body == "block":
+            what = "the length of an event on a block is interpolated between coarser blocks, which may move it by"
+        elif result.parameters.event == "full":
             what = "the length of an event steps where the order of its breaks changes, and is interpolated, which moves it by"
         yield (
             f"{what} up to {result.between_contacts[i]:.2g} λc "
@@ -476,7 +526,7 @@ def _of_intervals(result: "FitResult") -> Iterator[str]:
         yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
 
 
-def _of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino") -> Iterator[str]:
+def _of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
     sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
     lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
     above = lowest > attainable
@@ -491,7 +541,8 @@ def _of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domi
     if plateau.any() and event != "crack":
         poisson = m.poisson[plateau][0]
         ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
+        of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
         yield (
             f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
-            f"constrain stiffness little (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})"
+            f"constrain stiffness little{of_slider}"
         )

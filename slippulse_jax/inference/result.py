@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.bayes import Posterior, posterior
+from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
-from slippulse_jax.inference.budget import Moved, budget, unstated_ends
+from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import contacts_of, crack_status
@@ -23,6 +24,7 @@ from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict,
 from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
+from slippulse_jax.theory import block_decay_length
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class Regime:
     """Where in the model's range each measurement lies, at the best fit."""
 
     b: np.ndarray  # areal stiffness times H over the shear modulus
-    slow_decay_length: np.ndarray  # 1/κ_2, in λc
+    slow_decay_length: np.ndarray  # 1/κ_2, or that of an edge load of a block, in λc
     edge_stiffness: np.ndarray  # of a block without end, pushed at its edge, in K
 
 
@@ -221,6 +223,22 @@ class FitResult:
         return unstated_ends(self)
 
     @functools.cached_property
+    def unstated_push(self) -> dict[str, float]:
+        """Stiffness of a block pushed above some heights, over this one of the slider, where the table states no push."""
+        return unstated_push(self)
+
+    @functools.cached_property
+    def as_slider(self) -> "FitResult | None":
+        """The same fit with the paper's slider for the body, of a fit of a block; None where the body is one."""
+        if self.parameters.body == "slider":
+            return None
+        from slippulse_jax.inference.fit import fit  # which makes results
+
+        asked = {name: value for name, value in self.request.items() if name not in ("event", "body")}
+        free = [one for one in asked.pop("free") if one.name != "push_height"]
+        return fit(self.measurements, free, body="slider", **asked)
+
+    @functools.cached_property
     def further(self) -> list[Further]:
         """Data beside the lengths, and the model there."""
         m, found = self.measurements, []
@@ -318,14 +336,19 @@ def regime(inputs: Inputs) -> Regime:
         # the layer is free at the edge: in amplitudes of u_t, A_1 α_1 κ_1 + A_2 α_2 κ_2 = 0 (continuum)
         first, second = a2 * k2, -a1 * k1
         stiffness = np.asarray(slider.K_L) * (first * k1 + second * k2) / (first + second)
-        return Regime(np.asarray(slider.b), np.asarray(slider.slow_decay_length), stiffness)
+        decay = np.asarray(slider.slow_decay_length)
+        if inputs.log_push is not None:
+            decay = np.exp(inputs.log_height) * block_decay_length(np.asarray(slider.b), inputs.poisson)
+        return Regime(np.asarray(slider.b), decay, stiffness)
 
 
 def recursion_status(inputs: Inputs) -> np.ndarray:
-    """Outcome of each front by the recursion, which breaks its contacts one by one; shape (n,)."""
+    """Outcome of each front by the recursion, which breaks its contacts one by one, or of each event; shape (n,)."""
     inputs = inputs.of_front
     if inputs.friction is not None:
         return crack_status(inputs)
+    if inputs.log_push is not None:
+        return np.where(block_lengths(inputs)[0] > 0, Outcome.ARRESTED, Outcome.NO_DOMINO)
     distinct, own = np.unique(inputs.table(), axis=0, return_inverse=True)
     slider, interface, ends = contacts_of(Inputs.from_table(inputs.names, distinct))
     return np.asarray(arrests(slider, interface, ends=ends).status)[own.ravel()]

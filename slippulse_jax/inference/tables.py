@@ -26,6 +26,10 @@ Without a column of σ the errors are taken as equal, and their size from the sc
     that length and the kind ``at_least``
 ``machine_stiffness_N_per_m`` with ``block_width_mm``, or ``machine_stiffness`` (over the width of the block and E)
     stiffness of the machine that pushes, from its own frame to the edge; SI with ``young_GPa``, blank where the edge is held
+``push_height_mm`` with ``push_width_mm``, ``push_height_sigma_mm``, ``push_control``; or ``push_height`` … in λc
+    where the side is pushed: height of the middle of the pusher over the interface, and its own height; with the width blank,
+    height of its lower end, all above being pushed. ``displacement`` (default) or ``force`` is held. `fit` then takes
+    the body for a block under two-dimensional elasticity
 ``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
 ``label``
     a name for the precursor, by which the table of gauges refers to it (`read_gauges`)
@@ -69,13 +73,14 @@ _SI = {
     **_columns("young_GPa"),
     **_columns("height_sigma_mm", over=True),
     **_columns("correlation_length_sigma_um", "young_sigma_GPa"),
-    **_columns("block_length_mm", over=True),
+    **_columns("block_length_mm", "push_height_mm", "push_height_sigma_mm", "push_width_mm", over=True),
     **_columns("machine_stiffness_N_per_m", "block_width_mm"),
     **_columns("displacement_um", "displacement_sigma_um", "force_N_per_mm", "force_sigma_N_per_mm"),
 }
 _PLAIN = {
     **_columns("height", "length", required=True),
     **_columns("length_sigma", "height_sigma", "block_length", "machine_stiffness"),
+    **_columns("push_height", "push_height_sigma", "push_width"),
 }
 _UNITS = {
     "m",
@@ -97,7 +102,7 @@ _UNITS = {
     "n",
 }
 """Units by which an unknown column counts as a misnamed quantity: refused, not kept as a remark."""
-_TEXT = ("specimen", "provenance", "kind", "label")
+_TEXT = ("specimen", "provenance", "kind", "label", "push_control")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
     "(a table without σ is read too)"
@@ -159,6 +164,7 @@ def _parse(text: str, name: str) -> Measurements:
         specimen=tuple(texts.pop("specimen", ())),
         provenance=tuple(texts.pop("provenance", ())),
         label=tuple(texts.pop("label", ())),
+        push_control=tuple(text or "displacement" for text in texts.pop("push_control", ())),
         lines=tuple(line for line, _ in table_rows[1:]),
         source=name,
         other=texts,

@@ -5,31 +5,40 @@ the block, so a break costs one row of a matrix (`slippulse_jax.lattice.waveguid
 are those of the sums.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from slippulse_jax.block import Block
+from slippulse_jax.block import Block, Control, Push
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.waveguide import Guide, Response
-from slippulse_jax.status import Outcome
+from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
-AT_FIRST, MORE = 2.6, 2
-"""Contacts resolved at first, in H/λc, and the factor by which they grow while an event reaches the last of them."""
-FEWEST, MOST = 64, 2**13
-"""Fewest and most contacts resolved: the response of so many to each other is a matrix."""
+FEWEST, MORE, MOST = 64, 4, 2**13
+"""Fewest contacts resolved, the factor by which they grow while an event reaches the last of them, and the most: the response
+of so many to each other is a matrix."""
+TALL = 500.0
+"""H/λc above which a length is extrapolated from coarser blocks."""
+COARSE, FOLLOWED, ENOUGH = 60.0, 256, 90
+"""Contacts of a coarser block over the height of its push at first, those resolved, and how many its event breaks at least."""
+ALIKE = 0.1
+"""Relative difference of the lengths of an event on contacts of two sizes up to which it is the same event."""
+TOGETHER = 4
+"""Blocks computed at once."""
 BREAKS = 64
 """Breaks per contact after which an event is given up."""
 
@@ -181,27 +190,151 @@ def resolved(block: Block, interface: Interface | Profile | None, sites: Numbers
         if not isinstance(sites, int) or not 2 <= sites <= MOST:
             raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
         return sites
-    block, interface = lax.stop_gradient((block, interface))
+    count = FEWEST
+    while count <= MOST:
+        if int(record(*_known((block, interface)), count).status) != Outcome.RAN_THROUGH:
+            return count
+        count *= MORE
+    raise ValueError(
+        f"the event of {block} reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
+    )
+
+
+def _known(given: Any) -> Any:
+    """The block and its interface as numbers, also while derivatives are taken."""
+    given = lax.stop_gradient(given)
     try:
-        tall = float(block.height)
+        return jax.tree.map(float, given)
     except jax.errors.ConcretizationTypeError:
         raise ValueError(
             "under jit and vmap a block needs sites, the number of contacts resolved: its length is not known"
         ) from None
-    count = FEWEST
-    while count < AT_FIRST * tall:
-        count *= MORE
-    while count <= MOST:
-        if int(record(block, interface, count).status) != Outcome.RAN_THROUGH:
-            return count
-        count *= MORE
-    raise ValueError(
-        f"the event of {block} reaches beyond {MOST} contacts: such a block is resolved on a coarser one of the same b"
-    )
+
+
+def _coarser(body: tuple[Block, Interface | None], height: float) -> tuple[Block, Interface | None]:
+    """The block on larger contacts of the same areal stiffness, at H/λc = `height`."""
+    block, interface = body
+    larger = block.height / height
+    contacts = eqx.tree_at(lambda x: (x.height, x.stiffness), block, (jnp.asarray(height), block.stiffness * larger))
+    if interface is None:
+        return contacts, None
+    return contacts, eqx.tree_at(lambda x: x.threshold_slope, interface, interface.threshold_slope * larger)
+
+
+Look = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Lengths, contacts broken and statuses on `FOLLOWED` contacts of some of many blocks, taken at other H/λc."""
+
+
+def _coarse_heights(
+    tall: Float[np.ndarray, " n"], push_height: Float[np.ndarray, " n"], look: Look
+) -> tuple[np.ndarray, np.ndarray]:
+    """H/λc at which `FOLLOWED` contacts show each event and it breaks `ENOUGH`, at most that of the block; and ℓ there."""
+    height, length, most = np.minimum(tall, COARSE / push_height), np.zeros(len(tall)), tall.copy()
+    left = np.arange(len(tall))
+    while len(left):
+        now = height[left]
+        length[left], broken, status = look(left, now)
+        through = status == Outcome.RAN_THROUGH
+        few = ~through & (now < most[left]) & (broken < ENOUGH)
+        most[left[through]] = now[through] / 1.5
+        grown = now * np.clip(1.5 * ENOUGH / np.maximum(broken, 1), 1.5, 16.0)
+        height[left] = np.where(through | few, np.minimum(np.where(through, now, grown), most[left]), now)
+        left = left[through | few]
+    return height, length
+
+
+def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, Any]:
+    """ℓ of a block from those of two coarser ones, at H/λc = `height` and half of it; and how far it may be off.
+
+    An event that breaks n contacts is shorter than that of ever smaller ones by a part of the order of 1/n; a quarter of the
+    correction is what it leaves. Where both lengths differ by more than `ALIKE` they are of two kinds of event: the first
+    counts, and may be off by their difference.
+    """
+    fine, rough = fine * tall / height, rough * tall * 2 / height
+    correction = (fine - rough) * (1 - height / tall)
+    alike = abs(fine - rough) <= ALIKE * fine
+    return fine + correction * alike, abs(correction) * (1 - 0.75 * alike)
+
+
+def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array]:
+    """ℓ of one tall block from coarser ones of the same b, and how far it may be off."""
+    known = _known((block, interface))
+
+    def look(_: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found = record(*_coarser(known, float(height[0])), FOLLOWED)
+        return np.array([found.length]), np.array([found.contacts_broken]), np.array([found.status])
+
+    at = 1.0 if known[0].push.height is None else known[0].push.height
+    height = _coarse_heights(np.array([known[0].height]), np.array([at]), look)[0][0]
+    if height == known[0].height:
+        found = length(block, interface, FOLLOWED)
+        return found, jnp.zeros_like(found)
+    pair = [length(*_coarser((block, interface), one), FOLLOWED) for one in (height, height / 2)]
+    return extrapolated(pair[0], pair[1], height, block.height)
+
+
+class Lanes(NamedTuple):
+    """Numbers of many blocks."""
+
+    height: Float[np.ndarray, " n"]
+    stiffness: Float[np.ndarray, " n"]
+    poisson: Float[np.ndarray, " n"]
+    prestress: Float[np.ndarray, " n"]
+    threshold_slope: Float[np.ndarray, " n"]
+    push_height: Float[np.ndarray, " n"]
+    push_width: Float[np.ndarray, " n"]  # NaN where the push covers everything above
+
+
+@partial(jax.jit, static_argnames=("patch", "control"))
+def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control) -> tuple[Array, Array, Array]:
+    """Lengths, contacts broken and statuses of `TOGETHER` blocks."""
+
+    def one(lane: Array) -> tuple[Array, Array, Array]:
+        height, stiffness, poisson, prestress, slope, at, width = lane
+        push = Push(at, width if patch else None, control)
+        found = _record(Block(height, stiffness, poisson, push), Interface(prestress, slope), FOLLOWED)
+        return found.length, found.contacts_broken, found.status
+
+    return jax.vmap(one, 1)(lanes)
+
+
+def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ of many blocks from coarser ones, 0 where no domino starts, and how far each may be off; shapes (n,).
+
+    Either all pushes cover everything above a height, or none does.
+    """
+    given = np.stack(lanes)
+    patch = not np.isnan(lanes.push_width).any()
+    given[-1] = np.nan_to_num(given[-1])
+
+    def look(which: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        larger = lanes.height[which] / height
+        numbers = given[:, which]
+        numbers[0], numbers[1], numbers[4] = height, numbers[1] * larger, numbers[4] * larger
+        padded = np.resize(np.arange(len(which)), -(-len(which) // TOGETHER) * TOGETHER)
+        with jax.enable_x64(True):
+            parts = [_events(numbers[:, part], patch, control) for part in np.split(padded, len(padded) // TOGETHER)]
+        length, broken, status = (np.concatenate(column)[: len(which)] for column in zip(*parts, strict=True))
+        lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RAN_THROUGH))
+        if lost.any():
+            where = ", ".join(f"{x:.9g}" for x in numbers[:, np.argmax(lost)])
+            why = Outcome(int(status[lost][0])).message
+            raise NotConverged(f"no length of a block at (H/λc, k/K, ν, φ, ε, height and width of the push) = ({where}): {why}")
+        return length, broken, status
+
+    height, fine = _coarse_heights(lanes.height, lanes.push_height, look)
+    found, error = fine, np.zeros(len(fine))
+    coarse = np.nonzero(height < lanes.height)[0]
+    if len(coarse):
+        rough = look(coarse, height[coarse] / 2)[0]
+        found[coarse], error[coarse] = extrapolated(fine[coarse], rough, height[coarse], lanes.height[coarse])
+    return found, error
 
 
 def precursor_length(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
+    if sites is None and not isinstance(interface, Profile) and _known(block).height > TALL:
+        return tall_length(block, interface)[0]
     return length(block, interface, resolved(block, interface, sites))
 
 

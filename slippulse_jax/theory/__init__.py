@@ -6,7 +6,7 @@
 4. The paper's Eq. (25): `length_eq25`.
 
 `macroscopic_length` is the limit λc → 0 of the first two; `envelope_length` is a straight line. The differences between the
-levels are physics, not errors.
+levels are physics, not errors. Of a block under two-dimensional elasticity there is `block_decay_length`.
 """
 
 from slippulse_jax.theory.continuum import continuum_fields, continuum_stress, length_continuum
@@ -22,11 +22,13 @@ from slippulse_jax.theory.limits import (
     runaway_prestress,
 )
 from slippulse_jax.theory.rebreaking import macroscopic_edge_stress, rebreaking_b
+from slippulse_jax.theory.strip import block_decay_length
 
 __all__ = [
     "appendix",
     "areal_stiffness_from_b",
     "b_from_areal_stiffness",
+    "block_decay_length",
     "continuum_fields",
     "continuum_stress",
     "envelope_length",

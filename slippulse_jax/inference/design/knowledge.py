@@ -194,8 +194,9 @@ class Knowledge:
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
         event = result.parameters.event
-        if event == "crack" or result.parameters.smooth:
-            fronts = "of crack-like fronts" if event == "crack" else "under a smooth break rule"
+        block = result.parameters.body == "block"
+        if event == "crack" or result.parameters.smooth or block:
+            fronts = "of blocks" if block else "of crack-like fronts" if event == "crack" else "under a smooth break rule"
             raise ValueError(f"the fit is {fronts}: designs predict self-healing fronts of the hard rule only")
         curve = result.curves[asked[0]]
         low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))

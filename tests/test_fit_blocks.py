@@ -1,0 +1,217 @@
+"""Fits whose body is a block under two-dimensional elasticity, pushed at a height."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import slippulse_jax as sp
+from slippulse_jax.cli.fit import command
+from slippulse_jax.cli.length import command as length_command
+from slippulse_jax.inference.blocks import block_grid, block_lengths
+from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.record import as_request, from_request
+from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.lattice.blocks import tall_length
+from slippulse_jax.theory import block_decay_length
+
+HEIGHT = np.array([300.0, 400.0, 520.0, 700.0, 900.0])
+
+
+def inputs_of(height, b, push, poisson=0.3, width=np.inf, force=0.0):
+    height, b, push = np.broadcast_arrays(height, b, push)
+    plain = Inputs.of(height, b / (2 * (1 + poisson) * height), poisson)
+    return plain._replace(log_push=np.log(push), log_push_width=np.log(width) + 0 * push, push_force=force + 0 * push)
+
+
+def stiffness_at(b):
+    """k/K of contacts that have this b in the middle of the heights."""
+    return b / (2.6 * float(np.median(HEIGHT)))
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Lengths without scatter above a quarter of each height, by the cascade on ever coarser blocks, and their k/K."""
+    stiffness = stiffness_at(0.8)
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3), sites=None)) for h in HEIGHT])
+    return stiffness, sp.Measurements(
+        height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * HEIGHT
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(study):
+    return sp.fit(study[1])
+
+
+# --- lengths ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("b", "push"), [(0.1, 0.25), (1.0, 0.5), (8.0, 0.25)])
+def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
+    """Against every contact of the block, as many as it has."""
+    block = sp.Block(350.0, b / (2.6 * 350), 0.3, sp.Push(push))
+    found, off = map(float, tall_length(block, None))
+    assert found == pytest.approx(float(sp.precursor_length(block, sites=1024)), abs=max(off, 0.002 * found))
+    assert off < 0.02 * found
+
+
+def test_a_length_varies_as_the_inverse_of_the_number_of_contacts():
+    """What the extrapolation rests on: halving the contacts' size twice halves the change."""
+    lengths = [float(sp.precursor_length(sp.Block(h, 1 / (2.6 * h), 0.3), sites=256)) / h for h in (50.0, 100.0, 200.0)]
+    assert (lengths[1] - lengths[0]) / (lengths[2] - lengths[1]) == pytest.approx(2, rel=0.15)
+
+
+def test_lengths_of_a_fit_are_those_of_the_cascade():
+    rng = np.random.default_rng(3)
+    height, b = rng.uniform(250, 3000, 6), np.exp(rng.uniform(np.log(0.05), np.log(3), 6))
+    push = rng.uniform(0.25, 0.5, 6)
+    found, off = block_lengths(inputs_of(height, b, push))
+    for i in range(6):
+        block = sp.Block(height[i], b[i] / (2.6 * height[i]), 0.3, sp.Push(push[i]))
+        assert found[i] == pytest.approx(float(tall_length(block, None)[0]), rel=0.005)
+    assert np.all(off < 0.01 * found)
+
+
+def test_nodes_of_the_package_are_what_it_computes():
+    grid = block_grid()
+    rng = np.random.default_rng(5)
+    packaged = [node for node in grid.known if node[0] == 1 and node[1] > -10]
+    for node in (packaged[i] for i in rng.integers(len(packaged), size=3)):
+        np.testing.assert_allclose(grid.known[node], grid.compute(np.array([node]) * grid.spacing)[0], rtol=1e-5, atol=1e-6)
+
+
+def test_soft_blocks_have_no_precursor():
+    """Below b = 0.01 or so the neighbour of the first contact stays below its threshold, however fine the contacts."""
+    found, _ = block_lengths(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
+    assert np.all(found < 0.01 * np.array([400, 4000]))
+    for height in (400.0, 4000.0):
+        lengths = [float(sp.precursor_length(sp.Block(height, b / (2.6 * height), 0.3), sites=1024)) for b in (0.0117, 0.0134)]
+        assert lengths[1] > 3 * lengths[0]
+
+
+@pytest.mark.parametrize(("b", "decay"), [(0.1, 5.193), (0.3, 3.105), (1, 1.896), (3, 1.373), (10, 1.140), (1e9, 1.027)])
+def test_decay_of_an_edge_load(b, decay):
+    """Values of a separate program."""
+    assert float(block_decay_length(b, 0.3)) == pytest.approx(decay, abs=6e-4)
+
+
+# --- fits ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted):
+    stiffness, m = study
+    assert fitted.parameters.body == "block"
+    assert fitted.identifiability is Identifiability.IDENTIFIED
+    assert fitted.values["stiffness"] == pytest.approx(stiffness, rel=0.02)
+    (piece,) = fitted.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high
+    assert fitted.as_slider.parameters.body == "slider"
+    report = fitted.report()
+    assert "block under two-dimensional elasticity" in report
+    assert f"slider over block: {fitted.as_slider.values['stiffness'] / fitted.values['stiffness']:.3g}" in report
+    assert "height of the push" in report
+
+
+def test_where_the_side_is_pushed_decides(study):
+    """The same lengths, pushed higher up, are those of a much softer interface; the slider does not know."""
+    stiffness, m = study
+    higher = sp.fit(dataclasses.replace(m, push_height=0.5 * HEIGHT))
+    assert higher.values["stiffness"] < 0.2 * stiffness
+    slider = sp.fit(m, body="slider")
+    assert slider.as_slider is None
+    assert slider.values["stiffness"] == pytest.approx(higher.as_slider.values["stiffness"], rel=1e-9)
+
+
+def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
+    _, m = study
+    found = sp.fit(dataclasses.replace(m, push_height_sigma=0.02 * m.push_height))
+    assert len([name for name in found.inputs if name.startswith("push_height")]) == len(HEIGHT)
+    assert found.stderrs["stiffness"] > fitted.stderrs["stiffness"]
+    slope = fitted.budget["push_height"].slope["stiffness"]
+    assert slope < 0  # a higher push makes longer fronts, so the interface must be softer
+
+
+def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
+    _, m = study
+    table = tmp_path / "lengths.csv"
+    rows = [f"{h * 0.05:.9g},50,0.3,3.0,{x * 0.05:.9g},{s * 0.05:.9g},{h * 0.0125:.9g},displacement" for h, x, s in
+            zip(m.height, m.length, m.sigma, strict=True)]  # fmt: skip
+    head = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm,push_height_mm,push_control"
+    table.write_text("\n".join([head, *rows]))
+    found = CliRunner().invoke(command, [str(table), "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["request"]["body"] == "block"
+    assert content["as_slider"]["values"]["areal_stiffness"] > 0
+    again = sp.fit(sp.read_measurements(table), **from_request(content["request"]))
+    assert again.values["areal_stiffness"] == pytest.approx(content["values"]["areal_stiffness"], rel=1e-12)
+    assert as_request(again.request) == content["request"]
+    slider = CliRunner().invoke(command, [str(table), "--body", "slider"])
+    assert "semi-infinite slider" in slider.stdout
+
+
+def test_what_follows_a_fit_of_a_block(fitted):
+    """Refits are of blocks; designs and samples by NUTS are not, and say so."""
+    drawn = fitted.bootstrap(20)
+    relative = fitted.stderrs["stiffness"] / fitted.values["stiffness"]
+    assert float(np.std(drawn.theta[:, 0])) == pytest.approx(relative, rel=0.6)
+    assert sp.plot.fit(fitted).axes
+    with pytest.raises(ValueError, match="of blocks"):
+        sp.Knowledge.from_fit(fitted)
+    with pytest.raises(ValueError, match="needs a length that can be traced"):
+        fitted.posterior()
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({"push_height": 1.2 * HEIGHT}, {}, r"measurement 0, column push_height: 360 λc: not below the height of the block"),
+        ({"push_width": 2 * HEIGHT}, {}, r"column push_width: 600 λc: wider than the block is high"),
+        ({"push_width": 0.8 * HEIGHT}, {}, r"column push_width: 240 λc: reaches beyond the side of the block"),
+        ({"push_height": 0 * HEIGHT}, {}, r"column push_height: 0 λc: the push must lie above the interface"),
+        ({"push_control": ("speed",) * 5}, {}, r"column push_control: 'speed': one of displacement, force"),
+        ({"push_height": None, "push_width": 9.0}, {}, r"push_width is given without push_height"),
+        ({"push_height": None}, {"body": "block"}, r"needs the height of the push: give push_height"),
+        ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
+        ({"block_length": 9 * HEIGHT}, {}, r"block_length: a fit of a block takes lengths only"),
+        ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
+        ({}, {"body": "block", "event": "domino"}, r"its event is the whole one, 'full'"),
+        ({}, {"body": "brick"}, r"body = 'brick': one of slider, block"),
+    ],
+)  # fmt: skip
+def test_refusals(study, changes, options, message):
+    with pytest.raises(ValueError, match=message):
+        sp.fit(dataclasses.replace(study[1], **changes), **options)
+
+
+def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
+    length = sp.exact_lengths(sp.Slider(HEIGHT, stiffness_at(0.6), 0.3))
+    m = sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length)
+    found = sp.fit(m)
+    assert set(found.unstated_push) == {"0.5", "0.25", "0.1"}
+    block = sp.fit(dataclasses.replace(m, push_height=0.25 * HEIGHT))
+    ratio = block.values["stiffness"] / found.values["stiffness"]
+    assert found.unstated_push["0.25"] == pytest.approx(ratio, rel=0.1)
+    assert found.unstated_push["0.5"] < 0.3
+    assert np.isnan(found.unstated_push["0.1"])
+    assert f"above 0.5 H {found.unstated_push['0.5']:.2g}, above 0.25 H" in found.report()
+    assert "A column push_height (and push_width) has it fitted as a block" in found.report()
+    assert not block.unstated_push
+
+
+def test_the_command_has_lengths_of_blocks():
+    given = ["--height", "60", "--stiffness", "0.006", "--poisson", "0.3", "--push-height", "0.5"]
+    found = CliRunner().invoke(length_command, [*given, "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["length"] == pytest.approx(float(sp.precursor_length(sp.Block(60.0, 0.006, 0.3, sp.Push(0.5)))), rel=1e-12)
+    assert content["length_of_slider"] == pytest.approx(float(sp.exact_length(sp.Slider(60.0, 0.006, 0.3))), rel=1e-12)
+    text = CliRunner().invoke(length_command, [*given, "--push-width", "0.1"]).stdout
+    assert "pushed over 0.1 H about 0.5 H, displacement held" in text
+    for more, message in [(["--sites", "30"], "half-infinite"), (["--push-width", "1.4"], "must lie in (0, 1)")]:
+        refused = CliRunner().invoke(length_command, [*given, *more])
+        assert refused.exit_code == 2
+        assert message in refused.output
