@@ -257,11 +257,13 @@ def test_prestress_lengthens_and_a_threshold_decides():
     plain, stressed = (sp.first_precursor(block, sp.Interface(prestress=p), sites=160) for p in (0.0, 0.15))
     assert float(stressed.length) > float(plain.length) + 1
     assert float(stressed.load) == pytest.approx(0.85 * float(plain.load), rel=1e-12)
+    assert float(sp.precursor_length(block, sp.Interface(prestress=0.15))) == pytest.approx(float(stressed.length), rel=1e-12)
     threshold = np.ones(160)
     threshold[7] = 3.0  # no front passes it in its turn
     held = sp.first_precursor(block, sp.Profile(threshold=threshold), sites=160)
     assert float(held.stress[7]) > 1
     assert not held.pinning[7]
+    assert float(sp.precursor_length(block, sp.Profile(threshold=threshold))) == pytest.approx(float(held.length), rel=1e-12)
 
 
 def test_fields_in_the_block_are_those_the_contacts_read():

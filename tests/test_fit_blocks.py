@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -56,6 +57,17 @@ def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
     found, off = map(float, tall_length(block, None))
     assert found == pytest.approx(float(sp.precursor_length(block, sites=1024)), abs=max(off, 0.002 * found))
     assert off < 0.02 * found
+
+
+def test_derivatives_of_a_tall_block_at_a_fixed_order_of_breaks():
+    def length(height, stiffness):
+        return sp.precursor_length(sp.Block(height, stiffness, 0.3, sp.Push(0.3)))
+
+    at, step = (800.0, 1 / (2.6 * 800)), 1e-6
+    found = jax.grad(length, (0, 1))(*at)
+    for i in (0, 1):
+        up, down = (float(length(*(x * (1 + side * step * (i == j)) for j, x in enumerate(at)))) for side in (1, -1))
+        assert float(found[i]) == pytest.approx((up - down) / (2 * step * at[i]), rel=1e-5)
 
 
 def test_a_length_varies_as_the_inverse_of_the_number_of_contacts():
@@ -153,8 +165,10 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     assert "semi-infinite slider" in slider.stdout
 
 
-def test_what_follows_a_fit_of_a_block(fitted):
-    """Refits are of blocks; designs and samples by NUTS are not, and say so."""
+def test_what_follows_a_fit_of_a_block(study, fitted):
+    """Refits are of blocks; designs, samples by NUTS and cracks are not, and say so."""
+    compared = sp.pulse_or_crack(study[1], simulations=20)
+    assert compared.pulse.parameters.body == compared.crack.parameters.body == "slider"
     drawn = fitted.bootstrap(20)
     relative = fitted.stderrs["stiffness"] / fitted.values["stiffness"]
     assert float(np.std(drawn.theta[:, 0])) == pytest.approx(relative, rel=0.6)

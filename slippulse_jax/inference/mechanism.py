@@ -100,7 +100,7 @@ def pulse_or_crack(
         raise ValueError(f"simulations = {simulations}: at least 20 are needed")
     if options.get("event") == "crack":
         raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
-    options = {"intervals": "profile", **options}  # none is looked at here
+    options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
     wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
     pulse = fit(measurements, wanted, seed=seed, **options)
     of_crack: dict[str, Any] = {"event": "crack"}

@@ -701,7 +701,10 @@ def _check_block(m: Measurements, names: set[str], event: Event) -> None:
         raise ValueError(f"event = {event!r}: contacts of a block break in any order: its event is the whole one, 'full'")
     for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):
         if getattr(m, name) is not None:
-            raise ValueError(f"{m.source}: {name}: a fit of a block takes lengths only, half-infinite and with its edge held")
+            raise ValueError(
+                f"{m.source}: {name}: a fit of a block takes lengths only, half-infinite and with its edge held; "
+                "body = 'slider' fits the slider"
+            )
     if "threshold_slope" in names or m.or_zero("threshold_slope").any():
         raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 

@@ -204,8 +204,8 @@ def _known(given: Any) -> Any:
     """The block and its interface as numbers, also while derivatives are taken."""
     given = lax.stop_gradient(given)
     try:
-        return jax.tree.map(float, given)
-    except jax.errors.ConcretizationTypeError:
+        return jax.tree.map(np.asarray, given)
+    except jax.errors.JAXTypeError:
         raise ValueError(
             "under jit and vmap a block needs sites, the number of contacts resolved: its length is not known"
         ) from None

@@ -2,9 +2,10 @@
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 
-def block_decay_length(b: Float[np.ndarray, "..."], poisson: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
     """Length over which an edge load decays along a block in plane stress, over H.
 
     It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
