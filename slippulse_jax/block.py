@@ -3,6 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
 
+import dataclasses
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, Domain
-from slippulse_jax.slider import Real, Slider
+from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
 Control = Literal["displacement", "force"]
@@ -23,6 +24,18 @@ OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 def _float_or_none(x: Any) -> Any:
     return None if x is None else as_float(x)
+
+
+def _call(made: eqx.Module) -> str:
+    """The call that makes it, with its numbers; what is as by default is left out."""
+    shown = []
+    for field in dataclasses.fields(made):
+        value = getattr(made, field.name)
+        if value is None or value is field.default:
+            continue
+        as_is = isinstance(value, Tracer | str | eqx.Module) or np.shape(value)
+        shown.append(f"{field.name}={value!r}" if as_is else f"{field.name}={float(value):g}")
+    return f"{type(made).__name__}({', '.join(shown)})"
 
 
 class Push(eqx.Module):
@@ -71,6 +84,9 @@ class Push(eqx.Module):
                 f"Push.width = {float(self.width):g} about height = {float(self.height):g}: reaches from {float(low):g} to "
                 f"{float(high):g} H, beyond the side of the block"
             )
+
+    def __repr__(self) -> str:
+        return _call(self)
 
     @property
     def reach(self) -> tuple[Array, Array]:
@@ -129,6 +145,49 @@ class Block(eqx.Module):
                 raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
             raise ValueError("Block.poisson = 0.5: an incompressible block has no plane strain here; take 0.499")
+
+    @classmethod
+    def from_material(
+        cls,
+        *,
+        height: Real,
+        correlation_length: Real,
+        areal_stiffness: Real,
+        poisson: Real,
+        young: Real,
+        push_height: Real,
+        push_width: Real | None = None,
+        push_control: Control = "displacement",
+        plane: Plane = "stress",
+    ) -> "Block":
+        """Block from material constants in SI units.
+
+        Parameters
+        ----------
+        height, correlation_length, areal_stiffness, poisson, young
+            As for `Slider.from_material`: H and λc in m, k/λc² in Pa/m, ν, and E in Pa.
+        push_height : float
+            Height of the middle of the pusher over the interface, in m; without `push_width`, of its lower end.
+        push_width : float, optional
+            Height of the pusher itself, in m; by default it covers everything above `push_height`.
+        push_control, plane
+            As for `Push` and `Block`.
+        """
+        pushed = {"push_height": push_height} | ({} if push_width is None else {"push_width": push_width})
+        lengths, stiffness = from_si(
+            "Block.from_material",
+            height=height,
+            correlation_length=correlation_length,
+            areal_stiffness=areal_stiffness,
+            young=young,
+            **pushed,
+        )
+        height = lengths.pop("height")
+        push = Push(*(lengths[name] / height for name in pushed), control=push_control)
+        return cls(height, stiffness, poisson, push, plane)
+
+    def __repr__(self) -> str:
+        return _call(self)
 
     @property
     def slider(self) -> Slider:

@@ -95,24 +95,14 @@ class Slider(eqx.Module):
         -----
         H/λc is a ratio of lengths, and k/K = (k/λc²) λc/E with K = Eλc (label cra04).
         """
-        si = {
-            "height": height,
-            "correlation_length": correlation_length,
-            "areal_stiffness": areal_stiffness,
-            "young": young,
-        }
-        units = {"height": "m", "correlation_length": "m", "areal_stiffness": "Pa/m", "young": "Pa"}
-        for name, raw in si.items():
-            value = si[name] = as_float(raw)
-            if not isinstance(value, Tracer):
-                check_domain(
-                    f"Slider.from_material: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {units[name]}"
-                )
-        return cls(
-            height=si["height"] / si["correlation_length"],
-            stiffness=si["areal_stiffness"] * si["correlation_length"] / si["young"],
-            poisson=poisson,
+        lengths, stiffness = from_si(
+            "Slider.from_material",
+            height=height,
+            correlation_length=correlation_length,
+            areal_stiffness=areal_stiffness,
+            young=young,
         )
+        return cls(lengths["height"], stiffness, poisson)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -228,6 +218,20 @@ class Slider(eqx.Module):
         z = self.stiffness - self.K_T - self.kappa_T**2
         larger = (self.mode_splitting + jnp.where(z < 0, -z, z)) / 2
         return jnp.where(z < 0, larger, self.K_T * self.stiffness / larger)
+
+
+def from_si(
+    owner: str, *, correlation_length: Any, areal_stiffness: Any, young: Any, **lengths: Any
+) -> tuple[dict[str, Any], Any]:
+    """Lengths over λc, and k/K = (k/λc²) λc/E, from positive numbers in SI units."""
+    given = {**lengths, "correlation_length": correlation_length, "areal_stiffness": areal_stiffness, "young": young}
+    si = {name: as_float(x) for name, x in given.items()}
+    for name, value in si.items():
+        unit = {"areal_stiffness": "Pa/m", "young": "Pa"}.get(name, "m")
+        if not isinstance(value, Tracer):
+            check_domain(f"{owner}: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {unit}")
+    in_contacts = {name: si[name] / si["correlation_length"] for name in lengths}
+    return in_contacts, si["areal_stiffness"] * si["correlation_length"] / si["young"]
 
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:

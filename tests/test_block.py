@@ -194,6 +194,26 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
     assert lost == pytest.approx(k * stretch[j] ** 2 * (1 + matrix[j, j]) / 2, rel=1e-8)
 
 
+# --- in SI units --------------------------------------------------------------------------------------------------------
+
+MATERIAL = {"height": 0.02, "correlation_length": 20e-6, "areal_stiffness": 1e10, "poisson": 0.3, "young": 3e9}
+
+
+def test_from_material():
+    """By hand; the push in m too."""
+    block = sp.Block.from_material(**MATERIAL, push_height=5e-3, push_width=2e-3, push_control="force", plane="strain")
+    assert float(block.height) == pytest.approx(1000)
+    assert float(block.stiffness) == pytest.approx(1e10 * 20e-6 / 3e9)
+    assert (float(block.push.height), float(block.push.width)) == pytest.approx((0.25, 0.1))
+    assert (block.push.control, block.plane) == ("force", "strain")
+    assert jax.tree.leaves(block.slider) == jax.tree.leaves(sp.Slider.from_material(**MATERIAL))
+    assert repr(block) == (
+        "Block(height=1000, stiffness=6.66667e-05, poisson=0.3, "
+        "push=Push(height=0.25, width=0.1, control='force'), plane='strain')"
+    )
+    assert repr(sp.Block.from_material(**MATERIAL, push_height=5e-3).push) == "Push(height=0.25)"
+
+
 # --- lengths ------------------------------------------------------------------------------------------------------------
 
 TABLE = {
@@ -288,6 +308,15 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         (lambda: sp.Block([5.0, 6.0], 0.1, 0.3), r"Block.height has shape \(2,\): one block at a time"),
         (lambda: sp.Block(0.5, 0.1, 0.3), r"Block.height = 0.5: must exceed 1"),
         (lambda: sp.Block(5.0, 0.1, 0.5, plane="strain"), r"Block.poisson = 0.5: an incompressible block"),
+        (
+            lambda: sp.Block.from_material(**MATERIAL | {"young": 0}, push_height=5e-3),
+            r"from_material: young = 0: must be pos.* Pa",
+        ),
+        (
+            lambda: sp.Block.from_material(**MATERIAL, push_height=-1),
+            r"from_material: push_height = -1: must be positive, in m",
+        ),
+        (lambda: sp.Block.from_material(**MATERIAL, push_height=0.03), r"Push.height = 1.5: must lie in \(0, 1\)"),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sites=1), r"sites = 1: of a block a whole number"),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), rule=sp.SmoothBreak(0.01)), r"rule = SmoothBreak.*of a block"),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sp.Interface(repin_delay=2)), r"repin_delay = 2.*of a block"),
