@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.blocks import SPACING, TABLE, block_grid, packaged_table
+from slippulse_jax.inference.blocks import SPACING, TABLE, block_grid
 from slippulse_jax.inference.parameters import BLOCK_FROM, BLOCK_TO
 
 POISSON = (0.3, 0.4, 0.2)
@@ -43,7 +43,7 @@ def main() -> None:
         node, content = np.array(sorted(known), dtype=np.int16), io.BytesIO()
         value = np.array([known[tuple(x)] for x in node.tolist()], dtype=np.float32)
         np.savez_compressed(content, node=node, value=value)
-        write_atomically(packaged_table(TABLE), content.getvalue())
+        write_atomically(TABLE, content.getvalue())
         print(f"{start + len(nodes)} of {len(missing)}", flush=True)
 
 

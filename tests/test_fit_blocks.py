@@ -1,7 +1,9 @@
 """Fits whose body is a block under two-dimensional elasticity, pushed at a height."""
 
 import dataclasses
+import importlib.util
 import json
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -18,6 +20,7 @@ from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.lattice.blocks import tall_length
 from slippulse_jax.theory import block_decay_length
 
+ROOT = Path(__file__).resolve().parent.parent
 HEIGHT = np.array([300.0, 400.0, 520.0, 700.0, 900.0])
 
 
@@ -229,3 +232,57 @@ def test_the_command_has_lengths_of_blocks():
         refused = CliRunner().invoke(length_command, [*given, *more])
         assert refused.exit_code == 2
         assert message in refused.output
+
+
+def test_lengths_by_finite_elements_that_share_nothing_with_the_package():
+    """The program of `fit_examples/pushed_block`: other elements, another mesh, twelve heights with a free end."""
+    spec = importlib.util.spec_from_file_location("make_data", ROOT / "fit_examples/pushed_block/make_data.py")
+    assert spec is not None
+    assert spec.loader is not None
+    program = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(program)
+    program.FOLLOWED, program.LONG = 64, 8
+    push, response = program.responses(30.0, 1e-2, 9.0)
+    np.testing.assert_allclose(response, response.T, atol=1e-13)
+    found = float(sp.precursor_length(sp.Block(30.0, 1e-2, 0.3, sp.Push(0.3))))
+    assert found == pytest.approx(program.precursor(push, response), rel=1e-2)  # the coarser mesh is ours
+
+
+def test_counts_and_run_throughs_of_blocks(study):
+    stiffness, m = study
+    whole = dataclasses.replace(m, length=np.ceil(m.length), length_sigma=0 * m.length, kind=("whole",) * 5)
+    counted = sp.fit(whole)
+    (piece,) = counted.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high < 1.03 * piece.low
+    past = dataclasses.replace(m, length=[*m.length[:4], 0.5 * m.length[4]], kind=("length",) * 4 + ("at_least",),
+                               length_sigma=[*m.sigma[:4], 0])  # fmt: skip
+    assert sp.fit(past).values["stiffness"] == pytest.approx(stiffness, rel=0.02)
+
+
+@pytest.mark.parametrize("control", ["displacement", "force"])
+def test_a_push_on_a_patch_is_fitted_as_one(control):
+    """A force that is held lets a contact inside break first, and its lengths say little of the stiffness."""
+    height, stiffness = np.array([300.0, 520.0]), 0.8 / (2.6 * 400)
+    push = sp.Push(0.25, 0.1, control)
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3, push))) for h in height])
+    m = sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * height,
+                        push_width=0.1 * height, push_control=(control,) * 2)  # fmt: skip
+    found = sp.fit(m, bounds=(stiffness / 1.5, stiffness * 1.5))
+    assert found.fitted.length[0] == pytest.approx(length[0], rel=0.01)
+    if control == "displacement":
+        assert found.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
+        assert found.identifiability is Identifiability.IDENTIFIED
+    else:
+        assert found.identifiability is not Identifiability.IDENTIFIED
+
+
+def test_one_block_pushed_at_several_heights_is_drawn_against_them():
+    block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
+    length = np.array([float(sp.precursor_length(one)) for one in block])
+    m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=[100, 140, 200])
+    lengths, stiffness = sp.plot.fit(sp.fit(m)).axes
+    assert lengths.get_xlabel() == r"height of the push, $h/\lambda_c$"
+    assert sum("best fit" in text.get_text() for text in lengths.get_legend().get_texts()) == 1
+    assert [text.get_text() for text in stiffness.get_legend().get_texts()][:3] == [
+        rf"$h/\lambda_c$ = {h}" for h in (100, 140, 200)
+    ]

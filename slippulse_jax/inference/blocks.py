@@ -15,12 +15,12 @@ from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.lattice.blocks import Lanes, tall_lengths
 
 SPACING = [0.005, 0.2, 0.1, 0.1, 0.05, 0.1, 1.0]
-"""Of the grid, in λc/H, ln b, ν, φ, height and width of the push over H, and its kind: see `_kinds`."""
+"""Of the grid, in λc/H, ln b, ν, φ, height and width of the push over H, and its kind: 1 for a patch, plus 2 for a force."""
 TALLEST, SHORTEST, STEEPEST = 1e5, 1.01, 0.99
 """H/λc at which λc/H is taken as 0; the least H/λc, and the largest |ν| and |φ|, at which a node lies."""
 LOWEST, NARROWEST = 0.005, 0.02
 """Least distance of a push from the corners of the side, and the least width of a patch, over H."""
-TABLE = "block_lengths.npz"
+TABLE = Path(__file__).with_name("block_lengths.npz")
 """Nodes that come with the package."""
 
 
@@ -63,16 +63,11 @@ def _nodes(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
     return found
 
 
-def packaged_table(name: str) -> Path:
-    """Path of a table that comes with the package."""
-    return Path(__file__).with_name(name)
-
-
 @functools.cache
 def block_grid() -> Grid:
     """ℓ/H and how far it may be off, with the nodes that come with the package."""
     grid = Grid(SPACING, _nodes)
-    with np.load(packaged_table(TABLE)) as table:
+    with np.load(TABLE) as table:
         grid.known.update(zip(map(tuple, table["node"].tolist()), table["value"].astype(float), strict=True))
     return grid
 

@@ -23,7 +23,11 @@ STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "corre
 """Relative change of an input for a fit, of ν the change itself: upward where H/λc then grows, so that it stays above one."""
 
 USUAL = {
-    **{"height": 0.01, "length": 0.01, "young": 0.05, "poisson": 0.02, "correlation_length": float(np.log(2))},
+    "height": 0.01,
+    "length": 0.01,
+    "young": 0.05,
+    "poisson": 0.02,
+    "correlation_length": float(np.log(2)),
     "push_height": 0.05,
 }
 """Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
@@ -43,9 +47,8 @@ class Moved(NamedTuple):
     """What an error of one input does to the fitted parameters."""
 
     error: float  # of the input, as in `USUAL`
-    slope: dict[
-        str, float
-    ]  # by parameter, d ln(parameter)/d ln(input); of ν, and of a parameter of either sign, the change itself
+    slope: dict[str, float]
+    """By parameter, d ln(parameter)/d ln(input); of ν, and of a parameter of either sign, the change itself."""
 
     def by(self, name: str) -> float:
         """Change of a parameter, relative where it is positive, if the input is larger by its error."""

@@ -269,7 +269,11 @@ def _further(result: "FitResult") -> list[str]:
 
 
 INPUTS = {
-    **{"height": "H", "length": "every length", "young": "E", "poisson": "ν", "correlation_length": "λc"},
+    "height": "H",
+    "length": "every length",
+    "young": "E",
+    "poisson": "ν",
+    "correlation_length": "λc",
     "push_height": "height of the push",
 }
 
@@ -307,12 +311,12 @@ def _bodies(result: "FitResult") -> list[str]:
     rows = ["", "The same lengths with"]
     for name in result.names:
         if any(name.startswith(one) for one in STIFFNESSES):
-            unit = result.parameters.free[result.parameters.index(name)].unit
+            free = result.parameters.free[result.parameters.index(name)]
             for body, found in (("this block", result), ("the slider", slider)):
                 value = value_with_error(found.values[name], found.stderrs[name])
                 verdict = found.verdicts[name].identifiability
                 said = "" if verdict is Identifiability.IDENTIFIED else f" ({verdict.value})"
-                rows.append(f"  {body}  {_symbol(name, 'k/λc²' if unit else 'k/K')} = {value} {unit}".rstrip() + said)
+                rows.append(f"  {body}  {_symbol(name, free.symbol)} = {value} {free.unit}".rstrip() + said)
             rows.append(f"  slider over block: {slider.values[name] / result.values[name]:.3g}")
     return rows
 

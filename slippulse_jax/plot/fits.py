@@ -11,7 +11,7 @@ from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.result import recursion_status
-from slippulse_jax.plot.labels import axis_label, printed
+from slippulse_jax.plot.labels import axis_label, printed, symbol
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, dashed_where, drawn, handles_of, new_figure
 from slippulse_jax.status import Outcome
 
@@ -111,20 +111,23 @@ def gauges(result: "FitResult") -> "Figure":
 def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw measured lengths against height, and the fitted curve.
 
-    With its 95 % band, and the longest lengths possible. The curve is dashed where the edge contact breaks again before the
-    front stops, so that the event goes on.
+    Against the height of the push where one block was pushed at several. With its 95 % band, and the longest lengths possible.
+    The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on.
     """
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
     scale, unit = _display_unit(result)
+    along, at = _abscissa(result)
     groups = _groups(result)
     names = _group_names(result, groups)
     top, any_again = 0.0, False
     for number, rows in enumerate(groups):
         color, first = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, number == 0
         one = rows[0]
-        height = np.linspace(m.height[rows].min() * 0.85, m.height[rows].max() * 1.15, 41)
+        height = np.linspace(at[rows].min() * 0.85, at[rows].max() * 1.15, 41)
+        if along == "push_height":
+            height = height[(height > 0.05 * m.height[one]) & (height < 0.9 * m.height[one])]
         x, y = height * scale[one], scale[one]
         again = _breaks_again(result, _inputs_at(result, result.theta, one, height))
         any_again |= bool(again.any())
@@ -139,7 +142,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
         top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
     _draw_data(result, ax, scale)
-    ax.set(xlabel=axis_label("height", unit), ylabel=axis_label("length", unit))
+    ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
     ax.legend(
@@ -155,7 +158,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     m, kind = result.measurements, np.array(result.measurements.kind)
-    x, y = m.height * scale, m.length * scale
+    x, y = _abscissa(result)[1] * scale, m.length * scale
     sigma = np.where(np.isnan(m.sigma), np.sqrt(result.variance_factor), m.sigma * np.sqrt(result.variance_factor)) * scale
     color = colours(ax).vermilion
     style = {"color": color, "capsize": 2, "zorder": 3, "linestyle": "none"}
@@ -192,7 +195,7 @@ def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[
 
 @drawn
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw ℓ/H against stiffness for up to six measured heights.
+    """Draw ℓ/H against stiffness for up to six measured heights of the block, or of its push.
 
     With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
     """
@@ -204,17 +207,17 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     scale, unit = _display_unit(result)
     theta = np.linspace(q.low[0], q.high[0], 301)
     stiffness = np.exp(theta)
-    _, first_of_height = np.unique(m.height, return_index=True)
-    shown = first_of_height[np.unique(np.linspace(0, len(first_of_height) - 1, MOST_CURVES).round().astype(int))]
+    along, at = _abscissa(result)
+    _, first = np.unique(at, return_index=True)
+    shown = first[np.unique(np.linspace(0, len(first) - 1, MOST_CURVES).round().astype(int))]
     largest, any_again = 0.0, False
     visible = []
     for color, i in zip(c.data, shown, strict=False):
-        tall = m.height[i]
-        together = np.nonzero(m.height == tall)[0]
-        name = f"$H$ = {tall * scale[i]:.4g} {unit}" if m.in_si else rf"$H/\lambda_c$ = {tall:.4g}"
+        together = np.nonzero(at == at[i])[0]
+        name = f"{symbol(along, '' if m.in_si else unit)} = {at[i] * scale[i]:.4g}{' mm' if m.in_si else ''}"
         name += f" ({len(together)}×)" if len(together) > 1 else ""
-        share = _lengths_over(result, theta[:, None], i, np.array([tall]))[:, 0] / tall
-        again = _breaks_again(result, _inputs_at(result, theta[:, None], i, np.array([tall])))[:, 0]
+        share = _lengths_over(result, theta[:, None], i, at[i : i + 1])[:, 0] / m.height[i]
+        again = _breaks_again(result, _inputs_at(result, theta[:, None], i, at[i : i + 1]))[:, 0]
         any_again |= bool(again.any())
         dashed_where(ax, stiffness, share, again, color=color, label=name)
         ax.axhspan(*_measured_share(result, together), color=color, alpha=0.2, lw=0)
@@ -378,11 +381,22 @@ def _display_unit(result: "FitResult") -> tuple[np.ndarray, str]:
     return m.correlation_length * 1e3, "mm"
 
 
+def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
+    """What lengths are drawn against, in stated λc: height of the block, or of the push where one block has several."""
+    m = result.measurements
+    if m.push_height is not None and result.parameters.body == "block" and not np.ptp(m.height) and np.ptp(m.push_height):
+        return "push_height", m.push_height
+    return "height", m.height
+
+
 def _inputs_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> Inputs:
     """Inputs of the model for a measurement like that of `row`, at other heights; shape (…, heights) for θ of (…, p)."""
+    along, at = _abscissa(result)
     at_row = result.parameters.inputs_at(theta).take((..., row, None))
-    one = at_row._replace(log_height=at_row.log_height + np.log(height / result.measurements.height[row]))
-    return Inputs(*(None if x is None else np.broadcast_to(x, one.log_height.shape) for x in one))
+    name = {"height": "log_height", "push_height": "log_push"}[along]
+    one = at_row._replace(**{name: getattr(at_row, name) + np.log(height / at[row])})
+    shape = np.broadcast_shapes(one.log_height.shape, np.shape(height))
+    return Inputs(*(None if x is None else np.broadcast_to(x, shape) for x in one))
 
 
 def _lengths_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
@@ -406,11 +420,12 @@ def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
-    """Group the measurements that lie on one curve of length against height: all but the height the same."""
-    m, q = result.measurements, result.parameters
-    y = q.inputs_at(result.theta).table()
+    """Group the measurements that lie on one curve: all but the abscissa the same."""
+    m = result.measurements
+    same = result.parameters.inputs_at(result.theta)._asdict()
+    del same[{"height": "log_height", "push_height": "log_push"}[_abscissa(result)[0]]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
-    keys = np.column_stack([np.round(y[:, 1:], 9), correlation_length])
+    keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
 
@@ -419,6 +434,8 @@ def _group_names(result: "FitResult", groups: list[np.ndarray]) -> list[str]:
     """Name the curves by what differs between them."""
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
     numbers = {"$k/K$": np.exp(one.log_stiffness), "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
+    if one.log_push is not None:
+        numbers["$h/H$"] = np.exp(one.log_push)
     differ = {name: x for name, x in numbers.items() if np.ptp(x) > 1e-9 * np.abs(x).max()}
     return [", ".join(["best fit", *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
 

@@ -1,0 +1,25 @@
+"""Areal stiffness from one block pushed at six heights, and what the paper's slider makes of the same lengths."""
+
+from pathlib import Path
+
+import slippulse_jax as sp
+from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.verdict import Identifiability
+
+TRUE_AREAL_STIFFNESS = 9.0e10  # Pa/m, what make_data.py put in
+
+
+def main() -> FitResult:
+    """Fit the block, print the report, and check that the known stiffness is found again and the slider refused."""
+    result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
+    print(result.report())
+    (interval,) = result.intervals["areal_stiffness"][0.95]
+    assert interval.low < TRUE_AREAL_STIFFNESS < interval.high
+    slider = result.as_slider
+    assert slider is not None
+    assert slider.identifiability is Identifiability.POOR_FIT
+    return result
+
+
+if __name__ == "__main__":
+    main()
