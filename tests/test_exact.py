@@ -377,11 +377,21 @@ def test_no_crossing_is_leapt_over_and_no_dip_between_contacts_taken():
         [1.5813477062745016, 0.0016731326378381782, -0.6490487461169643, 0.960826342534066, 0.0],
         [116.71450415327993, 0.004683632606265626, 0.31399368903267394, 0.6264738924593782, -4.737942873295958e-05],
     ]
+    height, stiffness, poisson, phi, slope = np.array(rows).T
+    slider, interface = sp.Slider(height, stiffness, poisson), sp.Interface(phi, slope)
     length, contacts_broken, _, status = fronts(*rows)
     assert list(contacts_broken) == [20, -1, -1]
     assert list(status) == [Outcome.ARRESTED, Outcome.RUN_AWAY, Outcome.RUN_AWAY]
     assert 19 < length[0] < 20
     assert np.isinf(length[1:]).all()
+    np.testing.assert_allclose(sp.exact_lengths(slider, interface), length, rtol=1e-9)
+    np.testing.assert_allclose(sp.precursor_length(slider, interface), [19.20883634575148, np.inf, np.inf], rtol=1e-9)
+    np.testing.assert_allclose(sp.precursor_lengths(slider, interface), [19.20883634575148, np.inf, np.inf], rtol=1e-9)
+    # in arbitrary precision, the third until its thresholds have fallen to the prestress
+    for row, count, expected in zip(rows, (30, 1000, int((1 - phi[2]) / -slope[2])), (20, 0, 0), strict=True):
+        stress = Chain(*row[:3]).recursion(count, row[3])
+        below = [t < 1 + row[4] * s for s, t in enumerate(stress)]
+        assert below[1:].index(True) + 1 == expected if expected else not any(below[1:])
 
 
 def test_differentiation_agrees_in_every_mode():

@@ -11,7 +11,7 @@ from oracles import dense_chain
 from oracles.lattice_mp import Chain
 from problems import REFERENCE
 
-from slippulse_jax import Slider, first_precursor, precursor_length
+from slippulse_jax import Slider, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.lattice import precursor
 from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
 from slippulse_jax.lattice.lengths import arrests
@@ -180,6 +180,21 @@ def test_float32(float32):
         jax.grad(lambda height: precursor_length(Slider(height, 0.03, 0.3)))(2000.0)
     exact = arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
     assert abs(float(tall) / float(exact) - 1) < 1e-3
+
+
+def test_float32_on_soft_interfaces(float32):
+    """The stress exceeds its threshold by as little as b: 0 was returned for the first, 4.08 λc long."""
+    rng = np.random.default_rng(70)
+    numbers = rng.uniform([1.0, -10.0, -0.9], [3.0, -4.0, 0.5], (62, 3)).T
+    numbers[:2] = 10 ** numbers[:2]
+    single = np.concatenate([[[931.9, 1000.0], [2.135e-9, 3e-7], [0.037, 0.3]], numbers], axis=1).astype(np.float32)
+    double = Slider(*single.astype(float))
+    for ends in {}, {"right": "free", "sites": 3000}, {"right": "clamped", "sites": 3000}:
+        expected = precursor_lengths(double, **ends)
+        assert (np.isfinite(expected) & (expected > 1)).sum() > 10
+        found = np.float64(precursor_length(Slider(*single), **ends))
+        np.testing.assert_allclose(found, expected, rtol=0.01 if ends else 0, atol=0.01)
+    assert 4 < float(precursor_length(Slider(*single[:, 0]))) < 4.1
 
 
 class Guide(NamedTuple):

@@ -54,7 +54,11 @@ def passage(modes: Modes, contacts: Interface | Profile) -> Passage:
     none = jnp.zeros_like(threshold)
     before = nucleate(modes, threshold - prestress)
     at_0 = DelayedFront(before.position, before, jnp.zeros(n, threshold.dtype), threshold, none, none)
-    return Passage(step(at_0), step, lambda front: front.ahead, lambda site: contact_at(modes, contacts, site)[0], edge)
+
+    def threshold_of(site: Array) -> Array:
+        return contact_at(modes, contacts, site)[0]
+
+    return Passage(step(at_0), step, lambda front: front.ahead - threshold_of(front.position), threshold_of, edge)
 
 
 def _from(modes: Modes, rest: Front, site: Array) -> Float[Array, "sites modes"]:

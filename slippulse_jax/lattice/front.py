@@ -118,7 +118,7 @@ def stress_ahead(front: Front, echo: Any = None) -> Any:
     return (front.stress if echo is None else echo * front.stress).sum(0, keepdims=True).real
 
 
-def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None) -> Front:
+def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
     """Break the contact ahead, which gives up the stress `released`.
 
     Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶.
@@ -131,6 +131,9 @@ def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None) -> 
         t(s), or a part of it.
     echo : array, optional
         e_m(s), of a finite waveguide.
+    start : array, optional
+        Z_m before contact 0 broke, where `front.stress` holds the change since then: soft interfaces change Z_m by as little
+        as b, of which single precision would lose the digits.
     """
     gap, Q, reach, edge = guide.gap, front.reflected, front.reach, front.edge
     both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
@@ -138,7 +141,8 @@ def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None) -> 
     if reach is not None:
         edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True).real * released
         reach = reach - gap * reach
-    return Front(stress - gap * stress, Q - both * Q, reach, front.position + 1, front.behind, edge)
+    lost = gap * (stress if start is None else start + stress)
+    return Front(stress - lost, Q - both * Q, reach, front.position + 1, front.behind, edge)
 
 
 def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
@@ -206,9 +210,13 @@ class Passage(NamedTuple):
 
     start: Any  # contact 0 has broken, at its threshold exactly
     advance: Callable[[Any], Any]  # break the contact ahead
-    stress: Callable[[Any], Array]  # on the contact ahead, in σ_s
+    excess: Callable[[Any], Array]  # on the contact ahead over its threshold, in σ_s
     threshold: Callable[[Array], Array]  # of a contact
     edge: Callable[[Any], Array]  # stress on contact 0
+
+    def stress(self, front: Any) -> Array:
+        """Stress on the contact ahead, in σ_s."""
+        return self.threshold(front.position) + self.excess(front)
 
 
 def nucleate(modes: Modes, drive: Any = 1) -> Front:
@@ -232,20 +240,23 @@ def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Arra
 
 
 def passage(modes: Modes, contacts: Contacts = None) -> Passage:
-    """Passage over contacts that repin at once."""
-
-    def stress(front: Front) -> Array:
-        return stress_ahead(front, echo_at(modes, front.position))[0] + contact_at(modes, contacts, front.position)[1]
-
-    def step(front: Front) -> Front:
-        t = stress(front)
-        after = advance(modes, front, t, echo_at(modes, front.position))
-        return after._replace(behind=t - contact_at(modes, contacts, front.position)[0])
-
+    """Passage over contacts that repin at once; its fronts hold what Z_m has changed by since nucleation."""
     threshold, prestress = contact_at(modes, contacts, 0)
     at_0 = nucleate(modes, threshold - prestress)
-    start = advance(modes, at_0, threshold, echo_at(modes, at_0.position))
-    return Passage(start, step, stress, lambda site: contact_at(modes, contacts, site)[0], lambda front: front.edge[0])
+    loaded, first_echo = at_0.stress, echo_at(modes, at_0.position)
+
+    def excess(front: Front) -> Array:
+        echo, (here, carried) = echo_at(modes, front.position), contact_at(modes, contacts, front.position)
+        change = stress_ahead(front, echo)[0] + ((carried - prestress) - (here - threshold))
+        return change if echo is None else change + (modes.echo_growth(front.position) * loaded).sum()
+
+    def step(front: Front) -> Front:
+        over = excess(front)
+        released = contact_at(modes, contacts, front.position)[0] + over
+        return advance(modes, front, released, echo_at(modes, front.position), loaded)._replace(behind=over)
+
+    start = advance(modes, at_0._replace(stress=0 * loaded), threshold, first_echo, loaded)
+    return Passage(start, step, excess, lambda site: contact_at(modes, contacts, site)[0], lambda front: front.edge[0])
 
 
 def let_run(over: Passage, valid: Array, end: Array, contacts: Array | None, max_contacts: int) -> Arrest:
@@ -265,11 +276,8 @@ def let_run(over: Passage, valid: Array, end: Array, contacts: Array | None, max
     limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
     limit = limit if contacts is None else jnp.minimum(limit, contacts)
 
-    def excess(front: Any) -> Array:
-        return over.stress(front) - over.threshold(front.position)
-
-    front = lax.while_loop(lambda f: (excess(f) >= 0) & (f.position < limit), over.advance, over.start)
-    s0, ahead, edge = front.position, excess(front), over.edge(front)
+    front = lax.while_loop(lambda f: (over.excess(f) >= 0) & (f.position < limit), over.advance, over.start)
+    s0, ahead, edge = front.position, over.excess(front), over.edge(front)
     through = s0 == (-1 if contacts is None else contacts)
     status = outcome(
         s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0.astype(end.dtype) >= end

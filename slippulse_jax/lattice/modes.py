@@ -89,6 +89,13 @@ class Modes(eqx.Module):
         beyond = jnp.maximum(self.echo.last - site.astype(self.gap.dtype), -1)  # past the end nothing grows
         return 1 + self.echo.amplitude * jnp.exp(2 * beyond * jnp.log1p(-self.gap))
 
+    def echo_growth(self, site: Array) -> Float[Array, "2"]:
+        """e_m(i) − e_m(0), with all its digits."""
+        if self.echo is None:
+            return jnp.zeros_like(self.ratio)
+        rate = 2 * jnp.log1p(-self.gap)
+        return -self.echo.amplitude * jnp.exp((self.echo.last - site) * rate) * jnp.expm1(site * rate)
+
     def profile(self, site: Array) -> Float[Array, "2"]:
         """y_m(i) = e_m(i) r_m^i."""
         return self.echo_factor(site) * jnp.exp(site * jnp.log1p(-self.gap))
@@ -178,10 +185,15 @@ def mode_numbers(
     both = s2 + g2
     e1, e2 = 1, 1
     if end is not None:
+        # e_m(0) = 1 + η_m r_m^{2(N−1)}, and the slope (1 − r_m)(1/r_m − η_m r_m^{2(N−1)}): no difference of near equals where a
+        # soft chain is stiffer than its contacts, 1 − r_2^{2N} ≪ 1
         right, sites = end
-        n1, n2 = echoes((r1, r2), right)
-        n1, n2 = n1 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g1)), n2 * jnp.exp(2 * (sites - 1) * jnp.log1p(-g2))
-        e1, e2, s1, s2 = 1 + n1, 1 + n2, s1 - g1 * n1, s2 - g2 * n2
+        from_end = 2 * sites * jnp.log1p(-g1), 2 * sites * jnp.log1p(-g2)  # ln r_m^{2N}
+        lost, back = [-jnp.expm1(x) for x in from_end], [jnp.exp(x) for x in from_end]
+        if right == "free":
+            e1, e2, s1, s2 = 1 + back[0] * p1 * p1, 1 + back[1] * p2 * p2, s1 * lost[0], s2 * lost[1]
+        else:
+            e1, e2, s1, s2 = *lost, s1 + g1 * back[0], s2 + g2 * back[1]
     determinant, at_edge = e1 * U1 * s2 - e2 * U2 * s1, e1 * s2 - e2 * s1
     back1, back2 = U1 * s2 + g1 * e2 * U2, g2 * e1 * U1 + U2 * s1
     if machine is not None:

@@ -204,9 +204,10 @@ def precursor_length(
     parameters, and smooth between sites; where ℓ passes through a whole number the straight line changes, and the derivative
     returned is that of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
 
-    In single precision the error stays below 0.01 λc up to H/λc = 1000 and reaches 3e-4 of the length at H/λc = 1e5:
-    above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known. Work under
-    ``jax.enable_x64(True)`` there.
+    In single precision the error stays below 0.01 λc up to H/λc = 1000, however soft the interface, and reaches 6e-4 of the
+    length at H/λc = 1e5: above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known.
+    Near the run-away prestress, where the length grows without bound, and on finite chains much shorter than 1/κ_2 it is up to
+    a hundredth of the length. Work under ``jax.enable_x64(True)`` there.
 
     Examples
     --------
@@ -395,7 +396,7 @@ def _warn_single_precision(body: Slider | Block) -> None:
     try:
         if np.any(tall) if not isinstance(tall, Tracer) else bool(tall.any()):
             _warn_once(
-                f"with H/λc above {FLOAT32_HEIGHT:g}: a precursor length is off by more than 0.01 λc (by 3e-4 of itself at "
+                f"with H/λc above {FLOAT32_HEIGHT:g}: a precursor length is off by more than 0.01 λc (by 6e-4 of itself at "
                 "H/λc = 1e5), those of precursor_lengths are not"
             )
     except jax.errors.TracerBoolConversionError:  # the number is known under grad, not under jit and vmap

@@ -92,7 +92,7 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
 
     def step(now: Fading) -> Fading:
         before = over.stress(now.front)
-        front = advance(modes, now.front, rule.broken(before, one) * before)
+        front = advance(modes, now.front, rule.broken(before, one) * before, start=modes.drive)
         return Fading(front, now.length + rule.overloaded_length(before, over.stress(front), one, one))
 
     end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
