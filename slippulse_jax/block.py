@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, Domain
 from slippulse_jax.slider import Real, Slider, from_si
@@ -19,11 +19,24 @@ from slippulse_jax.units import Numbers, as_float, quantity_field
 Control = Literal["displacement", "force"]
 Plane = Literal["stress", "strain"]
 
+LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
 def _float_or_none(x: Any) -> Any:
     return None if x is None else as_float(x)
+
+
+def _whole_or_none(x: Any) -> Any:
+    if x is None or (isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.integer)):
+        return x
+    if isinstance(x, Tracer):
+        raise ValueError("Block.length is traced, and no integer: it is a number of contacts, in which there is no derivative")
+    LENGTH.check("Block.length", x)
+    whole = np.rint(np.asarray(x, dtype=float))
+    if (whole != np.asarray(x)).any():
+        raise ValueError(f"Block.length = {x}: must be a whole number of contacts")
+    return whole.astype(np.int32)
 
 
 def _call(made: eqx.Module) -> str:
@@ -33,8 +46,8 @@ def _call(made: eqx.Module) -> str:
         value = getattr(made, field.name)
         if value is None or value is field.default:
             continue
-        as_is = isinstance(value, Tracer | str | eqx.Module) or np.shape(value)
-        shown.append(f"{field.name}={value!r}" if as_is else f"{field.name}={float(value):g}")
+        number = f"{value!r}" if isinstance(value, Tracer | str | eqx.Module) or np.shape(value) else f"{np.asarray(value):g}"
+        shown.append(f"{field.name}={number}")
     return f"{type(made).__name__}({', '.join(shown)})"
 
 
@@ -101,9 +114,9 @@ class Push(eqx.Module):
 
 
 class Block(eqx.Module):
-    """An elastic block on an interface of λ-contacts, pushed at its left side; half-infinite to the right.
+    """An elastic block on an interface of λ-contacts, pushed at its left side.
 
-    Its bottom may not leave the track nor enter it (u_y = 0), and its top is free.
+    Its top is free, and so is its right end, if it has one.
 
     Parameters
     ----------
@@ -116,6 +129,8 @@ class Block(eqx.Module):
     push : Push
         Everything above a quarter of the height by default.
     plane : {"stress", "strain"}
+    length : int, optional
+        L/λc, the number of contacts; ≥ 2. Without it the block is half-infinite to the right.
 
     Raises
     ------
@@ -128,11 +143,18 @@ class Block(eqx.Module):
     poisson: Float[Real, ""] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
     push: Push = eqx.field(default_factory=lambda: Push(0.25))
     plane: Plane = eqx.field(default="stress", static=True)
+    length: Int[Array | np.ndarray, ""] | None = eqx.field(default=None, converter=_whole_or_none)
 
     if TYPE_CHECKING:  # what the converters take
 
         def __init__(
-            self, height: Numbers, stiffness: Numbers, poisson: Numbers, push: Push = ..., plane: Plane = "stress"
+            self,
+            height: Numbers,
+            stiffness: Numbers,
+            poisson: Numbers,
+            push: Push = ...,
+            plane: Plane = "stress",
+            length: Numbers | None = None,
         ) -> None: ...
 
     def __check_init__(self) -> None:
@@ -159,6 +181,7 @@ class Block(eqx.Module):
         push_width: Real | None = None,
         push_control: Control = "displacement",
         plane: Plane = "stress",
+        length: Real | None = None,
     ) -> "Block":
         """Block from material constants in SI units.
 
@@ -172,22 +195,31 @@ class Block(eqx.Module):
             Height of the pusher itself, in m; by default it covers everything above `push_height`.
         push_control, plane
             As for `Push` and `Block`.
+        length : float, optional
+            L, in m; rounded to whole contacts.
         """
-        pushed = {"push_height": push_height} | ({} if push_width is None else {"push_width": push_width})
+        given = {"push_height": push_height, "push_width": push_width, "length": length}
         lengths, stiffness = from_si(
             "Block.from_material",
             height=height,
             correlation_length=correlation_length,
             areal_stiffness=areal_stiffness,
             young=young,
-            **pushed,
+            **{name: x for name, x in given.items() if x is not None},
         )
-        height = lengths.pop("height")
-        push = Push(*(lengths[name] / height for name in pushed), control=push_control)
-        return cls(height, stiffness, poisson, push, plane)
+        height = lengths["height"]
+        push = Push(
+            *(lengths[name] / height for name in ("push_height", "push_width") if name in lengths), control=push_control
+        )
+        return cls(height, stiffness, poisson, push, plane, None if length is None else np.rint(lengths["length"]))
 
     def __repr__(self) -> str:
         return _call(self)
+
+    @property
+    def contacts(self) -> int | None:
+        """Number of contacts of a block that ends; None where it does not, or where that is traced."""
+        return None if self.length is None or isinstance(self.length, Tracer) else int(self.length)
 
     @property
     def slider(self) -> Slider:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.precursor import _warn_once
 from slippulse_jax.status import Outcome
 
@@ -32,13 +32,13 @@ def response(block, sites):
 # --- the slider is the case n = 2 ---------------------------------------------------------------------------------------
 
 
-def slider_guide(slider):
+def slider_guide(slider, length=None):
     """Columns (u_t, u): a bond of each layer, the springs of the left site, and the contact under its u."""
     K_L, K_T, one = (jnp.asarray(x) for x in (slider.K_L, slider.K_T, 1.0))
     bonds, across = jnp.diag(jnp.stack([K_L, one])), K_T * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
     slab = waveguide.Slab(bonds + across, -bonds, bonds, jnp.array([0.0, 1.0]), jnp.zeros(2), jnp.zeros(()))
     held = waveguide.Loaded(jnp.array([1.0, 0.0]), jnp.zeros(2))
-    return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held)
+    return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held, length)
 
 
 @jax.jit
@@ -122,6 +122,70 @@ def test_plane_strain_is_plane_stress_of_other_constants():
     np.testing.assert_allclose(response(strain, 48).push, dense.push, atol=1e-10)
 
 
+# --- a block that ends --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contacts", [5, 30])
+def test_a_free_end_of_the_slider(contacts):
+    """Against its modes, which a mirror reflects."""
+    slider = sp.Slider(10.0, 0.03, 0.3)
+    modes = lattice_modes(slider, ends_of("free", float(contacts)))
+    driven = jax.vmap(modes.profile)(jnp.arange(float(contacts))) @ modes.drive / modes.load
+    found = waveguide.response(slider_guide(slider, jnp.int32(contacts)), slider.stiffness, 64)
+    np.testing.assert_allclose(found.push[:contacts], driven, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
+def test_a_block_with_a_free_end(push):
+    """Two contacts, and 2.5 and 6 heights; the sequence of breaks too, to the end where it runs through."""
+    for contacts in (2, 10, 24):
+        block = sp.Block(4.0, 0.08, 0.3, push, length=contacts)
+        dense = whole(block, contacts)
+        found = response(block, 64)
+        np.testing.assert_allclose(found.push[:contacts], dense.push, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found.matrix[:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
+        assert not found.push[contacts:].any()
+        assert not found.matrix[contacts:].any()
+        order, stress = break_all(dense.push, dense.matrix)
+        record = sp.first_precursor(block)
+        assert (int(record.breaks), int(record.nucleation)) == (len(order), order[0])
+        assert (int(record.status) == Outcome.RAN_THROUGH) == (order[-1] == contacts - 1) == bool(jnp.isinf(record.length))
+        np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
+
+
+def test_fields_of_a_block_with_a_free_end():
+    """What they pull at the contacts is what the pusher does; the mean of their lower edge is what the contacts read."""
+    found = sp.first_precursor(at_b(6.0, 1.0, sp.Push(0.3), length=20))
+    fields = blocks.fields(found.block, found.load, found.pinning)
+    assert fields.horizontal.shape[0] == 21
+    lower = np.asarray(fields.horizontal[:, 0])
+    assert np.all(np.abs((lower[1:] + lower[:-1]) / 2 - found.stress - found.pinning)[1:] < 0.02)
+    guide, k = blocks.guide_of(found.block), found.block.stiffness
+    slab, x = guide.slab, waveguide.columns(guide, k, found.load, found.pinning)
+    pull = x[:-1] @ slab.across + x[1:] @ slab.right - k * jnp.outer(found.pinning, slab.reading_right)
+    pull = pull[:-1] + x[1:-1] @ slab.left + x[2:] @ slab.across.T - k * jnp.outer(found.pinning[1:], slab.reading_left)
+    np.testing.assert_allclose(pull, 0, atol=1e-11)
+    with pytest.raises(ValueError, match=r"pinning has shape \(8,\): the block has 20 contacts"):
+        blocks.fields(found.block, found.load, jnp.zeros(8))
+
+
+def test_a_block_of_twelve_heights_is_as_good_as_endless():
+    """And a shorter one has longer events, until they run through."""
+    endless = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.4))))
+    found = [float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.4), length=n * 20))) for n in (12, 6, 4, 2)]
+    assert found[0] == pytest.approx(endless, rel=1e-4)
+    assert endless < found[0] < found[1] < found[2] < found[3] == np.inf
+
+
+def test_derivatives_of_a_block_that_ends():
+    def length(x):
+        return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(x[3]), length=80), sites=128)
+
+    at = jnp.array([20.0, 0.02, 0.3, 0.3])
+    around = [float(length(at + d) - length(at - d)) / (2 * d.sum()) for d in np.diag(1e-6 * np.asarray(at))]
+    np.testing.assert_allclose(jax.grad(length)(at), around, rtol=2e-5)
+
+
 # --- closed forms -------------------------------------------------------------------------------------------------------
 
 
@@ -201,7 +265,9 @@ MATERIAL = {"height": 0.02, "correlation_length": 20e-6, "areal_stiffness": 1e10
 
 def test_from_material():
     """By hand; the push in m too."""
-    block = sp.Block.from_material(**MATERIAL, push_height=5e-3, push_width=2e-3, push_control="force", plane="strain")
+    block = sp.Block.from_material(
+        **MATERIAL, push_height=5e-3, push_width=2e-3, push_control="force", plane="strain", length=0.05
+    )
     assert float(block.height) == pytest.approx(1000)
     assert float(block.stiffness) == pytest.approx(1e10 * 20e-6 / 3e9)
     assert (float(block.push.height), float(block.push.width)) == pytest.approx((0.25, 0.1))
@@ -209,7 +275,7 @@ def test_from_material():
     assert jax.tree.leaves(block.slider) == jax.tree.leaves(sp.Slider.from_material(**MATERIAL))
     assert repr(block) == (
         "Block(height=1000, stiffness=6.66667e-05, poisson=0.3, "
-        "push=Push(height=0.25, width=0.1, control='force'), plane='strain')"
+        "push=Push(height=0.25, width=0.1, control='force'), plane='strain', length=2500)"
     )
     assert repr(sp.Block.from_material(**MATERIAL, push_height=5e-3).push) == "Push(height=0.25)"
 
@@ -307,6 +373,18 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         (lambda: sp.Push(0.3, control="speed"), r"Push.control = 'speed': one of 'displacement', 'force'"),
         (lambda: sp.Block([5.0, 6.0], 0.1, 0.3), r"Block.height has shape \(2,\): one block at a time"),
         (lambda: sp.Block(0.5, 0.1, 0.3), r"Block.height = 0.5: must exceed 1"),
+        (lambda: sp.Block(5.0, 0.1, 0.3, length=1), r"Block.length = 1: a block is at least two contacts long"),
+        (lambda: sp.Block(5.0, 0.1, 0.3, length=8.5), r"Block.length = 8.5: must be a whole number of contacts"),
+        (
+            lambda: jax.grad(lambda x: sp.Block(x, 0.1, 0.3, length=3 * x).height)(5.0),
+            r"Block.length is traced, and no integer",
+        ),
+        (
+            lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3, length=80), sites=64),
+            r"sites = 64: a block of 80 contacts needs",
+        ),
+        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3, length=9000)), r"reaches beyond 8192 contacts"),
+        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), right="free"), r"right = 'free'.* a free end is its length"),
         (lambda: sp.Block(5.0, 0.1, 0.5, plane="strain"), r"Block.poisson = 0.5: an incompressible block"),
         (
             lambda: sp.Block.from_material(**MATERIAL | {"young": 0}, push_height=5e-3),

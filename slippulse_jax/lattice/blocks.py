@@ -86,14 +86,14 @@ class BlockPrecursor(eqx.Module):
 
 def guide_of(block: Block) -> Guide:
     """The block as a waveguide, its contacts attached."""
-    contact = jnp.asarray(block.stiffness)
-    return waveguide.guide(waveguide.attached(elements.slab(block), contact), elements.loaded(block))
+    contact, length = jnp.asarray(block.stiffness), None if block.length is None else jnp.asarray(block.length)
+    return waveguide.guide(waveguide.attached(elements.slab(block), contact), elements.loaded(block), length)
 
 
 def event(
-    response: Response, threshold: Float[Array, " N"], prestress: Float[Array, " N"]
+    response: Response, threshold: Float[Array, " N"], prestress: Float[Array, " N"], last: Int[Array, ""] | int = -1
 ) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
-    """Load the body until a contact is at its threshold, and break contacts until none is.
+    """Load the body until a contact is at its threshold, and break contacts until none is, or the last has broken.
 
     Also the contact that broke first, the load and the stress at nucleation.
     """
@@ -120,7 +120,7 @@ def event(
 
     def goes_on(now: Event) -> Array:
         j = most(now)
-        return (now.stress[j] >= threshold[j]) & (now.breaks < BREAKS * sites) & ~now.broken[-1]
+        return (now.stress[j] >= threshold[j]) & (now.breaks < BREAKS * sites) & ~now.broken[last]
 
     none = jnp.zeros_like(start)
     one = breaks(Event(start, none, none, jnp.zeros(sites, bool), jnp.int32(0)), first)
@@ -129,17 +129,18 @@ def event(
 
 def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
     site = jnp.arange(sites)
+    last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
     threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
-    ended, first, load, before = event(response, threshold, prestress)
+    ended, first, load, before = event(response, threshold, prestress, last)
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
     inside = HEIGHT.holds(block.height) & STIFFNESS.holds(block.stiffness) & POISSON.holds(block.poisson)
     endings = {
         Outcome.INVALID: ~(inside & jnp.isfinite(excess).all()),
-        Outcome.RAN_THROUGH: ended.broken[-1],
+        Outcome.RAN_THROUGH: ended.broken[last],
         Outcome.LIMIT: (excess >= 0).any(),
         Outcome.NO_DOMINO: ended.breaks == 1,
     }
@@ -189,14 +190,19 @@ def resolved(block: Block, interface: Interface | Profile | None, sites: Numbers
     if sites is not None:
         if not isinstance(sites, int) or not 2 <= sites <= MOST:
             raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
+        if sites < (block.contacts or 0):
+            raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
         return sites
+    known = _known(block).contacts
+    if known is not None and known <= MOST:
+        return max(FEWEST, 1 << (known - 1).bit_length())
     count = FEWEST
-    while count <= MOST:
+    while count <= MOST and known is None:
         if int(record(*_known((block, interface)), count).status) != Outcome.RAN_THROUGH:
             return count
         count *= MORE
     raise ValueError(
-        f"the event of {block} reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
+        f"{block} or its event reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
     )
 
 
@@ -333,14 +339,18 @@ def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray
 
 def precursor_length(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
-    if sites is None and not isinstance(interface, Profile) and _known(block).height > TALL:
+    if sites is None and block.length is None and not isinstance(interface, Profile) and _known(block).height > TALL:
         return tall_length(block, interface)[0]
     return length(block, interface, resolved(block, interface, sites))
 
 
 def first_precursor(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    return record(block, interface, resolved(block, interface, sites))
+    found = record(block, interface, resolved(block, interface, sites))
+    if block.contacts is None:
+        return found
+    # no more than it has
+    return jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
 
 
 class BlockFields(NamedTuple):
@@ -352,12 +362,23 @@ class BlockFields(NamedTuple):
     vertical: Float[Array, "columns nodes"]
 
 
-@jax.jit
 def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
-    """Displacements of a block under a load and pinning points of its first contacts.
+    """Displacements of a block under a load and pinning points of its first contacts; of all, if it has an end.
 
     At nucleation ``fields(found.block, found.load, 0 * found.pinning)``, after the event ``fields(…, found.pinning)``.
+
+    Raises
+    ------
+    ValueError
+        If the block ends and has not as many contacts as there are pinning points.
     """
+    if block.contacts not in (None, pinning.size):
+        raise ValueError(f"pinning has shape {pinning.shape}: the block has {block.contacts} contacts")
+    return _fields(block, load, pinning)
+
+
+@jax.jit
+def _fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
     contact, y = jnp.asarray(block.stiffness), elements.heights(block)
     found = waveguide.columns(guide_of(block), contact, load, pinning)
     every = jnp.insert(found, 1, 0.0, axis=1)  # u_y at the interface

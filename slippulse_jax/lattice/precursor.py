@@ -165,8 +165,8 @@ def precursor_length(
     ----------
     slider : Slider or Block
         One slider or a batch; ℓ has its shape. Or one block, whose events are any contacts in any order, those that break again
-        included, and end at the rightmost; `sites` is then the number of contacts resolved, which under ``jit`` and ``vmap``
-        must be given, and derivatives are those at a fixed order of breaks.
+        included, and end at the rightmost; `sites` is then the number of contacts resolved, at least those of a block with a
+        `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are those at a fixed order of breaks.
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
@@ -342,7 +342,7 @@ def _check_of_block(interface: Contacts, **given: Any) -> None:
     for name, value in given.items():
         if value is not None and value != usual.get(name):
             raise ValueError(
-                f"{name} = {value!r}: not an option of a block, which is half-infinite and breaks by the hard rule"
+                f"{name} = {value!r}: not an option of a block, which breaks by the hard rule; a free end is its length"
             )
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")

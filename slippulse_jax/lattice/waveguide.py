@@ -9,6 +9,10 @@ transfer T = −Y D_01ᵀ from column to column, and Y_0, the inverse of X on wh
     t_i = q_{i+1}·u_0,    A_ij = q_{i+1}ᵀ Y_0 q_{j+1} + Σ_{l=1}^{min(i,j)+1} q_{i+1−l}ᵀ Y q_{j+1−l} + s δ_ij,    R = k A:
 
 stretches of the contacts are U t + (R − 1) u_b. The slider is the case n = 2; its columns are u_t and u.
+
+A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X. With
+G_L = Σ_{m<L} T^m Y (Tᵀ)^m + T^L Y_0 (Tᵀ)^L, the response of that column to a force on itself, a force X (1 − G_L X)⁻¹ x_L on it
+takes X away, x_L being its displacement in the half-infinite guide: so the end sends back whatever arrives.
 """
 
 from typing import NamedTuple
@@ -48,6 +52,14 @@ class Guide(NamedTuple):
     transfer: Array  # T
     free: Array  # Y_0
     pushed: Array  # u_0, column 0 per unit of the load
+    end: "End | None" = None  # None for a half-infinite guide
+
+
+class End(NamedTuple):
+    """A free end."""
+
+    column: Int[Array, ""]  # L, the last column, and the number of contacts
+    back: Float[Array, "n n"]  # X (1 − G_L X)⁻¹, force on it per its displacement in the half-infinite guide
 
 
 class Response(NamedTuple):
@@ -116,8 +128,8 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
     return lax.while_loop(felt, twice, (slab._replace(reading_left=unread, reading_right=unread), jnp.int32(0)))[0].left
 
 
-def guide(slab: Slab, loaded: Loaded) -> Guide:
-    """The half-infinite guide of a slab with its contact attached."""
+def guide(slab: Slab, loaded: Loaded, length: Int[Array, ""] | None = None) -> Guide:
+    """The guide of a slab with its contact attached; half-infinite, or of `length` slabs with a free end."""
     X = driving_point(slab)
     step = inverse(X + slab.right)
     moves = loaded.displaced
@@ -126,7 +138,23 @@ def guide(slab: Slab, loaded: Loaded) -> Guide:
     inner = keep[:, None] * X * keep[None] + jnp.diag(moves)
     free = keep[:, None] * inverse(inner) * keep[None]
     pushed = moves + free @ (loaded.force - X @ moves)
-    return Guide(slab, step, -step @ slab.across.T, free, pushed)
+    found = Guide(slab, step, -step @ slab.across.T, free, pushed)
+    return found if length is None else found._replace(end=free_end(found, X, length))
+
+
+def free_end(guide: Guide, X: Float[Array, "n n"], length: Int[Array, ""]) -> End:
+    """Free end at column `length`; G_L by doubling, as many columns at a time as the bits of L say."""
+
+    def twice(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        bits, T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
+        G = jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
+        return bits // 2, T @ T, steps + T @ steps @ T.T, G
+
+    column = jnp.asarray(length)
+    start = column, guide.transfer, guide.step, guide.free
+    G = lax.while_loop(lambda state: state[0] > 0, twice, start)[-1]
+    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - G @ X)
+    return End(column, (back + back.T) / 2)
 
 
 def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
@@ -137,23 +165,54 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
     return jnp.concatenate([slab.reading_right[None], rest])
 
 
+def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
+    """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
+    T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1)
+
+    def beside(state: tuple[Array, Array], ahead: Array) -> tuple[tuple[Array, Array], Array]:
+        power, direct = state  # T^i, and G_i q_1 but for its last term
+        found = guide.step @ guide.slab.reading_right + T @ (direct + power @ (guide.free @ ahead))
+        return (power @ T, direct + power @ (guide.step @ ahead)), found
+
+    next_to = lax.scan(beside, (one, jnp.zeros_like(q[0])), q[1:])[1]  # column i + 1 per force on contact i
+
+    def on(power: Array, distance: Array) -> tuple[Array, tuple[Array, Array]]:
+        return power @ T, (power @ next_to[column - 1 - distance], power @ guide.pushed)
+
+    far, pushed = lax.scan(on, one, sites)[1]
+    before = (sites < column)[:, None]
+    return T @ pushed[column - 1], jnp.where(before, far[column - 1 - sites], 0)
+
+
 def response(guide: Guide, contact: Array, sites: int) -> Response:
-    """Response of the first `sites` contacts, in O(sites² n)."""
+    """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
     q = readings(guide, sites)
     behind, ahead = q[:-1], q[1:]
     # sums along the diagonals: each row adds the one above, shifted by a contact
     direct = lax.scan(lambda above, row: (jnp.pad(row + above, (1, 0))[:-1], row + above), jnp.zeros_like(q[1:, 0]),
                       behind @ guide.step @ behind.T)[1]  # fmt: skip
     A = ahead @ guide.free @ ahead.T + direct + guide.slab.own * jnp.eye(sites, dtype=q.dtype)
-    return Response(ahead @ guide.pushed, contact * A)
+    t = ahead @ guide.pushed
+    if guide.end is not None:
+        pushed, reached = at_end(guide, guide.end.column, q)
+        there = jnp.arange(sites) < guide.end.column
+        t = jnp.where(there, t + reached @ guide.end.back @ pushed, 0)
+        A = jnp.where(there[:, None] & there[None], A + reached @ guide.end.back @ reached.T, 0)
+    return Response(t, contact * A)
 
 
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
-    """Displacements of columns 0 … N under a load and pinning points of the first N contacts."""
+    """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
     slab, T = guide.slab, guide.transfer
     force = jnp.outer(jnp.pad(pinning, (0, 1)), slab.reading_left) + jnp.outer(jnp.pad(pinning, (1, 0)), slab.reading_right)
-    force = contact * force
-    arriving = lax.scan(lambda g, f: (f + g @ T, f + g @ T), jnp.zeros_like(force[0]), force, reverse=True)[1]
-    first = guide.pushed * load + guide.free @ arriving[0]
-    rest = lax.scan(lambda x, g: ((y := T @ x + guide.step @ g), y), first, arriving[1:])[1]
-    return jnp.concatenate([first[None], rest])
+
+    def under(load: Array, force: Float[Array, "N+1 n"]) -> Float[Array, "N+1 n"]:
+        arriving = lax.scan(lambda g, f: (f + g @ T, f + g @ T), jnp.zeros_like(force[0]), force, reverse=True)[1]
+        first = guide.pushed * load + guide.free @ arriving[0]
+        rest = lax.scan(lambda x, g: ((y := T @ x + guide.step @ g), y), first, arriving[1:])[1]
+        return jnp.concatenate([first[None], rest])
+
+    found = under(load, contact * force)
+    if guide.end is None:
+        return found
+    return found + under(0 * load, jnp.zeros_like(force).at[guide.end.column].set(guide.end.back @ found[guide.end.column]))

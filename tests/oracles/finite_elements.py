@@ -72,7 +72,7 @@ class WholeBlock:
 
 
 def break_all(push, matrix):
-    """Contacts in the order in which they break, the most overloaded next; plain NumPy."""
+    """Contacts in the order in which they break, the most overloaded next, until the last one does; plain NumPy."""
     stress = push / push.max()
     order = [int(np.argmax(push))]
     while True:
@@ -81,6 +81,6 @@ def break_all(push, matrix):
         stress = stress + matrix[:, j] * released
         stress[j] -= released
         j = int(np.argmax(stress))
-        if stress[j] < 1:
+        if stress[j] < 1 or order[-1] == stress.size - 1:
             return order, stress
         order.append(j)
