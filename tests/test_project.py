@@ -56,6 +56,14 @@ def test_imports_run_downward():
     assert seen > 20
 
 
+def test_matrices_are_eliminated_one_by_one():
+    """jaxlib's elimination of a batch can wait for its own threads for ever: what uses it keeps `vmap` out, as these two do."""
+    used = {
+        path.stem for path in PACKAGE.rglob("*.py") if re.search(r"jnp\.linalg|jax\.scipy\.linalg", path.read_text("utf-8"))
+    }
+    assert used == {"waveguide", "cascade"}  # by sequential_vmap, and within lane_by_lane
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
 def test_benchmarks_import_what_there_is(path):
     """Some import rivals that only the extra `bench` installs, so that the names are looked up instead."""

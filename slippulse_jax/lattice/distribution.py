@@ -29,6 +29,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import imbalance
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.waveguide import inverse
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import quantity_field
 
@@ -230,7 +231,7 @@ def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array,
 
     def step(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         free, stretch, _, count = carry
-        moved = jnp.linalg.solve(jax.jacfwd(forces)(free, stretch), -forces(free, stretch))
+        moved = -inverse(jax.jacfwd(forces)(free, stretch)) @ forces(free, stretch)
         return free + moved, stretch, jnp.abs(moved).max(), count + 1
 
     def going(carry: tuple) -> Array:
