@@ -62,6 +62,11 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s per site, likewise.")
 @click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin, likewise.")
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
+@click.option("--push-height", type=VALUES, metavar="h/H", help="Height of the push, for block_precursor_length.")
+@click.option("--push-width", type=VALUES, metavar="w/H", help="Height of the pusher; all above --push-height by default.")
+@click.option(
+    "--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held while it breaks."
+)
 @click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
 @right_end

@@ -304,11 +304,8 @@ def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control) -> tuple[
     return jax.vmap(one, 1)(lanes)
 
 
-def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ of many blocks from coarser ones, 0 where no domino starts, and how far each may be off; shapes (n,).
-
-    Either all pushes cover everything above a height, or none does.
-    """
+def _look(lanes: Lanes, control: Control) -> Look:
+    """Events of many blocks; either all pushes cover everything above a height, or none does."""
     given = np.stack(lanes)
     patch = not np.isnan(lanes.push_width).any()
     given[-1] = np.nan_to_num(given[-1])
@@ -328,6 +325,12 @@ def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray
             raise NotConverged(f"no length of a block at (H/λc, k/K, ν, φ, ε, height and width of the push) = ({where}): {why}")
         return length, broken, status
 
+    return look
+
+
+def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ of many blocks from coarser ones, 0 where no domino starts, and how far each may be off; shapes (n,)."""
+    look = _look(lanes, control)
     height, fine = _coarse_heights(lanes.height, lanes.push_height, look)
     found, error = fine, np.zeros(len(fine))
     coarse = np.nonzero(height < lanes.height)[0]
@@ -335,6 +338,25 @@ def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray
         rough = look(coarse, height[coarse] / 2)[0]
         found[coarse], error[coarse] = extrapolated(fine[coarse], rough, height[coarse], lanes.height[coarse])
     return found, error
+
+
+def lengths(lanes: Lanes, control: Control) -> np.ndarray:
+    """ℓ of many blocks, each as `precursor_length` has it to rounding; shape (n,)."""
+    found = np.empty(len(lanes.height))
+    for patch in (False, True):
+        own = np.isfinite(lanes.push_width) == patch
+        tall, short = (np.nonzero(own & side)[0] for side in (lanes.height > TALL, lanes.height <= TALL))
+        if tall.size:
+            found[tall] = tall_lengths(Lanes(*(x[tall] for x in lanes)), control)[0]
+        if short.size:
+            some = Lanes(*(x[short] for x in lanes))
+            found[short], _, status = _look(some, control)(np.arange(len(short)), some.height)
+            for i in short[status == Outcome.RAN_THROUGH]:
+                height, stiffness, poisson, prestress, slope, at, width = (float(x[i]) for x in lanes)
+                block = Block(height, stiffness, poisson, Push(at, width if patch else None, control))
+                with jax.enable_x64(True):
+                    found[i] = precursor_length(block, Interface(prestress, slope), None)
+    return found
 
 
 def precursor_length(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> Float[Array, ""]:

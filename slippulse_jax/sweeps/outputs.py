@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from slippulse_jax import theory
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
+from slippulse_jax.lattice import blocks
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
@@ -18,7 +19,7 @@ from slippulse_jax.lattice.rebreaking import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.sweeps.request import SLIDER, Columns, Request
+from slippulse_jax.sweeps.request import PUSH, SLIDER, Columns, Request
 
 LAYOUT = Layout(chunk=512)
 """Of the outputs that have no layout of their own."""
@@ -55,6 +56,10 @@ OUTPUTS = {
     ),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
     "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ARREST_OUTCOMES),
+    "block_precursor_length": Output(
+        "length of the whole event of a block under two-dimensional elasticity", "lambda_c", "block",
+        _EXACT | {"push_height", "push_width"},
+    ),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
     "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
@@ -113,17 +118,26 @@ def choose(requested: str | Iterable[str], parameters: set[str]) -> tuple[str, .
             chosen[name] = None
     if not chosen:
         raise ValueError("a sweep needs at least one output")
+    if unused := beyond.difference(*(OUTPUTS[name].takes for name in chosen)):
+        raise ValueError(f"no output takes account of {', '.join(sorted(unused))}")
     return tuple(chosen)
+
+
+NEEDED = {
+    "smooth_length": ("width", "that of the smooth break rule"),
+    "block_precursor_length": ("push_height", "where the side of the block is pushed"),
+}
+"""Parameters without which an output has no meaning."""
 
 
 def _objection(name: str, given: set[str]) -> str:
     output = OUTPUTS[name]
-    if name == "smooth_length" and "width" not in given:
-        return "output 'smooth_length' needs width, that of the smooth break rule"
+    if name in NEEDED and NEEDED[name][0] not in given:
+        return f"output {name!r} needs {', '.join(NEEDED[name])}"
     needed = name.removeprefix("dlength_d")
     if output.group == "gradient" and needed in _FRONT and not given & _FRONT:
         return f"output {name!r} needs {needed}: give it, 0 for instance"
-    ignored = given - output.takes - {"width"}  # the width is for one output and does not disturb the others
+    ignored = given - output.takes - {"width", *PUSH}  # which are for one output each and do not disturb the others
     return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
 
 
@@ -184,6 +198,12 @@ def _exact(_: Request, columns: Columns) -> Columns:
 def _smooth(request: Request, columns: Columns) -> Columns:
     rule = SmoothBreak(columns["width"])
     return {"smooth_length": bulk.lengths(_slider(columns), rule=rule, max_contacts=request.max_contacts)}
+
+
+def _block(request: Request, columns: Columns) -> Columns:
+    numbers = _fields(columns, *SLIDER, "prestress", "threshold_slope", "push_height")
+    width = columns.get("push_width", np.full(len(numbers[0]), np.nan))
+    return {"block_precursor_length": blocks.lengths(blocks.Lanes(*numbers, width), request.push_control)}
 
 
 def _load(request: Request, columns: Columns) -> Columns:
@@ -270,6 +290,7 @@ _GROUPS = {
     "gradient": _gradient,
     "exact": _exact,
     "smooth": _smooth,
+    "block": _block,
     "theory": _theory,
     "macroscopic": _macroscopic,
     "slider": _of_slider,

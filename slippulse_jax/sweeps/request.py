@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slippulse_jax.block import OF_SIDE, Control, Push
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
@@ -23,7 +24,11 @@ Columns = dict[str, np.ndarray]
 
 SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
 INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name="delay before a contact repins")}
-PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak)}
+PUSH = {
+    "push_height": Quantity("h/H", "1", name="height of the push over that of the block, h/H"),
+    "push_width": Quantity("w/H", "1", name="height of the pusher over that of the block, w/H"),
+}
+PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak), **PUSH}
 """Parameters that can be swept, in the order of the axes."""
 
 
@@ -39,6 +44,8 @@ class Request(NamedTuple):
     outputs : tuple of str
     right, sites, max_contacts
         As for `slippulse_jax.precursor_length`.
+    push_control
+        As for `slippulse_jax.Push`.
     """
 
     parameters: Columns
@@ -47,6 +54,7 @@ class Request(NamedTuple):
     right: RightEnd = "semi-infinite"
     sites: int | None = None
     max_contacts: int = DEFAULT_MAX_CONTACTS
+    push_control: Control = "displacement"
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -96,6 +104,7 @@ class Request(NamedTuple):
             "right": self.right,
             "sites": self.sites,
             "max_contacts": self.max_contacts,
+            **({"push_control": self.push_control} if "push_height" in self.parameters else {}),
         }
 
     @property
@@ -116,6 +125,7 @@ def make_request(
     right: RightEnd,
     sites: int | None,
     max_contacts: int,
+    push_control: Control,
 ) -> Request:
     """Check all parameters before anything is computed.
 
@@ -134,7 +144,8 @@ def make_request(
         sizes = {name: values.size for name, values in parameters.items() if values.ndim}
         if not sizes or len(set(sizes.values())) > 1:
             raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
-    return Request(parameters, not points, outputs, right, sites, max_contacts)
+    _check_push(parameters, points, push_control)
+    return Request(parameters, not points, outputs, right, sites, max_contacts, push_control)
 
 
 def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
@@ -183,3 +194,21 @@ def _check_domains(parameters: Columns) -> None:
         Interface(repin_delay=int(delay))
     if "width" in parameters:
         SmoothBreak(parameters["width"])
+    for name in PUSH:
+        OF_SIDE.check(name, parameters.get(name, np.array(0.5)))
+
+
+def _check_push(parameters: Columns, points: bool, control: Control) -> None:
+    """Check every pusher that the sweep combines: it must lie on the side of the block."""
+    Push(control=control)
+    if "push_height" not in parameters:
+        if "push_width" in parameters or control != "displacement":
+            raise ValueError("push_width and push_control describe a push: give push_height too")
+        return
+    if "push_width" not in parameters:
+        return
+    at, width = parameters["push_height"], parameters["push_width"]
+    at, width = np.broadcast_arrays(at, width) if points else np.broadcast_arrays(at, np.expand_dims(width, -1))
+    beyond = np.ravel((at - width / 2 <= 0) | (at + width / 2 >= 1))
+    if beyond.any():
+        Push(at.ravel()[beyond][0], width.ravel()[beyond][0], control)

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from slippulse_jax.block import Control
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
@@ -21,8 +22,8 @@ from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
 from slippulse_jax.sweeps.request import Columns, Request, make_request, with_interface
 from slippulse_jax.sweeps.store import Store, StoreError
 
-LARGE, SMALL = 1 << 20, 1 << 14
-"""Points per chunk by default: of lengths by the recursion, and of anything that costs more."""
+LARGE, SMALL, COSTLY = 1 << 20, 1 << 14, 1 << 7
+"""Points per chunk by default: of lengths by the recursion, of anything that costs more, and of blocks."""
 
 _PROBE, _PAUSE = 1024, 0.2  # points computed again on resuming; seconds between two looks at the store
 
@@ -36,6 +37,9 @@ def sweep(
     threshold_slope: ArrayLike | None = None,
     repin_delay: ArrayLike | None = None,
     width: ArrayLike | None = None,
+    push_height: ArrayLike | None = None,
+    push_width: ArrayLike | None = None,
+    push_control: Control = "displacement",
     interface: Interface | None = None,
     points: bool = False,
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
@@ -58,6 +62,11 @@ def sweep(
         Parameters of the interface to sweep, likewise; as for `Interface`.
     width : array_like, optional
         Width of the smooth break rule, in σ_s, for the output ``smooth_length``.
+    push_height, push_width : array_like, optional
+        Height of the push on a block and of the pusher itself, over H, for the output ``block_precursor_length``: as for
+        `Push`.
+    push_control : {"displacement", "force"}
+        What is held while an event of a block runs.
     interface : Interface, optional
         Of numbers, for the parameters of the interface that are fixed.
     points : bool
@@ -98,10 +107,13 @@ def sweep(
     given: dict[str, Any] = {
         "height": height, "stiffness": stiffness, "poisson": poisson, "prestress": prestress,
         "threshold_slope": threshold_slope, "repin_delay": repin_delay, "width": width,
+        "push_height": push_height, "push_width": push_width,
     }  # fmt: skip
     given = with_interface(given, interface)
     chosen = choose(outputs, {name for name, values in given.items() if values is not None})
-    request = make_request(given, points=points, outputs=chosen, right=right, sites=sites, max_contacts=max_contacts)
+    request = make_request(
+        given, points=points, outputs=chosen, right=right, sites=sites, max_contacts=max_contacts, push_control=push_control
+    )
     _check_right_end(request)
     index, count = _check_share(share)
     if chunk is not None and chunk < 1:
@@ -134,8 +146,8 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
 
 def default_chunk(request: Request) -> int:
     """Points per chunk: enough that files are few, few enough that little is lost by a kill."""
-    cheap = {"length", "load"}
-    return LARGE if all(OUTPUTS[name].group in cheap for name in request.outputs) else SMALL
+    groups = {OUTPUTS[name].group for name in request.outputs}
+    return COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
 
 
 def _check_right_end(request: Request) -> None:

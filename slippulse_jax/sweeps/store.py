@@ -153,6 +153,7 @@ def open_store(path: Path) -> Store:
         described["right"],
         described["sites"],
         described["max_contacts"],
+        described.get("push_control", "displacement"),
     )
     if request.digest != manifest["digest"]:
         raise StoreError(f"{path}: request and axes do not agree: the store was tampered with or is damaged")
