@@ -304,3 +304,51 @@ def test_pictures():
     assert sp.plot.design(found, ax=left) is left
     assert sp.plot.design_lengths(found, ax=right) is right
     assert "bits" in left.get_xlabel()
+
+
+def test_at_what_height_to_push_a_block():
+    """Information where ℓ is linear in ln k, from cascades of their own; and the report, the picture and the command."""
+    height, middle, sd, sigma = 400.0, 8e-4, 0.05, 6.0
+    known = sp.Knowledge.lognormal(middle, sd)
+    at = np.array([60.0, 120.0, 200.0])
+    plan = sp.design(known, height=height, sigma=sigma, push_height=at)
+    for i, h in enumerate(at):
+        block = [sp.Block(height, middle * np.exp(x), 0.3, sp.Push(h / height)) for x in (-0.1, 0.1)]
+        low, high = (float(sp.precursor_length(one)) for one in block)
+        assert plan.expected_length[i, 0] == pytest.approx((low + high) / 2, rel=0.01)
+        assert plan.information[i] == pytest.approx(0.5 * np.log1p((sd * (high - low) / 0.2 / sigma) ** 2), rel=0.12)
+    assert plan.best == 2
+
+    assert "pushed over everything above at the height h, displacement held" in plan.report()
+    assert sp.plot.design_figure(plan).axes
+    given = ["--height", "400", "--sigma", "6", "--poisson", "0.3", "--stiffness", "8e-4", "--log-sd", "0.05"]
+    said = json.loads(CliRunner().invoke(command, [*given, "--push-height", "60,120,200", "--json"]).stdout)
+    np.testing.assert_allclose([c["information"] for c in said["candidates"]], plan.information, rtol=1e-12)
+
+
+def test_earlier_measurements_of_a_block_are_knowledge_of_it():
+    block = sp.Block(400.0, 8e-4, 0.3, sp.Push(0.25))
+    length = float(sp.precursor_length(block))
+    m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=100)
+    known = sp.Knowledge.from_measurements(m)
+    assert (known.body, known.event) == ("block", "full")
+    assert np.exp(known.mean) == pytest.approx(8e-4, rel=0.03)
+    with pytest.raises(ValueError, match="candidates are sliders"):
+        sp.design(known, height=400, sigma=2.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"push_height": 30.0}, "push_height over height = 1.2 at index 0: must lie in"),
+        ({"push_height": 0.5}, "push_height over correlation length = 0.5 at index 0: must exceed 1"),
+        ({"push_height": 5.0, "push_width": 12.0}, "beyond the side of the block"),
+        ({"push_width": 3.0}, "describe a push: give push_height too"),
+        ({"push_control": "force"}, "describe a push: give push_height too"),
+        ({"push_height": 5.0, "push_control": "speed"}, "Push.control = 'speed'"),
+        ({"push_height": 5.0, "threshold_slope": 1e-3}, "thresholds under a block are level"),
+    ],
+)
+def test_pushes_that_cannot_be(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        sp.design(sp.Knowledge.lognormal(0.02, 0.3), height=25.0, sigma=0.5, **wrong)

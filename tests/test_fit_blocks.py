@@ -169,15 +169,17 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
 
 
 def test_what_follows_a_fit_of_a_block(study, fitted):
-    """Refits are of blocks; designs, samples by NUTS and cracks are not, and say so."""
+    """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
     compared = sp.pulse_or_crack(study[1], simulations=20)
     assert compared.pulse.parameters.body == compared.crack.parameters.body == "slider"
     drawn = fitted.bootstrap(20)
     relative = fitted.stderrs["stiffness"] / fitted.values["stiffness"]
     assert float(np.std(drawn.theta[:, 0])) == pytest.approx(relative, rel=0.6)
     assert sp.plot.fit(fitted).axes
-    with pytest.raises(ValueError, match="of blocks"):
-        sp.Knowledge.from_fit(fitted)
+    known = sp.Knowledge.from_fit(fitted)
+    assert known.log_sd == pytest.approx(relative, rel=0.05)
+    with pytest.raises(ValueError, match="from measurements of a block, the candidates are sliders"):
+        sp.design(known, height=400, sigma=5.0)
     with pytest.raises(ValueError, match="needs a length that can be traced"):
         fitted.posterior()
 

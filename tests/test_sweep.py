@@ -13,7 +13,7 @@ from slippulse_jax import plot
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps import outputs as table
-from slippulse_jax.sweeps.request import PARAMETERS, make_request
+from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, SLIDER, make_request
 
 AXES = {"height": np.array([10.0, 25.0, 50.0]), "stiffness": np.array([0.003, 0.01, 0.03, 0.1]), "poisson": 0.3}
 
@@ -106,7 +106,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
     assert {output.group for output in table.OUTPUTS.values()} == set(table._GROUPS)
     for members in table.SETS.values():
         assert set(members) <= set(table.OUTPUTS)
-    everything = set(PARAMETERS)
+    everything = {*SLIDER, *INTERFACE}
     assert "dlength_dprestress" in table.choose("gradients", everything)
     assert "dlength_dprestress" not in table.choose("gradients", {"height", "stiffness", "poisson"})
 
@@ -145,7 +145,15 @@ def test_request_of_a_hundred_million_points_is_small():
         "stiffness": np.geomspace(1e-3, 0.03, 1000),
         "poisson": np.linspace(0.1, 0.45, 100),
     }
-    request = make_request(given, points=False, outputs=("length",), right="semi-infinite", sites=None, max_contacts=100)
+    request = make_request(
+        given,
+        points=False,
+        outputs=("length",),
+        right="semi-infinite",
+        sites=None,
+        max_contacts=100,
+        push_control="displacement",
+    )
     assert request.size == 10**8
     columns = request.columns(98_765_432, 98_765_434)
     assert columns["poisson"][0] == given["poisson"][32]
@@ -217,3 +225,51 @@ def test_an_interface_gives_the_numbers_that_are_not_swept():
 def test_an_interface_that_does_not_fit_is_refused(given, error, message):
     with pytest.raises(error, match=message):
         sp.sweep(height=10.0, stiffness=0.03, poisson=0.3, **given)
+
+
+@pytest.mark.parametrize(
+    ("heights", "pushes"), [([60.0, 900.0], [0.25, 0.5]), pytest.param([250.0], [0.7], marks=pytest.mark.slow)]
+)
+def test_blocks_over_the_height_of_the_push(heights, pushes):
+    """Short blocks contact by contact, tall ones from coarser contacts, one whose event passes the first contacts looked at."""
+    given = {"height": heights, "stiffness": 4e-3, "poisson": 0.3, "push_height": pushes, "prestress": 0.1}
+    found = sp.sweep(**given, outputs=("block_precursor_length", "exact_length"))
+    assert found.block_precursor_length.dims == ("height", "push_height")
+    interface = sp.Interface(prestress=0.1)
+    with jax.enable_x64(True):
+        for h in heights:
+            for at in pushes:
+                alone = float(sp.precursor_length(sp.Block(h, 4e-3, 0.3, sp.Push(at)), interface))
+                assert float(found.block_precursor_length.sel(height=h, push_height=at)) == pytest.approx(alone, rel=1e-9)
+
+
+def test_blocks_pushed_by_a_force_on_a_patch():
+    found = sp.sweep(height=60.0, stiffness=4e-3, poisson=0.3, push_height=0.5, push_width=[0.1, 0.2], push_control="force",
+                     outputs="block_precursor_length")  # fmt: skip
+    block = sp.Block(60.0, 4e-3, 0.3, sp.Push(0.5, 0.2, "force"))
+    with jax.enable_x64(True):
+        assert float(found.block_precursor_length[1]) == pytest.approx(float(sp.precursor_length(block)), rel=1e-9)
+
+
+def test_blocks_do_not_depend_on_their_company(tmp_path):
+    given = {"height": [40.0, 60.0, 80.0], "stiffness": 4e-3, "poisson": 0.3, "push_height": [0.25, 0.5]}
+    whole = sp.sweep(**given, outputs="block_precursor_length")
+    stored = sp.sweep(**given, outputs="block_precursor_length", store=tmp_path / "store", chunk=1)
+    np.testing.assert_array_equal(stored.block_precursor_length, whole.block_precursor_length)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "'block_precursor_length' needs push_height"),
+        ({"push_height": 1.2}, "push_height = 1.2: must lie in"),
+        ({"push_height": [0.5, 0.1], "push_width": [0.1, 0.3]}, "Push.width = 0.3 about height = 0.1: reaches from -0.05"),
+        ({"push_height": 0.5, "repin_delay": 2}, "takes no account of repin_delay"),
+        ({"push_height": 0.5, "push_control": "speed"}, "Push.control = 'speed'"),
+        ({"push_height": 0.5, "outputs": "length"}, "no output takes account of push_height"),
+        ({"push_height": 0.5, "right": "free", "sites": 90}, "is for a semi-infinite chain"),
+    ],
+)
+def test_blocks_that_cannot_be_swept(given, message):
+    with pytest.raises(ValueError, match=message):
+        sp.sweep(**{"height": 25.0, "stiffness": 0.03, "poisson": 0.3, "outputs": "block_precursor_length", **given})

@@ -30,6 +30,13 @@ class Numbers(click.ParamType):
 @click.option("--sigma-mm", type=Numbers(), metavar="MM,…", help="Standard error of a length, in SI form.")
 @click.option("--correlation-length-um", type=Numbers(), metavar="UM,…", help="Correlation length λc, in SI form.")
 @click.option("--young-gpa", type=Numbers(), metavar="GPA,…", help="Young's modulus, in SI form.")
+@click.option("--push-height", type=Numbers(), metavar="h/λc,…", help="Heights of the push: the candidates are blocks.")
+@click.option(
+    "--push-width", type=Numbers(), metavar="w/λc,…", help="Heights of the pusher; all above --push-height by default."
+)
+@click.option("--push-height-mm", type=Numbers(), metavar="MM,…", help="Heights of the push, in SI form.")
+@click.option("--push-width-mm", type=Numbers(), metavar="MM,…", help="Heights of the pusher, in SI form.")
+@click.option("--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held.")
 @click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
 @click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
 @click.option(
@@ -51,6 +58,7 @@ def command(
     stiffness: list[float] | None,
     log_sd: list[float] | None,
     measured: str | None,
+    push_control: Any,
     whole: bool,
     experiments: int,
     seed: int,
@@ -73,7 +81,8 @@ def command(
         raise click.UsageError("--stiffness and --log-sd must be given together")
     try:
         known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
-        found = design(known, **candidates, kind="whole" if whole else "length", experiments=experiments, seed=seed)
+        kind = "whole" if whole else "length"
+        found = design(known, **candidates, push_control=push_control, kind=kind, experiments=experiments, seed=seed)
     except ValueError as error:
         refuse(error)
     if as_json:
@@ -91,15 +100,17 @@ def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
     from slippulse_jax.units import split_unit
 
     forms = {"plain": ("height", "sigma"), "si": ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")}
-    chosen = [name for name, columns in forms.items() if any(given[c] is not None for c in columns)]
+    pushes = {"plain": ("push_height", "push_width"), "si": ("push_height_mm", "push_width_mm")}
+    chosen = [name for name, columns in forms.items() if any(given[c] is not None for c in (*columns, *pushes[name]))]
     if len(chosen) > 1:
         raise click.UsageError("--height and --height-mm belong to two forms of the candidates: give one")
-    columns = forms[chosen[0] if chosen else "plain"]
+    form = chosen[0] if chosen else "plain"
+    columns = forms[form]
     missing = ["--" + c.replace("_", "-") for c in columns if given[c] is None]
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
     result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}
-    for column in columns:
+    for column in (*columns, *(c for c in pushes[form] if given[c] is not None)):
         name, size = split_unit(column)
         result[name] = [x * size for x in given[column] or []]
     return result

@@ -92,7 +92,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
     from slippulse_jax.inference.bootstrap import bootstrap
-    from slippulse_jax.inference.fit import body_of, fit
+    from slippulse_jax.inference.fit import fit
+    from slippulse_jax.inference.parameters import body_of
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.report import before_fit
     from slippulse_jax.inference.tables import read_measurements

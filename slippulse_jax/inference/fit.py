@@ -13,7 +13,16 @@ from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
-from slippulse_jax.inference.parameters import Body, Event, Inputs, Parameter, ParameterSet, errors_of_measuring, parameter_set
+from slippulse_jax.inference.parameters import (
+    Body,
+    Event,
+    Inputs,
+    Parameter,
+    ParameterSet,
+    body_of,
+    errors_of_measuring,
+    parameter_set,
+)
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
@@ -186,14 +195,6 @@ def fit(
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
     )
-
-
-def body_of(m: Measurements, event: Event | None, body: Body | None) -> Body:
-    """A block where the measurements say how its side is pushed, unless an event is asked for that only a slider has."""
-    if body is not None:
-        return body
-    said = m.push_height is not None and not np.isnan(m.push_height).any()
-    return "block" if said and event in (None, "full") else "slider"
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slippulse_jax.block import Control
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import machine_ratio
@@ -399,15 +400,15 @@ class _Builder:
         }
         log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        pushed = _push(m) if body == "block" else {}
-        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []), *pushed)
+        push = pushed(m.height, m.push_height, m.push_width, m.push_control) if body == "block" else {}
+        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []), *push)
         self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
             "log_height": np.log(m.height),
             "log_stiffness": log_lc - log_young,
             **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
             "force": log_lc.copy(),
             **_ends(m),
-            **pushed,
+            **push,
         }
         self.free: list[Free] = []
         self.slopes: list[dict[str, np.ndarray]] = []
@@ -508,15 +509,34 @@ class _Builder:
         return result
 
 
-def _push(m: Measurements) -> dict[str, np.ndarray]:
-    """Inputs that say where the side of a block is pushed."""
-    force = [one == "force" for one in m.push_control] or [False] * len(m)
-    width = np.full(len(m), np.nan) if m.push_width is None else m.push_width
+def body_of(m: Measurements, event: Event | None, body: Body | None) -> Body:
+    """A block where the measurements say how its side is pushed, unless an event is asked for that only a slider has."""
+    if body is not None:
+        return body
+    said = m.push_height is not None and not np.isnan(m.push_height).any()
+    return "block" if said and event in (None, "full") else "slider"
+
+
+def pushed(
+    height: np.ndarray, at: np.ndarray, width: np.ndarray | None, control: Sequence[Control] = ()
+) -> dict[str, np.ndarray]:
+    """Inputs that say where the sides of blocks are pushed, all of shape (n,)."""
+    none = np.full(len(height), np.nan)
+    share = (none if width is None else width) / height
+    force = [one == "force" for one in control] or [False] * len(height)
     return {
-        "log_push": np.log(m.push_height / m.height),
-        "log_push_width": np.log(np.where(np.isnan(width), np.inf, width / m.height)),
+        "log_push": np.log(at / height),
+        "log_push_width": np.log(np.where(np.isnan(share), np.inf, share)),
         "push_force": np.array(force, dtype=float),
     }
+
+
+def pushed_at(
+    inputs: Inputs, height: np.ndarray, at: np.ndarray, width: np.ndarray | None, control: Sequence[Control] = ()
+) -> Inputs:
+    """The same inputs of blocks that are pushed; the last axis of the inputs is that of the pushes."""
+    push = pushed(height, at, width, control)
+    return inputs._replace(**{name: np.broadcast_to(x, inputs.poisson.shape) for name, x in push.items()})
 
 
 def _ends(m: Measurements) -> dict[str, np.ndarray]:

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import ArrayLike
 
+from slippulse_jax.block import OF_SIDE, Control, Push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import report, to_dict
 from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.parameters import Inputs, pushed_at
 from slippulse_jax.lattice.events import Event
 
 MOST_EXPERIMENTS = 12
@@ -38,6 +39,9 @@ class Candidate(NamedTuple):
     correlation_length: float | None  # m
     young: float | None  # Pa
     kind: Kind
+    push_height: float | None = None  # of a block; as the lengths
+    push_width: float | None = None
+    push_control: Control = "displacement"
 
 
 class Step(NamedTuple):
@@ -105,6 +109,9 @@ def design(
     threshold_slope: ArrayLike = 0.0,
     correlation_length: ArrayLike | None = None,
     young: ArrayLike | None = None,
+    push_height: ArrayLike | None = None,
+    push_width: ArrayLike | None = None,
+    push_control: Control = "displacement",
     kind: Kind = "length",
     experiments: int = 1,
     seed: int = 0,
@@ -124,6 +131,11 @@ def design(
         ν; φ = σ_0/σ_s in (−1, 1); ε, rise of the threshold per contact.
     correlation_length, young : array_like, optional
         λc in m and E in Pa: the material, both or neither.
+    push_height, push_width : array_like, optional
+        Height of the push, in the unit of `height`: each candidate is then a block under two-dimensional elasticity, and its
+        length that of the whole event. As for `Measurements`.
+    push_control : {"displacement", "force"}
+        What is held while the event runs.
     kind : {"length", "whole"}
         Whether a length is measured, or whole contacts are counted.
     experiments : int
@@ -138,7 +150,8 @@ def design(
     Raises
     ------
     ValueError
-        If a value lies outside its domain, the shapes do not broadcast, or the knowledge is about another kind of stiffness.
+        If a value lies outside its domain, the shapes do not broadcast, or the knowledge is about another kind of stiffness,
+        or from measurements of another body.
     NotConverged
         If the exact solution did not converge for a candidate; never seen.
 
@@ -147,7 +160,17 @@ def design(
     The information of outcomes that are independent given the stiffness is submodular, so the greedy sequence obtains at
     least 1 − 1/e of the information of the best set.
     """
-    candidates = _candidates(height, sigma, poisson, prestress, threshold_slope, correlation_length, young, kind)
+    conditions = {
+        "height": height, "sigma": sigma, "poisson": poisson, "prestress": prestress, "threshold_slope": threshold_slope,
+        "correlation_length": correlation_length, "young": young, "push_height": push_height, "push_width": push_width,
+    }  # fmt: skip
+    candidates = _candidates({name: x for name, x in conditions.items() if x is not None}, kind, push_control)
+    body = "slider" if push_height is None else "block"
+    if knowledge.body not in (None, body):
+        raise ValueError(
+            f"the knowledge is from measurements of a {knowledge.body}, the candidates are {body}s "
+            "(push_height makes them blocks)"
+        )
     if knowledge.in_si != (correlation_length is not None):
         known, needed = ("areal stiffness in Pa/m", "give correlation_length and young") if knowledge.in_si else (
             "k/K", "it must be areal (in_si=True) where the material is given"
@@ -176,25 +199,11 @@ def design(
     )
 
 
-def _candidates(
-    height: ArrayLike,
-    sigma: ArrayLike,
-    poisson: ArrayLike,
-    prestress: ArrayLike,
-    threshold_slope: ArrayLike,
-    correlation_length: ArrayLike | None,
-    young: ArrayLike | None,
-    kind: str,
-) -> list[Candidate]:
+def _candidates(given: dict[str, ArrayLike], kind: str, control: Control) -> list[Candidate]:
     if kind not in get_args(Kind):
         raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}")
-    if (correlation_length is None) != (young is None):
+    if ("correlation_length" in given) != ("young" in given):
         raise ValueError("correlation_length and young: give both, or neither")
-    given = {
-        "height": height, "sigma": sigma, "poisson": poisson, "prestress": prestress, "threshold_slope": threshold_slope,
-        "correlation_length": 1.0 if correlation_length is None else correlation_length,
-        "young": 1.0 if young is None else young,
-    }  # fmt: skip
     columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items()}
     try:
         columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
@@ -204,32 +213,56 @@ def _candidates(
     if columns["height"].ndim != 1 or columns["height"].size == 0:
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
     _check_columns(columns, kind)
-    si = correlation_length is not None
+    _check_push(columns, control)
+    absent = {"correlation_length": None, "young": None}
     return [
-        Candidate(*(float(x) for x in row[:5]), *(float(x) if si else None for x in row[5:]), kind)  # pyright: ignore
-        for row in zip(*columns.values(), strict=True)
+        Candidate(**(absent | {name: float(x[i]) for name, x in columns.items()}), kind=kind, push_control=control)  # pyright: ignore
+        for i in range(columns["height"].size)
     ]
 
 
 def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
     for name, requirement in (("correlation_length", "must be positive, in m"), ("young", "must be positive, in Pa")):
-        check_domain(name, columns[name], lambda x: x > 0, requirement)
+        check_domain(name, columns.get(name, np.ones(1)), lambda x: x > 0, requirement)
     if kind == "length":
         check_domain("sigma", columns["sigma"], lambda x: x > 0, "must be positive: the standard error of a length")
     check_domain("sigma", columns["sigma"], lambda x: x >= 0, "cannot be negative: a standard error")
-    ratio = columns["height"] / columns["correlation_length"]
+    ratio = columns["height"] / columns.get("correlation_length", 1.0)
     check_domain("height over correlation length", ratio, lambda x: x > 1, "must exceed 1")
     for name, domain in (("poisson", POISSON), ("prestress", PRESTRESS), ("threshold_slope", THRESHOLD_SLOPE)):
         domain.check(name, columns[name])
 
 
+def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
+    """Check that every pusher lies on the side of its block, and covers more than a contact's length of it."""
+    Push(control=control)
+    if "push_height" not in columns:
+        if "push_width" in columns or control != "displacement":
+            raise ValueError("push_width and push_control describe a push: give push_height too")
+        return
+    if columns["threshold_slope"].any():
+        raise ValueError("threshold_slope: the thresholds under a block are level here")
+    unit = columns.get("correlation_length", 1.0)
+    check_domain("push_height over correlation length", columns["push_height"] / unit, lambda x: x > 1, "must exceed 1")
+    share = columns["push_height"] / columns["height"]
+    OF_SIDE.check("push_height over height", share)
+    for at, width in zip(share, columns["push_width"] / columns["height"] if "push_width" in columns else (), strict=False):
+        Push(at, width)
+
+
 def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: Event) -> tuple[np.ndarray, np.ndarray]:
-    """Length ℓ* of every candidate at every ln(stiffness), in λc, and dℓ*/d ln k, which is 0 where the front never stops."""
+    """Length of every candidate at every ln(stiffness), in λc, and dℓ/d ln k, which is 0 where the front never stops.
+
+    ℓ* of a slider's front, or the length of the whole event; of a block always that.
+    """
     numbers = np.array([c[:5] for c in candidates])
     scale = np.array([c.correlation_length or 1.0 for c in candidates])
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
     ratio = np.exp(theta)[:, None] * per_unit
     inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
+    if candidates[0].push_height is not None:
+        at, width = np.array([[c.push_height, c.push_width or np.nan] for c in candidates]).T
+        inputs, event = pushed_at(inputs, numbers[:, 0], at, width, [c.push_control for c in candidates]), "full"
     found = lengths(inputs.ravel(), ("log_stiffness",), event)
     return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
 

@@ -14,7 +14,7 @@ from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, refuse_ends
 from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import STIFFEST, STIFFNESSES, Inputs, ratio_per_unit, softest
+from slippulse_jax.inference.parameters import STIFFNESSES, Body, Inputs, body_of, pushed_at, ratio_per_unit, softest, stiffest
 from slippulse_jax.lattice.events import Event, check_event
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ class Knowledge:
         Whether the stiffness is areal, in Pa/m.
     event : {"domino", "full"}
         Event whose length is measured, by which `design` predicts: the first front, or the whole event (`precursor_lengths`).
+    body : {"slider", "block"}, optional
+        What the measurements were made on, where the knowledge comes from some: a design is for no other.
 
     Raises
     ------
@@ -58,6 +60,7 @@ class Knowledge:
     root: ArrayLike | None = None
     in_si: bool = False
     event: Event = "domino"
+    body: Body | None = None
 
     def __post_init__(self) -> None:
         check_event(self.event)
@@ -132,7 +135,8 @@ class Knowledge:
         Parameters
         ----------
         measurements : Measurements
-            Lengths, counts and censored lengths. In SI with Young's modulus the stiffness is areal, in Pa/m.
+            Lengths, counts and censored lengths. In SI with Young's modulus the stiffness is areal, in Pa/m. Those that say
+            where the side is pushed are of whole events of blocks, as in `fit`.
         prior : Knowledge, optional
             Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood, of its `event`. By default
             ln(stiffness) is uniform, and the lengths are those of first fronts.
@@ -149,14 +153,14 @@ class Knowledge:
         m = measurements
         if m.in_si and m.young is None:
             raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
-        ratio = ratio_per_unit(m)
+        ratio, body = ratio_per_unit(m), body_of(m, None, None)
         if prior is not None:
             if prior.in_si != m.in_si:
                 raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
             theta = prior.theta
-            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio, prior.event)
+            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio, body, prior.event)
         else:
-            theta, log_weight = _scan(m, ratio, bounds, nodes)
+            theta, log_weight = _scan(m, ratio, body, bounds, nodes)
         if not np.isfinite(log_weight).any():
             raise ValueError(f"{m.source}: no stiffness in the range gives these measurements")
         weight = np.exp(log_weight - log_weight.max())
@@ -164,14 +168,15 @@ class Knowledge:
         # the density, not the weight, has peaks: samples may be unevenly spaced
         spacing = np.gradient(theta) if prior is None else np.ones_like(theta)
         root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / spacing)
-        return cls(theta[kept], weight[kept], root[kept], m.in_si, "domino" if prior is None else prior.event)
+        event = "full" if body == "block" else "domino" if prior is None else prior.event
+        return cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
 
     @classmethod
     def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
         """Take the profile likelihood of the stiffness of a fit.
 
         With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
-        Designs take lengths as the fit did, of first fronts or of whole events.
+        Designs take lengths as the fit did, of first fronts or of whole events, of sliders or of blocks.
 
         Parameters
         ----------
@@ -194,9 +199,8 @@ class Knowledge:
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
         event = result.parameters.event
-        block = result.parameters.body == "block"
-        if event == "crack" or result.parameters.smooth or block:
-            fronts = "of blocks" if block else "of crack-like fronts" if event == "crack" else "under a smooth break rule"
+        if event == "crack" or result.parameters.smooth:
+            fronts = "of crack-like fronts" if event == "crack" else "under a smooth break rule"
             raise ValueError(f"the fit is {fronts}: designs predict self-healing fronts of the hard rule only")
         curve = result.curves[asked[0]]
         low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))
@@ -205,7 +209,9 @@ class Knowledge:
         theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
         deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
         density = np.exp((deviance.min() - deviance) / (2 * result.rise.factor))
-        return cls(theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event)
+        return cls(
+            theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, result.parameters.body
+        )
 
     @property
     def mean(self) -> float:
@@ -244,7 +250,7 @@ class Knowledge:
         return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
 
 
-def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, event: Event = "domino") -> np.ndarray:
+def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, body: Body, event: Event = "domino") -> np.ndarray:
     """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
     refuse_ends(m, "design")
     sigma = m.sigma
@@ -252,6 +258,8 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, event
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
     stiffness = np.exp(theta)[:, None] * ratio
     inputs = Inputs.of(m.height, stiffness, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    if body == "block":
+        inputs, event = pushed_at(inputs, m.height, m.push_height, m.push_width, m.push_control), "full"
     length = lengths(inputs.ravel(), event=event).value.reshape(stiffness.shape)
     kind = np.array(m.kind)
     total = np.zeros(len(theta))
@@ -261,15 +269,18 @@ def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, event
     return total
 
 
-def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+def _scan(
+    m: Measurements, ratio: np.ndarray, body: Body, bounds: tuple[float, float] | None, nodes: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose a grid of θ, finer where the posterior is; also return the logarithms of its weights."""
     if bounds is None:
-        bounds = float((softest(m) / ratio).min()), float((STIFFEST / ratio).max())
+        most = stiffest(m, "full" if body == "block" else "domino", body)
+        bounds = float((softest(m, body) / ratio).min()), float((most / ratio).max())
     low, high = bounds
     if not 0 < low < high < np.inf:
         raise ValueError(f"bounds = ({low:g}, {high:g}): must be positive, finite and in increasing order")
     theta = np.linspace(np.log(low), np.log(high), nodes)
-    value = _log_likelihood(theta, m, ratio)
+    value = _log_likelihood(theta, m, ratio, body)
     for _ in range(2):
         # cells with any weight share the nodes of the next grid, and are seen by it with a neighbour on each side
         near = value > np.max(value[np.isfinite(value)], initial=-np.inf) - 40
@@ -278,7 +289,7 @@ def _scan(m: Measurements, ratio: np.ndarray, bounds: tuple[float, float] | None
             break
         theta = np.interp(np.linspace(0, near.sum() - 1, nodes), np.arange(near.sum()), theta[near])
         theta = np.unique(theta)
-        value = _log_likelihood(theta, m, ratio)
+        value = _log_likelihood(theta, m, ratio, body)
     return theta, value + np.log(np.gradient(theta))
 
 

@@ -14,16 +14,20 @@ BIT = np.log(2)
 
 def label(one: "Candidate", many: list["Candidate"]) -> str:
     """Name a candidate by the conditions in which the candidates differ."""
-    name = f"H = {one.height:.5g} λc" if one.correlation_length is None else f"H = {one.height * 1e3:.5g} mm"
-    others = {
+    size, unit = (1, "λc") if one.correlation_length is None else (1e3, "mm")
+    names = {
+        "height": f"H = {one.height * size:.5g} {unit}",
         "poisson": f"ν = {one.poisson:g}",
         "prestress": f"φ = {one.prestress:g}",
         "threshold_slope": f"ε = {one.threshold_slope:g}",
-        "sigma": f"σ = {one.sigma:.3g} λc" if one.correlation_length is None else f"σ = {one.sigma * 1e3:.3g} mm",
+        "sigma": f"σ = {one.sigma * size:.3g} {unit}",
         "correlation_length": f"λc = {(one.correlation_length or 0) * 1e6:.4g} µm",
         "young": f"E = {(one.young or 0) * 1e-9:.4g} GPa",
+        "push_height": f"h = {(one.push_height or 0) * size:.4g} {unit}",
+        "push_width": f"pusher {(one.push_width or 0) * size:.4g} {unit}",
     }
-    return ", ".join([name, *(text for field, text in others.items() if len({getattr(c, field) for c in many}) > 1)])
+    differ = [text for field, text in names.items() if len({getattr(c, field) for c in many}) > 1]
+    return ", ".join(differ) or names["height"]
 
 
 def report(found: "Design") -> str:
@@ -78,7 +82,11 @@ def _by_root(found: "Design") -> str:
 def notes(found: "Design") -> list[str]:
     """List warnings to read before the experiment."""
     said = []
-    if found.knowledge.event == "full":
+    pushed = found.candidates[0]
+    if pushed.push_height is not None:
+        over = "on a patch" if pushed.push_width is not None else "over everything above"
+        said.append(f"Blocks under two-dimensional elasticity, pushed {over} at the height h, {pushed.push_control} held.")
+    elif found.knowledge.event == "full":
         said.append("Lengths are those of whole events, in which contacts may break again.")
     if (found.information_error > 0.1 * np.maximum(found.information, 0.05)).any():
         said.append("Note: too few samples for an error this small; give more (nodes, or a longer chain).")
