@@ -25,6 +25,7 @@ from slippulse_jax.plot.fits import residuals as residuals
 from slippulse_jax.plot.maps import sweep as sweep
 from slippulse_jax.plot.profiles import recovered_profile as recovered_profile
 from slippulse_jax.plot.profiles import resolution as resolution
+from slippulse_jax.plot.schematic import schematic as schematic
 from slippulse_jax.plot.states import break_order as break_order
 from slippulse_jax.plot.states import displacements as displacements
 from slippulse_jax.plot.states import front_stress as front_stress
