@@ -1,4 +1,7 @@
-"""Draw and tabulate what the slider makes of the lengths of blocks. Run: python docs/pictures/make_slider_or_block.py (a minute)."""
+"""Draw slider and block, and draw and tabulate what the slider makes of the lengths of blocks.
+
+Run: python docs/pictures/make_slider_or_block.py (a minute).
+"""
 
 import io
 from pathlib import Path
@@ -97,11 +100,22 @@ def draw() -> Figure:
     return figure
 
 
+def bodies() -> Figure:
+    """Schematics of both."""
+    with sp.plot.style.use():
+        figure = Figure(figsize=(9, 2.9), layout="constrained")
+        slider, block = figure.subplots(1, 2)
+        sp.plot.schematic(sp.Slider(100.0, 3e-3, POISSON), ax=slider)
+        sp.plot.schematic(sp.Block(100.0, 3e-3, POISSON, sp.Push(0.4, 0.3)), ax=block)
+    return figure
+
+
 def main() -> None:
-    """Write the picture and the table."""
-    content = io.BytesIO()
-    draw().savefig(content, format="png", dpi=110)
-    write_atomically(HERE / "slider_or_block.png", content.getvalue())
+    """Write the pictures and the table."""
+    for name, figure in (("bodies", bodies()), ("slider_or_block", draw())):
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=110)
+        write_atomically(HERE / f"{name}.png", content.getvalue())
     (HERE.parent / "tables" / "slider_or_block.md").write_text(table(), encoding="utf-8")
     for height in (100.0, 1000.0, 1e4):
         print(f"H/λc = {height:g}: the slider's length above", ", ".join(f"{lucky(height, b):.3f} H (b = {b:g})" for b in B))
