@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, Domain
+from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain
 from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
@@ -25,6 +25,10 @@ OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 def _float_or_none(x: Any) -> Any:
     return None if x is None else as_float(x)
+
+
+def _finite_or_none(x: Any) -> Any:
+    return None if x is None or (not isinstance(x, Tracer) and np.ndim(x) == 0 and np.isposinf(x)) else as_float(x)
 
 
 def _whole_or_none(x: Any) -> Any:
@@ -131,6 +135,9 @@ class Block(eqx.Module):
     plane : {"stress", "strain"}
     length : int, optional
         L/λc, the number of contacts; ≥ 2. Without it the block is half-infinite to the right.
+    normal_stiffness : float, optional
+        k_n/k, by which the interface resists its bottom moving up or down, per area that of shear; > 0. Without it, and at inf,
+        the bottom may neither leave the track nor enter it (u_y = 0).
 
     Raises
     ------
@@ -144,6 +151,7 @@ class Block(eqx.Module):
     push: Push = eqx.field(default_factory=lambda: Push(0.25))
     plane: Plane = eqx.field(default="stress", static=True)
     length: Int[Array | np.ndarray, ""] | None = eqx.field(default=None, converter=_whole_or_none)
+    normal_stiffness: Float[Real, ""] | None = eqx.field(default=None, converter=_finite_or_none)
 
     if TYPE_CHECKING:  # what the converters take
 
@@ -155,13 +163,17 @@ class Block(eqx.Module):
             push: Push = ...,
             plane: Plane = "stress",
             length: Numbers | None = None,
+            normal_stiffness: Numbers | None = None,
         ) -> None: ...
 
     def __check_init__(self) -> None:
         if self.plane not in get_args(Plane):
             raise ValueError(f"Block.plane = {self.plane!r}: one of {', '.join(map(repr, get_args(Plane)))}")
-        for name, domain in {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}.items():
+        domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
+        for name, domain in domains.items():
             value = getattr(self, name)
+            if value is None:
+                continue
             domain.check(f"Block.{name}", value)
             if np.shape(value):
                 raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
@@ -182,6 +194,7 @@ class Block(eqx.Module):
         push_control: Control = "displacement",
         plane: Plane = "stress",
         length: Real | None = None,
+        normal_stiffness: Real | None = None,
     ) -> "Block":
         """Block from material constants in SI units.
 
@@ -193,7 +206,7 @@ class Block(eqx.Module):
             Height of the middle of the pusher over the interface, in m; without `push_width`, of its lower end.
         push_width : float, optional
             Height of the pusher itself, in m; by default it covers everything above `push_height`.
-        push_control, plane
+        push_control, plane, normal_stiffness
             As for `Push` and `Block`.
         length : float, optional
             L, in m; rounded to whole contacts.

@@ -27,6 +27,7 @@ class Domain(NamedTuple):
 
 HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
 STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in units of K = Eλc")
+NORMAL_STIFFNESS = Domain(0, np.inf, "must be positive: the normal stiffness of the interface over that in shear")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
 MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
 POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed=True)

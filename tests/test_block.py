@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
+from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.precursor import _warn_once
 from slippulse_jax.status import Outcome
@@ -76,11 +77,12 @@ def test_element_is_that_of_closed_integrals():
 
 def whole(block, contacts, reach=None):
     load = elements.loaded(block)
-    displaced, force = (np.insert(np.asarray(x), 1, 0)[0::2] for x in load)
+    normal = None if block.normal_stiffness is None else float(block.normal_stiffness)
+    displaced, force = (np.asarray(x if normal is not None else np.insert(x, 1, 0))[0::2] for x in load)
     force = force if block.push.control == "force" else None
     nu, young = map(float, block.plane_constants)
     found = WholeBlock(
-        np.asarray(elements.heights(block)), float(block.stiffness) / young, nu, contacts, displaced > 0, force, reach
+        np.asarray(elements.heights(block)), float(block.stiffness) / young, nu, contacts, displaced > 0, force, reach, normal
     )
     if force is not None:
         found.push = found.push / young
@@ -120,6 +122,36 @@ def test_plane_strain_is_plane_stress_of_other_constants():
     strain = sp.Block(4.0, 0.08, 0.25, sp.Push(0.3), plane="strain")
     dense = whole(strain, 160, reach=48)
     np.testing.assert_allclose(response(strain, 48).push, dense.push, atol=1e-10)
+
+
+@pytest.mark.parametrize(("push", "contacts"), [*((push, 160) for push in PUSHES), (PUSHES[1], 14)], ids=[*NAMES, "ends"])
+def test_an_interface_that_gives_way_across(push, contacts):
+    """Springs under every point of the lower edge; plane strain, whose E differs; and with a free end."""
+    more = {"plane": "strain"} if contacts == 160 and push is PUSHES[0] else {}
+    block = sp.Block(4.0, 0.08, 0.3, push, length=None if contacts == 160 else contacts, normal_stiffness=0.7, **more)
+    dense, count = whole(block, contacts, reach=48), min(contacts, 48)
+    found = response(block, 48)
+    np.testing.assert_allclose(found.push[:count], dense.push, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.matrix[:count, :count], dense.matrix, rtol=0, atol=1e-10)
+
+
+def test_a_stiff_interface_across_is_a_rigid_one():
+    """And as it gives way, the front runs further."""
+    rigid, stiff, equal = (
+        float(sp.precursor_length(at_b(40.0, 0.3, sp.Push(0.25), normal_stiffness=ratio), sites=192))
+        for ratio in (np.inf, 1e9, 1.0)
+    )
+    assert stiff == pytest.approx(rigid, rel=1e-6)
+    assert 1.3 < equal / rigid < 2
+    assert sp.Block(5.0, 0.1, 0.3, normal_stiffness=np.inf).normal_stiffness is None
+
+
+def test_derivative_in_the_normal_stiffness():
+    def length(ratio):
+        return sp.precursor_length(at_b(40.0, 0.3, sp.Push(0.25), normal_stiffness=ratio), sites=192)
+
+    around = (float(length(10 + 1e-4)) - float(length(10 - 1e-4))) / 2e-4
+    assert float(jax.grad(length)(10.0)) == pytest.approx(around, rel=1e-5)
 
 
 # --- a block that ends --------------------------------------------------------------------------------------------------
@@ -196,22 +228,29 @@ def strip(q, height, poisson):
     return 2 * abs(q) * (s * c + z) / ((1 + poisson) ** 2 * z**2 + 4 + (3 - poisson) * (1 + poisson) * s**2)
 
 
-@pytest.mark.parametrize("reach", [0.1, 1.0, 5.0, 20.0])
+@pytest.mark.parametrize("reach", [0.1, 1.0, 5.0, 20.0, 100.0])
 def test_stiffness_of_a_strip_at_one_wavelength(reach):
-    """A patch hands on sinc(q/2) of a wave, twice; the elements over a contact do the rest, to some permille."""
+    """The uniform tractions of patches are waves of q and all q + 2πn, whose compliances add; finer meshes come closer."""
     height, poisson = 200.0, 0.3
-    slab = jax.jit(elements.slab)(sp.Block(height, 0.01, poisson, sp.Push()))
     q = reach / height
-    phase = np.exp(1j * q)
-    D = np.asarray(slab.left + slab.right) + np.asarray(slab.across) * phase + np.asarray(slab.across).T / phase
-    reading = np.asarray(slab.reading_left) + np.asarray(slab.reading_right) * phase
-    compliance = (reading.conj() @ np.linalg.solve(D, reading)).real + float(slab.own)
-    assert 1 / compliance == pytest.approx(strip(q, height, poisson) / np.sinc(q / (2 * np.pi)) ** 2, rel=3e-3)
+    every = q + 2 * np.pi * np.arange(-3000, 3001)
+    stiffness = np.where(np.abs(every) * height < 300, strip(np.clip(every, -300 / height, 300 / height), height, poisson),
+                         2 * np.abs(every) / ((3 - poisson) * (1 + poisson)))  # fmt: skip
+    compliance = (np.sinc(every / (2 * np.pi)) ** 2 / stiffness).sum()
+    phase, off = np.exp(1j * q), []
+    for finer in (0, 1):
+        slab = jax.jit(elements.slab, static_argnums=1)(sp.Block(height, 0.01, poisson, sp.Push()), finer)
+        D = np.asarray(slab.left + slab.right) + np.asarray(slab.across) * phase + np.asarray(slab.across).T / phase
+        reading = np.asarray(slab.reading_left) + np.asarray(slab.reading_right) * phase
+        found = (reading @ np.linalg.solve(D, reading.conj())).real + float(slab.own)
+        off.append(abs(compliance / found - 1))
+    assert off[0] < (1e-3 if reach < 50 else 1e-2)
+    assert off[1] < off[0] / 3
 
 
 @pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
 def test_slow_decay_is_that_of_an_edge_load(b):
-    """The first root of the strip's characteristic equation on the imaginary axis."""
+    """The first root of the strip's characteristic equation on the imaginary axis; four digits with eight elements."""
     poisson = 0.3
 
     def characteristic(z):
@@ -220,8 +259,10 @@ def test_slow_decay_is_that_of_an_edge_load(b):
 
     slow = brentq(characteristic, 1e-3, 1.2)
     height = 400.0
-    decay = np.abs(np.linalg.eigvals(np.asarray(blocks.guide_of(at_b(height, b, sp.Push(0.3))).transfer))).max()
-    assert -np.log(decay) * height == pytest.approx(slow, rel=2e-3)
+    for finer, tolerance in ((0, 1e-3), (1, 2e-4), (2, 6e-5)):
+        transfer = jax.jit(lambda block, finer=finer: blocks.guide_of(block, finer).transfer)(at_b(height, b, sp.Push(0.3)))
+        decay = np.abs(np.linalg.eigvals(np.asarray(transfer))).max()
+        assert -np.log(decay) * height == pytest.approx(slow, rel=tolerance)
 
 
 def test_far_from_the_edge_a_uniform_shift_is_followed():
@@ -315,6 +356,23 @@ def test_a_side_displaced_as_a_whole_has_no_precursor():
     assert "a side that is pushed as a whole" in str(found)
 
 
+def test_lengths_on_finer_meshes():
+    """A mesh twice as fine lengthens an event by half a per cent or less, the next one by less than half of that."""
+    block = at_b(60.0, 1.0, sp.Push(0.25))
+
+    @functools.partial(jax.jit, static_argnums=1)
+    def length(block, finer):
+        found = waveguide.response(blocks.guide_of(block, finer), block.stiffness, 96)
+        ended, *_ = blocks.event(found, jnp.ones(96), jnp.zeros(96))
+        last = ended.broken.sum() - 1
+        return event_length(last, ended.overload[last], ended.stress[last + 1] - 1)
+
+    usual, twice, four = (float(length(block, finer)) for finer in (0, 1, 2))
+    assert usual == pytest.approx(float(sp.precursor_length(block, sites=96)), rel=1e-12)
+    assert 0 < twice / usual - 1 < 6e-3
+    assert 0 < four / twice - 1 < (twice / usual - 1) / 2
+
+
 def test_lengths_do_not_depend_on_the_contacts_resolved():
     block = at_b(30.0, 1.0, sp.Push(0.4))
     few, many = (float(sp.precursor_length(block, sites=n)) for n in (96, 192))
@@ -373,6 +431,10 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         (lambda: sp.Push(0.3, control="speed"), r"Push.control = 'speed': one of 'displacement', 'force'"),
         (lambda: sp.Block([5.0, 6.0], 0.1, 0.3), r"Block.height has shape \(2,\): one block at a time"),
         (lambda: sp.Block(0.5, 0.1, 0.3), r"Block.height = 0.5: must exceed 1"),
+        (
+            lambda: sp.Block(5.0, 0.1, 0.3, normal_stiffness=0),
+            r"Block.normal_stiffness = 0: must be positive: the normal stiff",
+        ),
         (lambda: sp.Block(5.0, 0.1, 0.3, length=1), r"Block.length = 1: a block is at least two contacts long"),
         (lambda: sp.Block(5.0, 0.1, 0.3, length=8.5), r"Block.length = 8.5: must be a whole number of contacts"),
         (

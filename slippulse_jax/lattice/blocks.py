@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.block import Block, Control, Push
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
+from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.front import event_length, length_or_reason
@@ -84,10 +84,11 @@ class BlockPrecursor(eqx.Module):
         return text
 
 
-def guide_of(block: Block) -> Guide:
-    """The block as a waveguide, its contacts attached."""
+def guide_of(block: Block, finer: int = 0) -> Guide:
+    """The block as a waveguide, its contacts attached; on a mesh that is `finer` by so many halvings."""
     contact, length = jnp.asarray(block.stiffness), None if block.length is None else jnp.asarray(block.length)
-    return waveguide.guide(waveguide.attached(elements.slab(block), contact), elements.loaded(block), length)
+    slab = waveguide.attached(elements.slab(block, finer), contact)
+    return waveguide.guide(slab, elements.loaded(block, finer), length)
 
 
 def event(
@@ -138,6 +139,8 @@ def _record(block: Block, interface: Interface | Profile | None, sites: int) -> 
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
     inside = HEIGHT.holds(block.height) & STIFFNESS.holds(block.stiffness) & POISSON.holds(block.poisson)
+    if block.normal_stiffness is not None:
+        inside = inside & NORMAL_STIFFNESS.holds(block.normal_stiffness)
     endings = {
         Outcome.INVALID: ~(inside & jnp.isfinite(excess).all()),
         Outcome.RAN_THROUGH: ended.broken[last],
@@ -403,5 +406,5 @@ def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockField
 def _fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
     contact, y = jnp.asarray(block.stiffness), elements.heights(block)
     found = waveguide.columns(guide_of(block), contact, load, pinning)
-    every = jnp.insert(found, 1, 0.0, axis=1)  # u_y at the interface
+    every = jnp.zeros((found.shape[0], 2 * y.size), y.dtype).at[:, elements.freedoms(block, y.size)].set(found)
     return BlockFields(jnp.arange(found.shape[0], dtype=y.dtype), y, every[:, 0::2], every[:, 1::2])

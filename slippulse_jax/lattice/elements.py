@@ -2,7 +2,8 @@
 
 Elements are the four-node rectangles with two incompatible modes of Taylor, Beresford and Wilson (QM6), which bend without
 locking. Two of them lie side by side over a contact; they are graded upwards from the interface and away from the pusher,
-whose ends are nodes, so that everything is a smooth function of the heights. In λc and E = 1.
+whose ends are nodes, so that everything is a smooth function of the heights. In λc and E = 1. A mesh that is `finer` by n has
+2ⁿ elements in the place of each, along and across.
 """
 
 from typing import Any
@@ -28,17 +29,21 @@ BELOW, NEAR, OVER, ABOVE = 18, 10, 8, 14
 """Elements above the interface, below the pusher, over the pusher, and above it."""
 
 
-def heights(block: Block) -> Float[Array, " nodes"]:
+def heights(block: Block, finer: int = 0) -> Float[Array, " nodes"]:
     """Heights of the nodes of a column, the ends of the pusher among them."""
     H, (low, high) = jnp.asarray(block.height), block.push.reach
+
+    def graded(start: Array, end: Array, size: Array | float, count: int) -> Array:
+        return _graded(start, end, size / 2**finer, count * 2**finer)
+
     if block.push.height is None:
-        return _graded(0 * H, H, AT_INTERFACE, BELOW + NEAR + ABOVE)
+        return graded(0 * H, H, AT_INTERFACE, BELOW + NEAR + ABOVE)
     fine, none = AT_PUSHER * H, 0 * H
-    parts = [_graded(none, low * H / 2, AT_INTERFACE, BELOW), _graded(low * H, low * H / 2, fine, NEAR)[::-1]]
+    parts = [graded(none, low * H / 2, AT_INTERFACE, BELOW), graded(low * H, low * H / 2, fine, NEAR)[::-1]]
     if block.push.width is not None:
         centre = (low + high) * H / 2
-        parts += [_graded(low * H, centre, fine / 2, OVER // 2), _graded(high * H, centre, fine / 2, OVER // 2)[::-1]]
-    parts.append(_graded(high * H if block.push.width is not None else low * H, H, fine, ABOVE))
+        parts += [graded(low * H, centre, fine / 2, OVER // 2), graded(high * H, centre, fine / 2, OVER // 2)[::-1]]
+    parts.append(graded(high * H if block.push.width is not None else low * H, H, fine, ABOVE))
     return jnp.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
 
@@ -75,35 +80,46 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
 LEFT, RIGHT = np.array([0, 1, 6, 7], np.int32), np.array([2, 3, 4, 5], np.int32)
 
 
-def slab(block: Block) -> Slab:
-    """Elements side by side over each height, without the spring of the contact; u_y = 0 at the interface."""
-    y = heights(block)
+def freedoms(block: Block, nodes: int) -> np.ndarray:
+    """Numbers of the freedoms of a column among (u_x, u_y) of its nodes: u_y at the interface only where that gives way."""
+    every = np.arange(2 * nodes, dtype=np.int32)
+    return every if block.normal_stiffness is not None else np.delete(every, 1)
+
+
+def slab(block: Block, finer: int = 0) -> Slab:
+    """Elements side by side over each height, on the normal stiffness of the interface, without the spring of the contact."""
+    y = heights(block, finer)
     poisson, young = block.plane_constants
-    width = 0.5**HALVINGS
+    halvings = HALVINGS + finer
+    width = 0.5**halvings
     every = young * jax.vmap(lambda height: element(width, height, poisson))(jnp.diff(y))
+    if block.normal_stiffness is not None:
+        below = jnp.array([1, 3])  # u_y of the lower corners
+        spring = jnp.asarray(block.normal_stiffness) * block.stiffness * width / 6 * jnp.array([[2.0, 1.0], [1.0, 2.0]])
+        every = every.at[0, below[:, None], below].add(spring)
     n = 2 * y.size
     place = 2 * np.arange(y.size - 1, dtype=np.int32)[:, None] + np.arange(4, dtype=np.int32)
-    keep = np.delete(np.arange(n, dtype=np.int32), 1)
+    keep = freedoms(block, y.size)
 
     def assembled(rows: np.ndarray, cols: np.ndarray) -> Array:
         blocks = every[:, rows[:, None], cols]
         return jnp.zeros((n, n), y.dtype).at[place[:, :, None], place[:, None, :]].add(blocks)[keep[:, None], keep]
 
     # the contact reads the mean along the lower edges
-    mean = jnp.zeros(n - 1, y.dtype).at[0].set(width / 2)
+    mean = jnp.zeros(keep.size, y.dtype).at[0].set(width / 2)
     found = Slab(assembled(LEFT, LEFT), assembled(LEFT, RIGHT), assembled(RIGHT, RIGHT), mean, mean, jnp.zeros((), y.dtype))
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         found = joined(found, found)
     return found
 
 
-def loaded(block: Block) -> Loaded:
+def loaded(block: Block, finer: int = 0) -> Loaded:
     """Freedoms of column 0 that the pusher displaces, or its forces on them, of a uniform traction."""
-    y, push = heights(block), block.push
+    y, push = heights(block, finer), block.push
     # by number, not by height: which nodes are pushed never changes
-    number, below = np.arange(y.size), 0 if push.height is None else BELOW + NEAR
+    number, below = np.arange(y.size) / 2**finer, 0 if push.height is None else BELOW + NEAR
     under = (number >= below) & (number <= (below + 2 * (OVER // 2) if push.width is not None else y.size))
-    keep = np.delete(np.arange(2 * y.size, dtype=np.int32), 1)
+    keep = freedoms(block, y.size)
 
     def along(x: Any) -> Array:
         return jnp.zeros(2 * y.size, y.dtype).at[0::2].set(x)[keep]

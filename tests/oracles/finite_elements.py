@@ -37,7 +37,7 @@ def rectangle(width, height, poisson):
 class WholeBlock:
     """A block of so many contacts, two elements side by side over each; the response to the pinning of the first `reach` of them."""
 
-    def __init__(self, y, stiffness, poisson, contacts, pushed, force=None, reach=None):
+    def __init__(self, y, stiffness, poisson, contacts, pushed, force=None, reach=None, normal=None):
         rows, columns = y.size, 2 * contacts + 1
         index = np.arange(2 * rows * columns).reshape(columns, rows, 2)
         elements = np.array([rectangle(0.5, h, poisson) for h in np.diff(y)])
@@ -52,7 +52,13 @@ class WholeBlock:
         mean = mean.tocsr()
         K = K + stiffness * mean.T @ mean
         held = np.zeros(size, bool)
-        held[index[:, 0, 1]] = True
+        if normal is None:
+            held[index[:, 0, 1]] = True
+        else:  # a spring under every point of the lower edge, by Simpson's rule exact for its linear shapes
+            for left, right in zip(index[:-1, 0, 1], index[1:, 0, 1], strict=True):
+                for weight, at_left in ((1, 1.0), (4, 0.5), (1, 0.0)):
+                    shape = sparse.csr_matrix(([at_left, 1 - at_left], ([0, 0], [left, right])), (1, size))
+                    K = K + normal * stiffness * 0.5 * weight / 6 * shape.T @ shape
         load = np.zeros(size)
         at = index[0, :, 0]
         if force is None:
