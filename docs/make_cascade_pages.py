@@ -147,7 +147,7 @@ def float32_errors():
                 f"{float(length32) - float(length):+.1e}",
             )
         )
-    header = ("H/λc, k/K", "u, u_s", "imbalance / load", "breaks", "ℓ, λc", "drift, σ_s", "ℓ_w (w = 0.01), λc")
+    header = ("H/λc, k/K", "u, u_s", "imbalance", "breaks", "ℓ, λc", "drift, σ_s", "ℓ_w (w = 0.01), λc")
     table("float32", header, rows)
 
 

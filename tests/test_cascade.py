@@ -319,6 +319,34 @@ def test_refusals():
         SmoothBreak(width=2.0)
 
 
+def test_trigger_that_cannot_break():
+    """Out of range, detached, or far below its threshold: ARRESTED once, with lengths beyond the chain."""
+    c = chain(FIG2, sites=4, contact=[0.03, 0.03, 0.0, 0.03])
+    for site in (-2, 4, 83, 1.5):
+        with pytest.raises(ValueError, match=r"trigger = .*: must be one of the sites 0 … 3, or −1"):
+            rupture(c, c.relaxed(1.0), trigger=site)
+    state, first = nucleate(c)
+    traced = jax.jit(jax.vmap(lambda load, site: rupture(c, c.relaxed(load), trigger=site)))
+    load = float(state.load)
+    found = traced(load * np.array([1, 1 - 1e-9, 1, 1, 1, 0.9]), np.array([first, first, -2, 4, 2, first]))
+    assert first != 2
+    assert (np.asarray(found.status[:2]) <= Outcome.RAN_THROUGH).all()
+    np.testing.assert_array_equal(found.status[2:], Outcome.INVALID)
+    assert np.isnan(found.length[2:]).all()
+    np.testing.assert_array_equal(found.breaks[2:], 0)
+    smooth = jax.jit(lambda site: rupture(c, c.relaxed(load), rule=sp.SmoothBreak(0.02), trigger=site).status)
+    assert smooth(2) == Outcome.INVALID
+    assert smooth(first) != Outcome.INVALID
+
+
+def test_nothing_to_load():
+    c = chain(FIG2, sites=4, right="free", contact=0.0)
+    state, site = nucleate(c)
+    assert site == -1
+    assert np.isinf(state.load)
+    assert rupture(c, state, trigger=site).status == Outcome.INVALID
+
+
 def test_float32():
     with jax.enable_x64(False):
         c = chain(sp.Slider(height=np.float32(25), stiffness=np.float32(0.03), poisson=np.float32(0.3)), sites=200)

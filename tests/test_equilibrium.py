@@ -345,6 +345,27 @@ def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
 
 
+def test_no_number_is_called_solved_that_is_none():
+    """Light contacts on stiff bodies, whose forces are less than the last digits of the bonds'; and numbers that overflow."""
+    rigid = chain(sp.Slider(25.0, 1e-12, -0.9999999999), sites=4, right="free")
+    found = equilibrium(rigid, rigid.relaxed(1000.0))
+    assert found.status == EquilibriumStatus.SOLVED
+    assert found.residual < 1e-14
+    np.testing.assert_allclose(found.push, 4e-9, rtol=1e-6)  # four contacts of k/K = 1e-12 at u = 1000
+    np.testing.assert_allclose(found.stress, 1000.0, rtol=1e-6)
+    rng = np.random.default_rng(9)
+    solved = 0
+    for load in 10 ** rng.uniform(250, 308, 40):
+        for slider in sp.Slider(25.0, 0.03, 0.3), sp.Slider(1e9, 1e3, -0.9):
+            c = chain(slider, sites=30)
+            one = solve(batch([c]), batch([c.relaxed(load)]))
+            whole = all(np.isfinite(x).all() for x in jax.tree.leaves(one))
+            assert one.status[0] == (EquilibriumStatus.SOLVED if whole else EquilibriumStatus.INVALID)
+            assert one.residual[0] < 1e-8 or one.status[0] != EquilibriumStatus.SOLVED
+            solved += whole
+    assert 20 < solved < 80
+
+
 def test_newton_that_cannot_converge_says_so():
     c = chain(FIG2, sites=5, law=lambda z: 0 * z + jnp.where(z > 0, 1.0, -1.0))  # a law that jumps has no slope to follow
     found = equilibrium(c, c.relaxed(0.7))

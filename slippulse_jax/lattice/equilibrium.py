@@ -32,8 +32,14 @@ class EquilibriumStatus(Status):
         1,
         "singular: a part of the chain is held by no spring or contact, so its position is arbitrary; it is reported at zero",
     )
-    NOT_CONVERGED = 2, "not converged: Newton's method left sites out of balance; see the residual"
-    INVALID = 3, "no such chain or state: a stiffness, pinning point or load is not a number, or a stiffness is negative"
+    NOT_CONVERGED = 2, "not converged: sites were left out of balance; see the residual"
+    INVALID = (
+        3,
+        (
+            "no such chain or state: a stiffness, pinning point or load is not a number or too large for the precision, or a "
+            "stiffness is negative"
+        ),
+    )
 
 
 class Equilibrium(NamedTuple):
@@ -45,8 +51,8 @@ class Equilibrium(NamedTuple):
     upper: Float[Array, " N"]  # u_t
     layer: Float[Array, " N"]  # u
     stress: Float[Array, " N"]  # t_i
-    push: Float[Array, ""]  # force that keeps the left edge of the upper layer at U
-    residual: Float[Array, ""]  # largest imbalance of a site, relative to the largest force in the chain
+    push: Float[Array, ""]  # force that keeps the left edge of the upper layer at U, the sum of all that holds the chain
+    residual: Float[Array, ""]  # largest imbalance of a site, relative to the largest sum of |stiffness × displacement|
     status: Int[Array, ""]
 
 
@@ -64,7 +70,8 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     -------
     Equilibrium
         It carries a status (`EquilibriumStatus`) instead of raising an exception, so that a bad lane of ``jax.vmap`` does not
-        affect the others. Where a part floats or a value is not a number the fields are finite but meaningless.
+        affect the others. Where a part floats or a value is not a number the fields are finite but meaningless. The status is
+        SOLVED only where all results are finite and the residual is at most the root of the precision's ε.
 
     Notes
     -----
@@ -73,8 +80,8 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     Detaching every contact does not make a chain singular, since u_t[0] is imposed: the chain then moves as a rigid body.
     Cutting both bonds of a part without contacts does make it singular.
 
-    The residual is computed from the displacements returned. One unit in the last place of u_t, times K_L, is a force: a
-    short chain that moves as a rigid body under a load much smaller than K_L u_t cannot be in balance to better than that.
+    The residual is computed from the displacements returned, whose last digits are forces too. It compares them with what each
+    spring would exert by itself: when a chain moves as a rigid body these are large, however small the forces that are left.
     """
     valid = all_numbers(chain, state)
     safe, state = or_harmless(valid, (chain, state))
@@ -95,17 +102,19 @@ def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> E
     """
     (upper, layer), converged = solve(safe, state, lax.stop_gradient(right.beyond))
     pull = imbalance(safe, state, (upper, layer))
-    force = safe.contact_force(layer - state.pinning)
-    push = safe.upper[0] * (upper[0] - upper[1]) + safe.across[0] * (upper[0] - layer[0])
-    scale = jnp.maximum(jnp.abs(push), jnp.abs(force).max())
-    worst = jnp.maximum(jnp.abs(pull[0]).max(), jnp.abs(pull[1]).max())
+    end = safe.end.upper * upper[-1] + safe.end.layer * layer[-1]
+    push = safe.contact_force(layer - state.pinning).sum() + end
+    worst, scale = jnp.abs(jnp.stack(pull)).max(), _gross(safe, state, (upper, layer))
+    residual = worst / jnp.where(scale > 0, scale, 1)
+    stress = safe.stress(layer, state.pinning)
+    finite = jnp.stack([jnp.isfinite(x).all() for x in (upper, layer, stress, push, residual)]).all()
+    balanced = converged & (residual <= jnp.finfo(residual.dtype).eps ** 0.5)
     status = jnp.select(
-        [~valid, right.floating, ~converged],
-        [EquilibriumStatus.INVALID, EquilibriumStatus.SINGULAR, EquilibriumStatus.NOT_CONVERGED],
+        [~valid, right.floating, ~finite, ~balanced],
+        [EquilibriumStatus.INVALID, EquilibriumStatus.SINGULAR, EquilibriumStatus.INVALID, EquilibriumStatus.NOT_CONVERGED],
         EquilibriumStatus.SOLVED,
     ).astype(jnp.int32)
-    stress = safe.stress(layer, state.pinning)
-    return Equilibrium(upper, layer, stress, push, worst / jnp.where(scale > 0, scale, 1), status)
+    return Equilibrium(upper, layer, stress, push, residual, status)
 
 
 @jax.custom_jvp
@@ -163,6 +172,18 @@ def _springs(chain: Chain, x: Pair) -> Pair:
         (forces[0] + across).at[-1].add(last - end.upper * upper[-1]),
         (forces[1] - across).at[-1].add(-last - end.layer * layer[-1]),
     )
+
+
+def _gross(chain: Chain, state: State, x: Pair) -> Array:
+    """Largest sum over the springs of a site of stiffness times displacement, none with its sign."""
+    upper, layer = jnp.abs(x[0]), jnp.abs(x[1])
+    none, end = jnp.zeros(1, upper.dtype), chain.end
+    along = (chain.upper * (upper[:-1] + upper[1:]), chain.layer * (layer[:-1] + layer[1:]))
+    across = (chain.across * (layer + upper)).at[-1].add(end.across * (layer[-1] + upper[-1]))
+    of_upper, of_layer = (jnp.concatenate([f, none]) + jnp.concatenate([none, f]) + across for f in along)
+    contacts = jnp.abs(chain.contact_force(x[1] - state.pinning)) + chain.contact * (layer + jnp.abs(state.pinning))
+    of_upper, of_layer = of_upper.at[-1].add(end.upper * upper[-1]), (of_layer + contacts).at[-1].add(end.layer * layer[-1])
+    return jnp.maximum(of_upper.max(), of_layer.max())
 
 
 def _solve_linear(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:

@@ -18,7 +18,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.independence import lane_by_lane
@@ -47,6 +49,7 @@ RUPTURE_OUTCOMES = (
     Outcome.RAN_THROUGH,
     Outcome.LIMIT,
     Outcome.SINGULAR,
+    Outcome.NOT_CONVERGED,
     Outcome.INVALID,
 )
 """Possible outcomes of a rupture.
@@ -105,7 +108,8 @@ def rupture(
         ``SmoothBreak(width)`` is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
         Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none.
-        None by default.
+        None by default. The status is INVALID if that contact does not exist, is detached, or lies below its threshold by
+        more than rounding.
     max_breaks : int, optional
         Limit on the number of breaks, and length of their record; 20 N by default.
     repin_delay : int
@@ -123,7 +127,7 @@ def rupture(
     TypeError
         If the hard rupture is differentiated; the message names the surrogate.
     ValueError
-        If the chain has nonlinear contacts, is a batch, or does not match the state.
+        If the chain has nonlinear contacts, is a batch, or does not match the state; if `trigger` is no site of it.
 
     Notes
     -----
@@ -134,6 +138,12 @@ def rupture(
     check_rule(rule, one=True)
     _check(chain, state)
     check_delay(repin_delay)
+    if (
+        trigger is not None
+        and not isinstance(trigger, Tracer)
+        and not (np.ndim(trigger) == 0 and trigger in range(-1, chain.sites))
+    ):
+        raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
     trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
     if not isinstance(rule, HardBreak):
         if repin_delay:
@@ -160,7 +170,7 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
         the load is inf if none does. Differentiable.
     site : int array
         That contact, to be passed on as ``rupture(..., trigger=site)``, since rounding may leave it just below its
-        threshold; −1 if a contact was already at or above its threshold.
+        threshold; −1 if a contact was already at or above its threshold, or if none can be loaded.
     """
     state = chain.relaxed() if state is None else state
     _check(chain, state)
@@ -175,7 +185,9 @@ def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     missing = jnp.where(pulled, (chain.threshold - now) / jnp.where(pulled, per_load, 1), jnp.inf)
     overloaded = ((now >= chain.threshold) & (chain.contact > 0)).any()
     site = jnp.argmin(missing).astype(jnp.int32)
-    return State(state.pinning, state.load + jnp.where(overloaded, 0, missing[site])), jnp.where(overloaded, -1, site)
+    return State(state.pinning, state.load + jnp.where(overloaded, 0, missing[site])), jnp.where(
+        overloaded | ~pulled.any(), -1, site
+    )
 
 
 def _check(chain: Chain, state: State) -> None:
@@ -185,6 +197,18 @@ def _check(chain: Chain, state: State) -> None:
         raise ValueError(f"the chain is a batch, with contacts of shape {chain.contact.shape}: use jax.vmap")
     if jnp.shape(state.pinning) != (chain.sites,):
         raise ValueError(f"state.pinning has shape {jnp.shape(state.pinning)}: must be ({chain.sites},) for this chain")
+
+
+def _can_break(chain: Chain, stress: Array, trigger: Array) -> Array:
+    """Whether the trigger is none, or an attached contact that is at its threshold but for rounding."""
+    site = jnp.clip(trigger, 0, chain.sites - 1)
+    rounding = jnp.finfo(stress.dtype).eps ** 0.25 * jnp.maximum(chain.threshold[site], jnp.abs(stress).max())
+    reached = (chain.contact[site] > 0) & (stress[site] >= chain.threshold[site] - rounding)
+    return (trigger == -1) | (trigger == site) & reached
+
+
+def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
+    return (before.status == EquilibriumStatus.INVALID) | (after.status == EquilibriumStatus.INVALID)
 
 
 # --- the hard rule ---
@@ -233,7 +257,8 @@ def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: St
     valid = all_numbers(chain, state)
     safe, state, right = or_harmless(valid, (chain, state, resp.right))
     before = in_balance(valid, safe, state, right)
-    good = before.status == EquilibriumStatus.SOLVED
+    meant = _can_break(safe, before.stress, trigger)
+    good = (before.status == EquilibriumStatus.SOLVED) & meant
     n = chain.sites
     # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
@@ -246,8 +271,9 @@ def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: St
     ahead = jnp.minimum(record.furthest + 1, n - 1)
     short_by = stress[ahead] - safe.threshold[ahead]
     endings = {
-        Outcome.INVALID: before.status == EquilibriumStatus.INVALID,
-        Outcome.SINGULAR: ~good,
+        Outcome.INVALID: _invalid(before, after) | ~meant,
+        Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
+        Outcome.NOT_CONVERGED: ~good,
         Outcome.NOTHING_BROKE: record.breaks == 0,
         Outcome.LIMIT: (stress >= threshold).any(),
         Outcome.RAN_THROUGH: record.furthest == n - 1,
@@ -309,7 +335,8 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     safe, state = or_harmless(valid, (chain, state))
     right = eliminate(safe, safe.contact)
     before = in_balance(valid, safe, state, right)
-    good = before.status == EquilibriumStatus.SOLVED
+    meant = _can_break(safe, before.stress, trigger)
+    good = (before.status == EquilibriumStatus.SOLVED) & meant
     links, n = propagators(safe, right), chain.sites
     attached = safe.contact > 0
 
@@ -339,8 +366,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
 
     most = p > 0.5
     endings = {
-        Outcome.INVALID: before.status == EquilibriumStatus.INVALID,
-        Outcome.SINGULAR: ~good,
+        Outcome.INVALID: _invalid(before, after) | ~meant,
+        Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
+        Outcome.NOT_CONVERGED: ~good,
         Outcome.NOTHING_BROKE: ~most.any(),
         Outcome.RAN_THROUGH: most[-1],
     }
