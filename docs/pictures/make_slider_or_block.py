@@ -6,6 +6,7 @@ Run: python docs/pictures/make_slider_or_block.py (a minute).
 import io
 from pathlib import Path
 
+import jax
 import numpy as np
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
@@ -110,12 +111,24 @@ def bodies() -> Figure:
     return figure
 
 
+def front() -> Figure:
+    """Stress in a block at nucleation, half way, and when its front has stopped."""
+    with jax.enable_x64(True), sp.plot.style.use():
+        found = sp.first_precursor(sp.Block(100.0, 3e-3, POISSON, sp.Push(0.3)))
+        figure = Figure(figsize=(9, 2.6), layout="constrained")
+        for ax, breaks in zip(figure.subplots(1, 3, sharey=True), (0, int(found.breaks) // 2, None), strict=True):
+            sp.plot.block_stress(found, breaks, colorbar=breaks is None, ax=ax)
+    return figure
+
+
 def main() -> None:
     """Write the pictures and the table."""
-    for name, figure in (("bodies", bodies()), ("slider_or_block", draw())):
+    for name, figure in (("bodies", bodies()), ("slider_or_block", draw()), ("block_stress", front())):
         content = io.BytesIO()
         figure.savefig(content, format="png", dpi=110)
         write_atomically(HERE / f"{name}.png", content.getvalue())
+    with jax.enable_x64(True):
+        sp.plot.animate(sp.first_precursor(sp.Block(40.0, 8e-3, POISSON, sp.Push(0.4))), HERE / "block.gif")
     (HERE.parent / "tables" / "slider_or_block.md").write_text(table(), encoding="utf-8")
     for height in (100.0, 1000.0, 1e4):
         print(f"H/λc = {height:g}: the slider's length above", ", ".join(f"{lucky(height, b):.3f} H (b = {b:g})" for b in B))

@@ -92,14 +92,21 @@ def guide_of(block: Block, finer: int = 0) -> Guide:
 
 
 def event(
-    response: Response, threshold: Float[Array, " N"], prestress: Float[Array, " N"], last: Int[Array, ""] | int = -1
+    response: Response,
+    threshold: Float[Array, " N"],
+    prestress: Float[Array, " N"],
+    last: Int[Array, ""] | int = -1,
+    limit: Int[Array, ""] | int | None = None,
 ) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
     """Load the body until a contact is at its threshold, and break contacts until none is, or the last has broken.
+
+    After `limit` breaks, at least one, it is left as it is.
 
     Also the contact that broke first, the load and the stress at nucleation.
     """
     push, matrix = response
     sites = push.size
+    limit = BREAKS * sites if limit is None else limit
     needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
     first = jnp.argmin(needed)
     load = needed[first]
@@ -121,20 +128,29 @@ def event(
 
     def goes_on(now: Event) -> Array:
         j = most(now)
-        return (now.stress[j] >= threshold[j]) & (now.breaks < BREAKS * sites) & ~now.broken[last]
+        return (now.stress[j] >= threshold[j]) & (now.breaks < limit) & ~now.broken[last]
 
     none = jnp.zeros_like(start)
     one = breaks(Event(start, none, none, jnp.zeros(sites, bool), jnp.int32(0)), first)
     return lax.while_loop(goes_on, lambda now: breaks(now, most(now)), one), first, load, start
 
 
-def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
-    site = jnp.arange(sites)
-    last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
+def _contacts(
+    block: Block, interface: Interface | Profile | None, sites: int
+) -> tuple[Response, Float[Array, " sites"], Float[Array, " sites"], Int[Array, ""] | int]:
+    """Response of the contacts, their thresholds and prestress, and the last of them."""
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
+    last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
     if interface is not None:
+        site = jnp.arange(sites)
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
+    return response, threshold, prestress, last
+
+
+def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
+    site = jnp.arange(sites)
+    response, threshold, prestress, last = _contacts(block, interface, sites)
     ended, first, load, before = event(response, threshold, prestress, last)
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
@@ -404,7 +420,36 @@ def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockField
 
 @jax.jit
 def _fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
+    return _fields_of(block, guide_of(block), load, pinning)
+
+
+def _fields_of(block: Block, guide: Guide, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
     contact, y = jnp.asarray(block.stiffness), elements.heights(block)
-    found = waveguide.columns(guide_of(block), contact, load, pinning)
+    found = waveguide.columns(guide, contact, load, pinning)
     every = jnp.zeros((found.shape[0], 2 * y.size), y.dtype).at[:, elements.freedoms(block, y.size)].set(found)
     return BlockFields(jnp.arange(found.shape[0], dtype=y.dtype), y, every[:, 0::2], every[:, 1::2])
+
+
+class Stages(NamedTuple):
+    """Stresses of the contacts and in the block, in σ_s, after given numbers of breaks; without the prestress in the block."""
+
+    y: Float[Array, " nodes"]  # heights of the nodes, in λc
+    contact: Float[Array, "n N"]
+    shear: Float[Array, "n N cells"]  # σ_xy over each contact, from one node to the next
+
+
+@partial(jax.jit, static_argnames="sites")
+def stages(block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"]) -> Stages:
+    """Stresses after so many breaks of the first precursor, 0 for none."""
+    response, threshold, prestress, last = _contacts(block, interface, sites)
+    _, _, load, before = event(response, threshold, prestress, last, 1)
+    guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
+
+    def at(limit: Array) -> tuple[Array, Array]:
+        now = event(response, threshold, prestress, last, limit)[0]
+        field = _fields_of(block, guide, load, jnp.where(limit > 0, now.pinning, 0))
+        across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
+        shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
+        return jnp.where(limit > 0, now.stress, before), shear
+
+    return Stages(elements.heights(block), *lax.map(at, breaks))

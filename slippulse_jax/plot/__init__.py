@@ -6,6 +6,7 @@ Functions that need several panels return a figure. Colours and type are those o
 
 from slippulse_jax.plot import style as style
 from slippulse_jax.plot.animation import animate as animate
+from slippulse_jax.plot.blocks import block_stress as block_stress
 from slippulse_jax.plot.designs import design as design
 from slippulse_jax.plot.designs import design_figure as design_figure
 from slippulse_jax.plot.designs import design_lengths as design_lengths

@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax.files import write_atomically
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice.blocks import BlockPrecursor
 from slippulse_jax.lattice.modes import Fields
 from slippulse_jax.lattice.precursor import FirstPrecursor
 from slippulse_jax.plot import style
+from slippulse_jax.plot.blocks import Frames, draw_block, frames_of
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 
 if TYPE_CHECKING:
@@ -22,9 +25,10 @@ MOST_FRAMES = 150
 
 
 def animate(
-    precursor: FirstPrecursor,
+    precursor: FirstPrecursor | BlockPrecursor,
     path: str | Path | None = None,
     *,
+    interface: Interface | Profile | None = None,
     sites: int | None = None,
     fps: float = 12.0,
     hold: float = 1.0,
@@ -32,18 +36,20 @@ def animate(
 ) -> "FuncAnimation":
     """Animate a first precursor, from nucleation to arrest.
 
-    Displacements are above, contact stress is below.
+    Displacements are above, of a block the shear stress in it; contact stress is below.
 
-    One frame per broken contact, at most 150 frames. The model has no time: frames count breaks.
+    One frame per break, at most 150 frames. The model has no time: frames count breaks.
 
     Parameters
     ----------
-    precursor : FirstPrecursor
-        Result of `first_precursor` for one slider; its front must have stopped.
+    precursor : FirstPrecursor or BlockPrecursor
+        Result of `first_precursor` for one slider or block; its front must have stopped.
     path : path, optional
         File to write: ``.gif``, ``.mp4`` (needs ffmpeg) or ``.html``; it appears whole or not at all.
+    interface : Interface or Profile, optional
+        That of a block, as `first_precursor` had it.
     sites : int, optional
-        Number of contacts to show; by default twice the number that break.
+        Number of contacts to show of a slider; by default twice the number that break.
     fps : float
         Frames per second.
     hold : float
@@ -68,19 +74,26 @@ def animate(
 
     if np.ndim(precursor.contacts_broken):
         raise ValueError("animate takes one precursor, not a batch")
-    broken, recorded = int(precursor.contacts_broken), int(precursor.front_stress.shape[0])
-    if not np.isfinite(float(precursor.length)) or broken > recorded:
+    of_block = isinstance(precursor, BlockPrecursor)
+    broken = int(precursor.breaks if of_block else precursor.contacts_broken)
+    recorded = int((precursor.stress if of_block else precursor.front_stress).shape[0])
+    if not np.isfinite(float(precursor.length)) or (broken > recorded and not of_block):
         raise ValueError(f"this front did not stop within the {recorded} contacts recorded: there is no arrest to show")
     if not (fps > 0 and hold >= 0):
         raise ValueError(f"fps = {fps}, hold = {hold}: fps must be positive, hold 0 or more")
     writer = None if path is None else _writer(Path(path), fps)
-    shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
     positions = np.unique(np.linspace(0, broken, min(broken + 1, MOST_FRAMES)).round().astype(int))
-    fields = jax.vmap(precursor.fields_at)(jnp.asarray(positions))
 
     with style.use(dark=dark, figure__figsize=(5.2, 3.9), figure__dpi=100):
-        figure, panels = plt.subplots(2, 1, sharex=True)
-        draw = _scene(panels, fields, positions, shown)
+        if of_block:
+            frames = frames_of(precursor, positions, interface)
+            tall = float(np.clip(4.5 * float(precursor.block.height) / frames.shown, 1, 4))  # true to scale where it fits
+            figure, panels = plt.subplots(2, 1, sharex=True, figsize=(5.2, tall + 2.5), height_ratios=(tall, 1.6))
+            draw = _scene_of_block(panels, frames)
+        else:
+            figure, panels = plt.subplots(2, 1, sharex=True)
+            shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
+            draw = _scene(panels, jax.vmap(precursor.fields_at)(jnp.asarray(positions)), positions, shown)
         still = [len(positions) - 1] * round(hold * fps)
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)
@@ -123,6 +136,31 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
         end = ": it stops" if number == len(positions) - 1 else ""
         words.set_text(f"{positions[number]} contacts broken{end}")
         return [on_top, in_layer, carried, *fronts, words]
+
+    return frame
+
+
+def _scene_of_block(panels: Any, frames: Frames) -> Any:
+    """The same for a block: the shear stress in it above."""
+    above, below = panels
+    c = style.colours(above)
+    mesh = draw_block(above, frames, 0)
+    above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
+    x, stress = np.arange(frames.shown) + 0.5, frames.stages.contact[:, : frames.shown]
+    below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
+    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
+    (carried,) = below.plot(x, stress[0], color=c.ink)
+    words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
+    most = 1.15 * max(stress.max(), 1)
+    below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"), ylim=(min(0, 1.1 * stress.min()), most))
+    below.legend(handles=below.lines[:2], loc="lower right")
+
+    def frame(number: int) -> list[Any]:
+        mesh.set_array(frames.stages.shear[number, : frames.shown].T)
+        carried.set_ydata(stress[number])
+        end = ": it stops" if number == len(frames.breaks) - 1 else ""
+        words.set_text(f"{frames.breaks[number]} breaks{end}")
+        return [mesh, carried, words]
 
     return frame
 

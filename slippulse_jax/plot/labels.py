@@ -3,6 +3,7 @@
 NAMES = {
     "height": ("height", "H"),
     "push_height": ("height of the push", "h"),
+    "height_above": ("height", "y"),
     "stiffness": ("contact stiffness", "k/K"),
     "areal_stiffness": ("areal stiffness", r"k/\lambda_c^2"),
     "areal_stiffness_over_young": ("areal stiffness over $E$", r"k/(\lambda_c^2 E)"),

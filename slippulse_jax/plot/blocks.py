@@ -1,0 +1,104 @@
+"""The stress in a block at the instant a front passes, and its animation."""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice import blocks
+from slippulse_jax.lattice.blocks import BlockPrecursor, Stages
+from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.plot.style import axes, colours, drawn
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+REACH = 2.0
+"""Largest stress that has a colour of its own, in σ_s."""
+
+
+class Frames(NamedTuple):
+    """What pictures of a block after given numbers of breaks show."""
+
+    found: BlockPrecursor
+    breaks: np.ndarray
+    stages: Stages
+    shown: int  # contacts in sight: those that broke, and half as many again
+
+
+def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | Profile | None) -> Frames:
+    """Compute the stresses after so many breaks."""
+    if np.ndim(found.length):
+        raise ValueError("a picture shows one precursor, not a batch")
+    last = int(found.breaks)
+    if breaks.min() < 0 or breaks.max() > last:
+        raise ValueError(f"breaks = {breaks.max() if breaks.max() > last else breaks.min()}: this event has 0 to {last}")
+    with jax.enable_x64(found.stress.dtype == jnp.float64):
+        computed = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks))
+        stages = Stages(*(np.asarray(x) for x in computed))
+    if breaks[-1] == last and not np.allclose(stages.contact[-1], found.stress, atol=1e-3):
+        raise ValueError("this is not the event of this interface: give interface= as first_precursor had it")
+    furthest = int(np.max(np.nonzero(np.asarray(found.pinning))[0], initial=0)) + 1
+    return Frames(found, breaks, stages, min(found.stress.size, max(round(1.5 * furthest), round(float(found.block.height)))))
+
+
+@drawn
+def block_stress(
+    found: BlockPrecursor,
+    breaks: int | None = None,
+    *,
+    interface: Interface | Profile | None = None,
+    colorbar: bool = True,
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw the shear stress in a block after some breaks of its first precursor.
+
+    Parameters
+    ----------
+    found : BlockPrecursor
+        Result of `first_precursor`.
+    breaks : int, optional
+        0 at nucleation; by default all, when the event is over.
+    interface : Interface or Profile, optional
+        As `first_precursor` had it.
+    colorbar : bool
+        Whether to draw one.
+    ax : matplotlib.axes.Axes, optional
+
+    Raises
+    ------
+    ValueError
+        If the event has fewer breaks, or is that of another interface.
+    """
+    ax = axes(ax)
+    many = int(found.breaks) if breaks is None else breaks
+    frames = frames_of(found, np.array([many]), interface)
+    mesh = draw_block(ax, frames, 0)
+    ax.set_aspect("equal")
+    ax.set_title(f"{many} breaks" if many else "at nucleation")
+    ax.set_xlabel(DISTANCE)
+    if colorbar:
+        ax.figure.colorbar(mesh, ax=ax, label=r"shear stress, $\sigma_{xy}/\sigma_s$", extend="both")
+    return ax
+
+
+def draw_block(ax: "Axes", frames: Frames, number: int) -> Any:
+    """Draw the stress in the block with its pusher; return the coloured cells."""
+    c, block, n = colours(ax), frames.found.block, frames.shown
+    height = float(block.height)
+    mesh = ax.pcolormesh(
+        np.arange(n + 1),
+        frames.stages.y,
+        frames.stages.shear[number, :n].T,
+        cmap="PuOr_r",
+        vmin=-REACH,
+        vmax=REACH,
+        rasterized=True,
+    )
+    low, high = (float(part) * height for part in block.push.reach)
+    ax.plot([0, n], [height, height], color=c.ink, lw=0.8)
+    ax.fill([-0.03 * n, 0, 0, -0.03 * n], [low, low, high, high], color=c.vermilion, lw=0)
+    ax.set(xlim=(-0.03 * n, n), ylim=(0, 1.02 * height), ylabel=axis_label("height_above", "λc"))
+    return mesh
