@@ -80,7 +80,7 @@ def block_stress(
     ax.set_title(f"{many} breaks" if many else "at nucleation")
     ax.set_xlabel(DISTANCE)
     if colorbar:
-        ax.figure.colorbar(mesh, ax=ax, label=r"shear stress, $\sigma_{xy}/\sigma_s$", extend="both")
+        ax.figure.colorbar(mesh, ax=ax, label=r"shear stress, $\sigma_{xy}/\sigma_s$", extend="both", shrink=0.7)
     return ax
 
 

@@ -68,9 +68,10 @@ def _block(ax: "Axes", body: Block) -> None:
     c = colours(ax)
     height, right = 2.6, CONTACTS + 0.25
     edge = np.linspace(0, height, 80)
-    torn = right + 0.12 * np.sin(edge * 9)
+    ends = body.length is not None
+    torn = right + 0.12 * np.sin(edge * 9) * (not ends)
     ax.fill(np.concatenate([[0, 0], torn[::-1]]), np.concatenate([[0, height], edge[::-1]]), color=c.blue, alpha=0.25, lw=0)
-    ax.plot([right, 0, 0, right], [height, height, 0, 0], color=c.ink, lw=1)
+    ax.plot([right, 0, 0, right] + [right] * ends, [height, height, 0, 0] + [height] * ends, color=c.ink, lw=1)
     low, high = (float(part) * height for part in body.push.reach)
     ax.fill([-0.3, 0, 0, -0.3], [low, low, high, high], color=c.vermilion, lw=0)
     force = body.push.control == "force"
@@ -86,7 +87,8 @@ def _block(ax: "Axes", body: Block) -> None:
         ax.annotate("", (at, end), (at, start), arrowprops={"arrowstyle": "<->", "color": c.ink, "lw": 0.7})
         ax.text(at + 0.1, (start + end) / 2, name, va="center")
     ax.text(3.4, 1.5, r"$\nabla\cdot\sigma = 0$" + f", plane {body.plane}", ha="center")
-    ax.text(3.4, 0.25, "$u_y = 0$ along the interface", ha="center", fontsize="small")
+    rests = "$u_y = 0$" if body.normal_stiffness is None else f"$k_n/k$ = {float(body.normal_stiffness):g}"
+    ax.text(3.4, 0.25, f"{rests} along the interface", ha="center", fontsize="small")
 
 
 def _contacts(ax: "Axes", x: np.ndarray) -> None:
@@ -101,9 +103,9 @@ def _contacts(ax: "Axes", x: np.ndarray) -> None:
     for at in np.arange(-0.1, CONTACTS + 0.3, 0.25):
         ax.plot([at, at - 0.12], [track, track - 0.12], color=c.ink, lw=0.5)
     ax.text(x[0] - 0.22, track / 2, "$k$", ha="right", va="center")
-    ax.annotate("", (x[5], -1.12), (x[4], -1.12), arrowprops={"arrowstyle": "<->", "color": c.ink, "lw": 0.7})
-    ax.text((x[4] + x[5]) / 2, -1.2, r"$\lambda_c$", ha="center", va="top")
-    ax.text(x[0], -1.08, "broken, pinned again at zero stretch", va="top", fontsize="small", color=c.vermilion)
+    ax.annotate("", (x[6], -1.12), (x[5], -1.12), arrowprops={"arrowstyle": "<->", "color": c.ink, "lw": 0.7})
+    ax.text((x[5] + x[6]) / 2, -1.2, r"$\lambda_c$", ha="center", va="top")
+    ax.text(x[0], -1.08, "broken, pinned at zero stretch", va="top", fontsize="small", color=c.vermilion)
 
 
 def _box(ax: "Axes", x: float, y: float, width: float, height: float, colour: str) -> None:
