@@ -396,6 +396,49 @@ def test_derivatives_at_a_fixed_order_of_breaks(push):
     np.testing.assert_allclose(jax.grad(length)(at), around, rtol=2e-5)
 
 
+# --- a smooth rule ------------------------------------------------------------------------------------------------------
+
+
+def test_a_smooth_front_on_the_slider_as_a_waveguide():
+    """The block's sum over every contact, against the recursion of two modes."""
+    slider, rule = sp.Slider(10.0, 0.03, 0.3), sp.SmoothBreak(0.02)
+    found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
+    contacts = blocks.Contacts(found, jnp.ones(160), jnp.zeros(160), 159, jnp.asarray(True))
+    assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
+
+
+def test_a_smooth_front_tends_to_the_hard_one():
+    """And an interface counts: with a prestress it runs further."""
+    block = at_b(40.0, 1.0, sp.Push(0.25))
+    hard = float(sp.precursor_length(block, sites=128))
+    off = [hard - float(sp.precursor_length(block, rule=sp.SmoothBreak(w), sites=128)) for w in (4e-3, 1e-3, 2.5e-4)]
+    assert off[0] > 3 * off[1] > 9 * off[2] > 0
+    assert off[2] < 0.05
+    stressed = sp.precursor_length(block, sp.Interface(prestress=0.1), rule=sp.SmoothBreak(0.01), sites=128)
+    assert float(stressed) > hard + 1
+
+
+@pytest.mark.slow
+def test_a_smooth_length_has_no_jumps():
+    """Over pushes at which contacts behind the front break again in ever other orders, the hard one has."""
+
+    def length(height, rule):
+        return sp.precursor_length(at_b(40.0, 10.0, sp.Push(height)), rule=rule, sites=128)
+
+    def roughness(rule):
+        one = jax.jit(lambda height: length(height, rule))
+        return np.abs(np.diff([float(one(height)) for height in np.linspace(0.3, 0.4, 81)], 2)).max()
+
+    rule = sp.SmoothBreak(0.03)
+    assert roughness(blocks.HARD) > 0.03
+    assert roughness(rule) < 1e-3
+    around = (float(length(0.4 + 1e-5, rule)) - float(length(0.4 - 1e-5, rule))) / 2e-5
+    assert float(jax.grad(length)(0.4, rule)) == pytest.approx(around, rel=1e-6)
+    width = lambda w: sp.precursor_length(at_b(40.0, 10.0, sp.Push(0.4)), rule=sp.SmoothBreak(w), sites=128)  # noqa: E731
+    around = (float(width(0.03 + 1e-7)) - float(width(0.03 - 1e-7))) / 2e-7
+    assert float(jax.grad(width)(0.03)) == pytest.approx(around, rel=1e-5)
+
+
 def test_prestress_lengthens_and_a_threshold_decides():
     block = at_b(30.0, 1.0, sp.Push(0.4))
     plain, stressed = (sp.first_precursor(block, sp.Interface(prestress=p), sites=160) for p in (0.0, 0.15))
@@ -458,7 +501,10 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         ),
         (lambda: sp.Block.from_material(**MATERIAL, push_height=0.03), r"Push.height = 1.5: must lie in \(0, 1\)"),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sites=1), r"sites = 1: of a block a whole number"),
-        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), rule=sp.SmoothBreak(0.01)), r"rule = SmoothBreak.*of a block"),
+        (
+            lambda: sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.25, 0.1)), rule=sp.SmoothBreak(0.01)),
+            r"rule = SmoothBreak.*begins at",
+        ),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sp.Interface(repin_delay=2)), r"repin_delay = 2.*of a block"),
         (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a block needs sites"),
     ],

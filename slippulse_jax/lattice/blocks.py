@@ -24,10 +24,13 @@ from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.front import event_length, length_or_reason
+from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
+from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
+HARD = HardBreak()
 FEWEST, MORE, MOST = 64, 4, 2**13
 """Fewest contacts resolved, the factor by which they grow while an event reaches the last of them, and the most: the response
 of so many to each other is a matrix."""
@@ -41,6 +44,8 @@ TOGETHER = 4
 """Blocks computed at once."""
 BREAKS = 64
 """Breaks per contact after which an event is given up."""
+NEGLIGIBLE = 1e-9
+"""Fraction of a contact that breaks, below which a smooth front has faded: ever farther contacts cost."""
 
 
 class Event(NamedTuple):
@@ -91,6 +96,13 @@ def guide_of(block: Block, finer: int = 0) -> Guide:
     return waveguide.guide(slab, elements.loaded(block, finer), length)
 
 
+def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Contact that is at its threshold first, and the load then."""
+    needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
+    first = jnp.argmin(needed)
+    return first, needed[first]
+
+
 def event(
     response: Response,
     threshold: Float[Array, " N"],
@@ -107,9 +119,7 @@ def event(
     push, matrix = response
     sites = push.size
     limit = BREAKS * sites if limit is None else limit
-    needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
-    first = jnp.argmin(needed)
-    load = needed[first]
+    first, load = nucleated(push, threshold, prestress)
     start = prestress + load * push
 
     def breaks(now: Event, j: Array) -> Event:
@@ -135,30 +145,37 @@ def event(
     return lax.while_loop(goes_on, lambda now: breaks(now, most(now)), one), first, load, start
 
 
-def _contacts(
-    block: Block, interface: Interface | Profile | None, sites: int
-) -> tuple[Response, Float[Array, " sites"], Float[Array, " sites"], Int[Array, ""] | int]:
-    """Response of the contacts, their thresholds and prestress, and the last of them."""
-    response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
+class Contacts(NamedTuple):
+    """The contacts of a block, before it is pushed."""
+
+    response: Response
+    threshold: Float[Array, " N"]
+    prestress: Float[Array, " N"]
+    last: Int[Array, ""] | int  # the last that is resolved, or that it has
+    valid: Bool[Array, ""]  # whether all numbers lie in their domains
+
+
+def _contacts(block: Block, interface: Interface | Profile | None, sites: int) -> Contacts:
+    site = jnp.arange(sites)
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
+    response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
     threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
     if interface is not None:
-        site = jnp.arange(sites)
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
-    return response, threshold, prestress, last
+    valid = HEIGHT.holds(block.height) & STIFFNESS.holds(block.stiffness) & POISSON.holds(block.poisson)
+    if block.normal_stiffness is not None:
+        valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
+    return Contacts(response, threshold, prestress, last, valid)
 
 
 def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
     site = jnp.arange(sites)
-    response, threshold, prestress, last = _contacts(block, interface, sites)
+    response, threshold, prestress, last, valid = _contacts(block, interface, sites)
     ended, first, load, before = event(response, threshold, prestress, last)
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
-    inside = HEIGHT.holds(block.height) & STIFFNESS.holds(block.stiffness) & POISSON.holds(block.poisson)
-    if block.normal_stiffness is not None:
-        inside = inside & NORMAL_STIFFNESS.holds(block.normal_stiffness)
     endings = {
-        Outcome.INVALID: ~(inside & jnp.isfinite(excess).all()),
+        Outcome.INVALID: ~(valid & jnp.isfinite(excess).all()),
         Outcome.RAN_THROUGH: ended.broken[last],
         Outcome.LIMIT: (excess >= 0).any(),
         Outcome.NO_DOMINO: ended.breaks == 1,
@@ -186,20 +203,54 @@ def record(block: Block, interface: Interface | Profile | None, sites: int) -> B
     return _record(block, interface, sites)
 
 
+class Fading(NamedTuple):
+    """A front that fades, with the stress on every contact."""
+
+    stress: Float[Array, " N"]
+    position: Int[Array, ""]  # of the contact ahead
+
+
+def faded(contacts: Contacts, rule: SmoothBreak) -> Float[Array, ""]:
+    """ℓ under a smooth rule, of a front from the edge: inf if it reaches the last contact, NaN if the event begins inside."""
+    response, threshold, prestress, last, valid = contacts
+    first, load = nucleated(response.push, threshold, prestress)
+
+    def release(front: Fading, given: Array) -> Fading:
+        return Fading(front.stress + response.matrix[front.position] * given, front.position + 1)
+
+    start = release(Fading(prestress + load * response.push, jnp.int32(0)), threshold[0])
+    end, through = fade(
+        rule, start, lambda front: front.stress[front.position], lambda site: threshold[site], release, last, NEGLIGIBLE
+    )
+    valid = valid & (first == 0) & (jnp.asarray(rule.width) > 0)
+    status = jnp.select([~valid, through], [Outcome.INVALID, Outcome.RAN_THROUGH], Outcome.ARRESTED).astype(jnp.int32)
+    return length_or_reason(status, end.length)
+
+
 @partial(jax.jit, static_argnames="sites")
-def length(block: Block, interface: Interface | Profile | None, sites: int) -> Float[Array, ""]:
-    """ℓ of one block, with derivatives at a fixed order of breaks."""
-    numbers, together = ravel_pytree((block, interface))
+def length(block: Block, interface: Interface | Profile | None, sites: int, rule: BreakRule = HARD) -> Float[Array, ""]:
+    """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
+    numbers, together = ravel_pytree((block, interface, rule))
 
     def one(numbers: Array) -> Array:
-        block, interface = together(numbers)
+        block, interface, rule = together(numbers)
+        if isinstance(rule, SmoothBreak):
+            return faded(_contacts(block, interface, sites), rule)
         return _record(block, interface, sites).length
 
     return by_forward_mode(one)(numbers)
 
 
-def resolved(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> int:
+def resolved(
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, length_on: Callable[[Any, int], Array]
+) -> int:
     """Number of contacts on which an event stays, or the one that is given.
+
+    Parameters
+    ----------
+    block, interface, sites
+    length_on : callable
+        ℓ of block and interface on so many contacts; inf where it runs through them.
 
     Raises
     ------
@@ -212,15 +263,16 @@ def resolved(block: Block, interface: Interface | Profile | None, sites: Numbers
         if sites < (block.contacts or 0):
             raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
         return sites
-    known = _known(block).contacts
-    if known is not None and known <= MOST:
-        return max(FEWEST, 1 << (known - 1).bit_length())
+    known = _known((block, interface))
+    contacts = known[0].contacts
+    if contacts is not None and contacts <= MOST:
+        return max(FEWEST, 1 << (contacts - 1).bit_length())
     count = FEWEST
-    while count <= MOST and known is None:
-        if int(record(*_known((block, interface)), count).status) != Outcome.RAN_THROUGH:
+    while count <= MOST and contacts is None:
+        if not np.isposinf(length_on(known, count)):
             return count
         count *= MORE
-    raise ValueError(
+    raise ValueError(  # under a wide smooth rule for ever
         f"{block} or its event reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
     )
 
@@ -378,16 +430,27 @@ def lengths(lanes: Lanes, control: Control) -> np.ndarray:
     return found
 
 
-def precursor_length(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> Float[Array, ""]:
+def precursor_length(
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, rule: BreakRule = HARD
+) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
-    if sites is None and block.length is None and not isinstance(interface, Profile) and _known(block).height > TALL:
+    smooth = isinstance(rule, SmoothBreak)
+    every = sites is not None or block.length is not None or smooth
+    if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
         return tall_length(block, interface)[0]
-    return length(block, interface, resolved(block, interface, sites))
+    plain = lax.stop_gradient(rule)
+    count = resolved(block, interface, sites, lambda known, count: length(*known, count, plain))
+    found = length(block, interface, count, rule)
+    if smooth and not isinstance(found, Tracer) and np.isnan(found):
+        begins = int(record(block, interface, count).nucleation)
+        raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
+    return found
 
 
 def first_precursor(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    found = record(block, interface, resolved(block, interface, sites))
+    count = resolved(block, interface, sites, lambda known, count: record(*known, count).length)
+    found = record(block, interface, count)
     if block.contacts is None:
         return found
     # no more than it has
@@ -441,7 +504,7 @@ class Stages(NamedTuple):
 @partial(jax.jit, static_argnames="sites")
 def stages(block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"]) -> Stages:
     """Stresses after so many breaks of the first precursor, 0 for none."""
-    response, threshold, prestress, last = _contacts(block, interface, sites)
+    response, threshold, prestress, last, _ = _contacts(block, interface, sites)
     _, _, load, before = event(response, threshold, prestress, last, 1)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 

@@ -19,7 +19,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
-from slippulse_jax.lattice.blocks import BlockPrecursor
+from slippulse_jax.lattice.blocks import HARD, BlockPrecursor
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
 from slippulse_jax.lattice.modes import (
     ENDLESS,
@@ -32,12 +32,10 @@ from slippulse_jax.lattice.modes import (
     lattice_modes,
 )
 from slippulse_jax.lattice.smooth import smooth_length
-from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
+from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
-
-HARD = HardBreak()
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -172,7 +170,8 @@ def precursor_length(
         broadcasts with the slider; a `Profile` belongs to one slider.
     rule : HardBreak or SmoothBreak, or one derived from it
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
-        length has no kinks, a bias that the documentation gives, and a derivative in the width too; semi-infinite chains only.
+        length has no kinks, a bias that the documentation gives, and a derivative in the width too; for semi-infinite chains,
+        and for blocks on which the event begins at the edge.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : array_like, optional
@@ -216,9 +215,10 @@ def precursor_length(
     25.790 λc
     """
     if isinstance(slider, Block):
-        _check_of_block(interface, rule=rule, right=right, machine=machine, max_contacts=max_contacts)
+        _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
+        check_rule(rule, one=True)
         _warn_single_precision(slider)
-        return blocks.precursor_length(slider, interface, sites)
+        return blocks.precursor_length(slider, interface, sites, rule)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule)
@@ -338,12 +338,10 @@ _smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule,
 
 def _check_of_block(interface: Contacts, **given: Any) -> None:
     """Refuse what a block does not have."""
-    usual = {"rule": HARD, "right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
+    usual = {"right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
     for name, value in given.items():
         if value is not None and value != usual.get(name):
-            raise ValueError(
-                f"{name} = {value!r}: not an option of a block, which breaks by the hard rule; a free end is its length"
-            )
+            raise ValueError(f"{name} = {value!r}: not an option of a block; a free end is its length")
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")
 

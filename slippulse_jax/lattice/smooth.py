@@ -10,9 +10,10 @@ linear between contacts,
 where the first term is the step from contact 0, which always breaks completely, to its neighbour. As w → 0 every integral
 becomes the length over which t ≥ θ, so that ℓ_w → ℓ.
 
-In a chain of any interface the same sweep is `slippulse_jax.lattice.rupture.smooth_rupture`.
+In a chain of any interface the same sweep is `slippulse_jax.lattice.rupture.smooth_rupture`; in a block it is `fade` too.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -31,8 +32,48 @@ from slippulse_jax.status import Outcome
 class Fading(NamedTuple):
     """Fading front: the last contact it reached, and its length so far."""
 
-    front: Front
+    front: Any  # with its `position`
     length: Float[Array, ""]
+
+
+def fade(
+    rule: SmoothBreak,
+    start: Any,
+    stress: Callable[[Any], Array],
+    threshold: Callable[[Array], Array],
+    release: Callable[[Any, Array], Any],
+    limit: int | Array,
+    negligible: float,
+) -> tuple[Fading, Array]:
+    """Let a front fade after contact 0 has broken completely, and whether it has not by the contact `limit`.
+
+    Parameters
+    ----------
+    start : front
+        Its `position` is that of the contact ahead.
+    stress : callable
+        Of a front: on the contact ahead, in σ_s.
+    threshold : callable
+        Of a contact.
+    release : callable
+        The front after the contact ahead has released a stress.
+    limit : int
+    negligible : float
+        Fraction of a contact that breaks, below which the front has faded.
+    """
+
+    def broken(front: Any) -> Array:
+        return rule.broken(stress(front), threshold(front.position))
+
+    def step(now: Fading) -> Fading:
+        before, at = stress(now.front), threshold(now.front.position)
+        front = release(now.front, rule.broken(before, at) * before)
+        return Fading(front, now.length + rule.overloaded_length(before, stress(front), at, threshold(front.position)))
+
+    end = lax.while_loop(
+        lambda now: (broken(now.front) > negligible) & (now.front.position < limit), step, Fading(start, broken(start))
+    )
+    return end, broken(end.front) > negligible
 
 
 def smooth_length(
@@ -83,21 +124,15 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
     over = passage(modes)  # contact 0 breaks completely
-    start = Fading(over.start, rule.broken(over.stress(over.start), one))
     # the neglected remainder is at most the broken fraction times the sum of a decay no slower than ρ_2 < 1
-    negligible = 1e-4 * jnp.finfo(one.dtype).eps
+    negligible = 1e-4 * float(jnp.finfo(one.dtype).eps)
 
-    def fading(now: Fading) -> Array:
-        return rule.broken(over.stress(now.front), one) > negligible
+    def release(front: Front, given: Array) -> Front:
+        return advance(modes, front, given, start=modes.drive)
 
-    def step(now: Fading) -> Fading:
-        before = over.stress(now.front)
-        front = advance(modes, now.front, rule.broken(before, one) * before, start=modes.drive)
-        return Fading(front, now.length + rule.overloaded_length(before, over.stress(front), one, one))
-
-    end = lax.while_loop(lambda now: fading(now) & (now.front.position < max_contacts), step, start)
+    end, fading = fade(rule, over.start, over.stress, lambda _: one, release, max_contacts, negligible)
     valid = in_domain(slider) & (rule.width > 0)
     status = jnp.select(
-        [~valid | ~jnp.isfinite(end.length), fading(end)], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
+        [~valid | ~jnp.isfinite(end.length), fading], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
     ).astype(jnp.int32)
     return length_or_reason(status, end.length), status
