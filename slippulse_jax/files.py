@@ -1,7 +1,7 @@
 """Atomic writing of files."""
 
 import os
-import tempfile
+import secrets
 from pathlib import Path
 
 
@@ -9,25 +9,41 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a file whole or not at all.
 
     `content` goes to a temporary file beside `path`, is flushed to disk and renamed. Whatever interrupts this (a full disk, a
-    kill), `path` holds either its former content or all of the new.
+    kill), `path` holds either its former content or all of the new. A link stays a link: the file that it leads to is written.
 
     Raises
     ------
     OSError
-        If the folder does not exist or cannot be written; no temporary file is left.
+        If the folder does not exist or cannot be written, naming `path`; no temporary file is left.
     """
-    path = Path(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    target = Path(os.path.realpath(path))
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.tmp")
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp makes files private; a result should have the permissions the user's other files get
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+        # made with the permissions that the user's other files get
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _flush_folder(target.parent)
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, os.fspath(path)) from None
+
+
+def _flush_folder(folder: Path) -> None:
+    """Flush the new name of a file to disk, where the system can."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:  # a folder that may be written but not read; or Windows
+        return
+    try:
+        os.fsync(handle)
+    except OSError:  # a file system that cannot
+        pass
+    finally:
+        os.close(handle)

@@ -1,7 +1,12 @@
-"""Results as plain Python values, for JSON."""
+"""Results as plain Python values, for JSON, and messages of a length to be read."""
 
 import math
 from typing import Any
+
+
+def shortened(message: str) -> str:
+    """Leave out the middle of a long message: a damaged file may hold a cell of megabytes."""
+    return message if len(message) <= 2000 else f"{message[:1400]} … {message[-400:]}"
 
 
 def plain(content: Any) -> Any:

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
+from slippulse_jax.plain import shortened
+
 Numbers = Array | ArrayLike
 """Types that a constructor accepts as numbers, including sequences."""
 
@@ -76,7 +78,26 @@ def quantities(cls: type) -> dict[str, Quantity]:
 
 
 def as_float(x: Any) -> Any:
-    """Convert to floating point: JAX arrays and tracers in their own precision, anything else to NumPy float64."""
+    """Convert to floating point: JAX arrays and tracers in their own precision, anything else to NumPy float64.
+
+    Raises
+    ------
+    TypeError
+        If it holds no real numbers: text, dates, complex numbers, other objects.
+    ValueError
+        If it is a masked array with masked values.
+    """
+    array = x if isinstance(x, jax.Array) else np.asanyarray(x)
+    if isinstance(array, np.ma.MaskedArray) and array.mask.any():
+        raise ValueError(f"{shortened(repr(x))}: has masked values; fill them, or leave them out")
+    if isinstance(x, jax.Array):
+        real = not jnp.issubdtype(x.dtype, jnp.complexfloating)
+    elif array.dtype.kind == "O":  # as large whole numbers are
+        real = not any(isinstance(one, str | bytes | None) for one in array.ravel())
+    else:
+        real = array.dtype.kind in "fiub"
+    if not real:
+        raise TypeError(f"{shortened(repr(x))}: must be a real number, or several")
     if isinstance(x, jax.Array):
         return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     return np.asarray(x, dtype=np.float64)

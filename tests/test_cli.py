@@ -270,6 +270,79 @@ def test_reader_that_hangs_up_is_not_an_error_message():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252"])
+def test_every_encoding_of_stdout(encoding):
+    env = os.environ | {"PYTHONIOENCODING": encoding}
+    for arguments in (["length", *FIG2], ["length", "--help"]):
+        done = slippulse(*arguments, env=env, encoding=encoding)
+        assert done.returncode == 0, done.stderr
+        assert "UnicodeEncodeError" not in done.stderr
+        assert done.stdout
+    found = json.loads(slippulse("length", *FIG2, "--json", env=env, encoding=encoding).stdout)
+    assert found == json.loads(slippulse("length", *FIG2, "--json").stdout)
+
+
+@pytest.mark.parametrize("closed", [1, 2])
+def test_closed_streams(closed):
+    code = f"import os, sys; os.close({closed}); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "-m", "slippulse_jax.cli.main", "length", *FIG2], capture_output=True, text=True, cwd=ROOT
+    )
+    assert "Traceback" not in done.stderr
+    assert done.returncode in (0, 1)
+
+
+def test_interrupted_while_it_starts():
+    """Of the command that is installed, once Python itself has begun."""
+    code = (
+        "import sys, os, signal; from slippulse_jax.cli import run; sys.argv = ['slippulse', '--help']; print(1, flush=True)\n"
+    )
+    slow = "import builtins, time; real = builtins.__import__\ndef late(*a, **k): time.sleep(0.02); return real(*a, **k)\n"
+    started = subprocess.Popen(
+        [sys.executable, "-c", code + slow + "builtins.__import__ = late\nrun()"],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert started.stdout.readline() == "1\n"
+    time.sleep(0.1)
+    started.send_signal(signal.SIGINT)
+    _, said = started.communicate(timeout=60)
+    assert started.returncode == 130
+    assert "Traceback" not in said
+
+
+def test_a_long_cell_is_not_said_whole(tmp_path):
+    (tmp_path / "long.csv").write_text("height,poisson,length,length_sigma\n25,0.3," + "x" * 100_000 + ",1\n")
+    done = slippulse("fit", str(tmp_path / "long.csv"))
+    assert done.returncode == 2
+    assert "line 2, column length" in done.stderr
+    assert len(done.stderr) < 3000
+
+
+def test_atomic_writing_keeps_links_masks_and_names(tmp_path, monkeypatch):
+    from slippulse_jax.files import write_atomically
+
+    (tmp_path / "there").mkdir()
+    (tmp_path / "link.png").symlink_to(tmp_path / "there" / "real.png")
+    monkeypatch.setattr(os, "umask", lambda _: pytest.fail("the umask belongs to the whole process"))
+    folders = []
+    fsync = os.fsync
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: (folders.append(os.path.isdir(f"/proc/self/fd/{handle}")), fsync(handle))[1]
+    )
+    write_atomically(tmp_path / "link.png", b"drawn")
+    assert (tmp_path / "link.png").is_symlink()
+    assert (tmp_path / "there" / "real.png").read_bytes() == b"drawn"
+    assert [p.name for p in (tmp_path / "there").iterdir()] == ["real.png"]
+    if Path("/proc/self/fd").exists():
+        assert folders == [False, True], "the file, then its folder"
+    plain = tmp_path / "made.png"
+    plain.touch()
+    assert (tmp_path / "there" / "real.png").stat().st_mode == plain.stat().st_mode
+    with pytest.raises(FileNotFoundError) as error:
+        write_atomically(tmp_path / "gone" / "a.png", b"")
+    assert error.value.filename == str(tmp_path / "gone" / "a.png")
+
+
 def test_full_disk_leaves_no_half_file(tmp_path, monkeypatch):
     from slippulse_jax.files import write_atomically
 

@@ -239,6 +239,61 @@ def test_machine_that_rounds_differently_is_refused(reference, monkeypatch):
         sp.sweep(**REQUEST, store=reference)
 
 
+def test_one_point_and_no_points(tmp_path):
+    one = sp.sweep(height=25.0, stiffness=0.03, poisson=0.3, store=tmp_path / "one")
+    assert float(one.length.load()) == pytest.approx(25.789811, abs=1e-6)
+    few = sp.sweep(height=[25.0, 26.0], stiffness=[0.03, 0.04, 0.05], poisson=0.3, store=tmp_path / "few")
+    for axis, shape in (("height", (0, 3)), ("stiffness", (2, 0))):
+        assert few.length.isel({axis: slice(0, 0)}).load().shape == shape
+        assert few.length.isel({axis: []}).load().shape == shape
+
+
+def test_any_damage_to_the_manifest_is_a_store_error(reference, tmp_path):
+    """Bytes changed, cut and put in; values of other types: a store of the same sweep, or a `StoreError`."""
+    rng = np.random.default_rng(3)
+    store = tmp_path / "s"
+    (store / "chunks").mkdir(parents=True)
+    whole = {name: (reference / name).read_bytes() for name in ("manifest.json", "axes.npz")}
+    manifest = json.loads(whole["manifest.json"])
+    damaged = []
+    for name, content in whole.items():
+        for _ in range(120):
+            bad, at = bytearray(content), rng.integers(len(content))
+            bad[at : at + rng.integers(0, 3)] = rng.bytes(rng.integers(0, 4))
+            damaged.append({**whole, name: bytes(bad)})
+        damaged += [{**whole, name: bad} for bad in (b"", content[: len(content) // 2], b"\xff\xfe", b"[" * 200_000, b"null")]
+    for place in (manifest, manifest["request"]):
+        for key, kept in list(place.items()):
+            for value in (None, "x", -1, 1e400, [], {}, [[0]], 2**70):
+                place[key] = value
+                damaged.append({**whole, "manifest.json": json.dumps(manifest).encode()})
+            place[key] = kept
+    refused = []
+    for files in damaged:
+        for name, content in files.items():
+            (store / name).write_bytes(content)
+        try:
+            assert sp.open_sweep(store).length.shape == sp.open_sweep(reference).length.shape
+        except StoreError as error:
+            refused.append(str(error))
+    assert len(refused) > len(damaged) / 2
+    assert max(map(len, refused)) < 3000
+
+
+def test_two_writers_of_one_chunk(tmp_path, monkeypatch):
+    """One clears away the temporary file of the other, as if of a process that was killed."""
+    replace, calls = os.replace, iter(range(1000))
+
+    def lost(source, target):
+        if Path(target).name == "000000.npz" and next(calls) == 0:
+            Path(source).unlink()
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", lost)
+    found = sp.sweep(height=[25.0, 26.0], stiffness=0.03, poisson=0.3, store=tmp_path / "s")
+    assert np.isfinite(found.length.load()).all()
+
+
 def test_what_is_not_a_store(tmp_path):
     with pytest.raises(StoreError, match="not the store of a sweep"):
         sp.open_sweep(tmp_path)

@@ -2,3 +2,20 @@
 
 Imports are inside the functions, so that ``--help`` answers at once.
 """
+
+import os
+import signal
+from typing import Any
+
+
+def run() -> None:
+    """Run ``slippulse``; Ctrl-C ends it without a traceback from the first import on."""
+
+    def leave(*_: Any) -> None:
+        os._exit(130)
+
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, leave)
+    from slippulse_jax.cli.main import main
+
+    main()

@@ -5,6 +5,7 @@ is run, so that ``--help`` and ``--version`` answer without JAX.
 """
 
 import importlib
+import io
 import os
 import sys
 
@@ -73,9 +74,13 @@ def slippulse(cache: bool) -> None:
 def main() -> None:
     """Run the command line and exit with its status."""
     leave_when_interrupted()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # Latin-1 has no λ
+            stream.reconfigure(errors="replace")
     try:
         slippulse.main(standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except click.exceptions.Exit as leaving:
         sys.exit(leaving.exit_code)
     except click.ClickException as error:
@@ -89,7 +94,7 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         # the reader closed the pipe, as head does: nothing more can be written there
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(FAILURE)
     except OSError as error:
         click.echo(f"Error: {error}", err=True)

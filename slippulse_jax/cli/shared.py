@@ -4,13 +4,14 @@ import io
 import json
 import os
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from slippulse_jax.plain import plain
+from slippulse_jax.plain import plain, shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,12 +76,17 @@ def leave_when_interrupted() -> None:
 
 def print_json(content: dict[str, Any]) -> None:
     """Print strict JSON, with null for numbers that are not finite."""
-    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False))
+    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=not prints_unicode(), allow_nan=False))
+
+
+def prints_unicode() -> bool:
+    """Whether stdout takes every character."""
+    return (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
 
 
 def refuse(error: Exception) -> NoReturn:
     """Exit with status 2 and the message of an error about the input."""
-    raise BadInput(str(error)) from None
+    raise BadInput(shortened(str(error))) from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:

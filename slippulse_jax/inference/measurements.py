@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.block import Control
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.plain import shortened
 
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 KINDS = ("length", "whole", "at_least")
@@ -20,6 +21,9 @@ KINDS = ("length", "whole", "at_least")
 
 class MeasurementError(ValueError):
     """Measurements that cannot be used; the message says where and why."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shortened(message))
 
 
 READINGS = ("slip", "stress")

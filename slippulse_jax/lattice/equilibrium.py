@@ -101,10 +101,10 @@ def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> E
         Of `safe` with its contacts.
     """
     (upper, layer), converged = solve(safe, state, lax.stop_gradient(right.beyond))
-    pull = imbalance(safe, state, (upper, layer))
     end = safe.end.upper * upper[-1] + safe.end.layer * layer[-1]
     push = safe.contact_force(layer - state.pinning).sum() + end
-    worst, scale = jnp.abs(jnp.stack(pull)).max(), _gross(safe, state, (upper, layer))
+    found = lax.stop_gradient((safe, state, (upper, layer)))
+    worst, scale = jnp.abs(jnp.stack(imbalance(*found))).max(), _gross(*found)
     residual = worst / jnp.where(scale > 0, scale, 1)
     stress = safe.stress(layer, state.pinning)
     finite = jnp.stack([jnp.isfinite(x).all() for x in (upper, layer, stress, push, residual)]).all()

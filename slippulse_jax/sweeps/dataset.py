@@ -50,6 +50,8 @@ class StoredColumn(BackendArray):
 
     def _outer(self, key: tuple[Any, ...]) -> np.ndarray:
         """Values at every combination of the indices, one index, slice or array per axis."""
+        if not self.shape:  # a single point has no axis
+            return self._look_up(np.zeros(1, np.int64)).reshape(())
         taken = [np.atleast_1d(np.arange(n)[k]) for n, k in zip(self.shape, key, strict=True)]
         strides = np.cumprod((1, *self.shape[:0:-1]))[::-1]
         result = np.empty([len(t) for t in taken], self.dtype)
@@ -71,7 +73,7 @@ class StoredColumn(BackendArray):
         chunk, within = np.divmod(points, self.store.chunk)
         order = np.argsort(chunk, kind="stable")
         first = np.flatnonzero(np.diff(chunk[order], prepend=-1))
-        for at, end in zip(first, (*first[1:], points.size), strict=True):
+        for at, end in zip(first, [*first[1:], points.size][: len(first)], strict=True):
             here = order[at:end]
             result[here] = self._chunk(int(chunk[here[0]]))[within[here]]
         return result

@@ -15,7 +15,6 @@ import hashlib
 import io
 import json
 import struct
-import zipfile
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from slippulse_jax.files import write_atomically
+from slippulse_jax.plain import shortened
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request
 
 FORMAT = 1
@@ -72,7 +72,11 @@ class Store:
         """Write one chunk, whole or not at all."""
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, **{k: v.astype(v.dtype.newbyteorder("<")) for k, v in columns.items()})
-        write_atomically(self.file(index), _sealed(content.getvalue(), self.request.digest, index))
+        sealed = _sealed(content.getvalue(), self.request.digest, index)
+        try:
+            write_atomically(self.file(index), sealed)
+        except FileNotFoundError:  # another process took the temporary file for the remains of one that was killed
+            write_atomically(self.file(index), sealed)
 
     def read(self, index: int) -> Columns:
         """Read one chunk.
@@ -88,7 +92,9 @@ class Store:
         start, stop = self.span(index)
         try:
             columns = _opened(path.read_bytes(), self.request.digest, index)
-        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # damaged bytes fail in as many ways as there are readers
             raise StoreError(f"{path}: damaged chunk ({error}); the same sweep, resumed, computes it again") from None
         if set(columns) != set(self.request.outputs) or any(v.shape != (stop - start,) for v in columns.values()):
             raise StoreError(f"{path}: holds other outputs or points than this sweep; delete it, then resume")
@@ -140,24 +146,31 @@ def open_store(path: Path) -> Store:
         described = manifest["request"]
         if manifest["format"] != FORMAT:
             raise StoreError(f"{path}: a store of format {manifest['format']}; this version reads format {FORMAT}")
-        with np.load(path / "axes.npz", allow_pickle=False) as axes:
+        with np.load(io.BytesIO((path / "axes.npz").read_bytes()), allow_pickle=False) as axes:
             parameters = {name: axes[name] for name in PARAMETERS if name in axes}
+        request = Request(
+            parameters,
+            described["combined"] == "product",
+            tuple(described["outputs"]),
+            described["right"],
+            described["sites"],
+            described["max_contacts"],
+            described.get("push_control", "displacement"),
+        )
+        agrees = request.digest == manifest["digest"] and manifest["points"] == request.size
+        store = Store(path, request, manifest["chunk"], dict(manifest["versions"]))
+        if agrees and not (isinstance(store.chunk, int) and store.chunk > 0 and store.chunks >= 0):
+            raise ValueError(f"chunk = {store.chunk!r}")
     except FileNotFoundError as missing:
         raise StoreError(f"{path}: not the store of a sweep ({missing.filename} is missing)") from None
-    except (json.JSONDecodeError, KeyError, TypeError, zipfile.BadZipFile, OSError) as error:
-        raise StoreError(f"{path}: the store of a sweep with a damaged manifest or axes ({error})") from None
-    request = Request(
-        parameters,
-        described["combined"] == "product",
-        tuple(described["outputs"]),
-        described["right"],
-        described["sites"],
-        described["max_contacts"],
-        described.get("push_control", "displacement"),
-    )
-    if request.digest != manifest["digest"]:
+    except StoreError:
+        raise
+    except Exception as error:  # damaged bytes fail in as many ways as there are readers
+        what = shortened(f"{type(error).__name__}: {error}")
+        raise StoreError(f"{path}: the store of a sweep with a damaged manifest or axes ({what})") from None
+    if not agrees:
         raise StoreError(f"{path}: request and axes do not agree: the store was tampered with or is damaged")
-    return Store(path, request, manifest["chunk"], manifest["versions"])
+    return store
 
 
 def exists(path: Path) -> bool:
