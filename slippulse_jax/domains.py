@@ -37,6 +37,31 @@ THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the thresho
 """At −1 contact 1 holds nothing."""
 
 
+def check_kind(name: str, value: object, *kinds: type) -> None:
+    """Check that an argument is an object of one of these classes.
+
+    Raises
+    ------
+    TypeError
+        Naming the argument, what it is, and what it must be.
+    """
+    if not isinstance(value, kinds):
+        expected = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise TypeError(f"{name} is {type(value).__name__}: must be {expected}")
+
+
+def check_whole(name: str, value: object, least: int) -> None:
+    """Check that an argument is a whole number, `least` or more.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument and its value.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} = {value!r}: must be a whole number, at least {least}")
+
+
 def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
     """Check that all values are finite and inside a domain.
 

@@ -390,7 +390,7 @@ def test_float32(right):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"sites": 1}, "sites = 1: must be at least 2"),
+        ({"sites": 1}, "sites = 1: must be a whole number, at least 2"),
         ({"right": "open"}, "right = 'open': must be one of"),
         ({"contact": [0.03, 0.03]}, r"contact has shape \(2,\): must be \(\) or \(5,\) for 5 sites"),
         ({"contact": -1.0}, "contact = -1: must be zero or more"),

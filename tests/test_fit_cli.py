@@ -8,6 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.fit import fit
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.record import from_request, read_request
 
 DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
 
@@ -45,7 +48,7 @@ def test_pictures(tmp_path):
     [
         (["--free", "k"], "parameter 'k': one of stiffness"),
         (["--prior", "poisson=a"], "NAME=NUMBER"),
-        (["--prior", "poisson=0.3"], "prior = .*two numbers are needed"),
+        (["--prior", "poisson=0.3"], "prior = .*two numbers"),
         (["--fix", "prestress=0.1,0.2"], "--fix prestress: one value"),
         (["--request", "none.toml"], "none.toml: No such file"),
         (["--sigma", "relative", "--intervals", "calibrated"], "standard errors that are believed"),
@@ -100,3 +103,29 @@ def test_request_that_is_not_one(tmp_path):
         done = run("--request", str(path))
         assert done.exit_code == 2, text
         assert message in done.output
+
+
+WRONG = [None, "x", -1, 1.5, True, [], ["a", "b"], [2, 1], {"a": 1}, [[1], [2]], float("nan")]
+
+
+def test_requests_of_wrong_types_are_refused(tmp_path):
+    """ValueError, which the command line turns into one line and exit status 2; never a TypeError or a RecursionError."""
+    path = tmp_path / "request.json"
+
+    def refused(text):
+        path.write_text(text)
+        with pytest.raises(ValueError):  # noqa: PT011 - any message, but no other error
+            fit(table, **from_request(read_request(path)))
+
+    table = Measurements(height=[25.0, 30.0], poisson=[0.3, 0.3], length=[25.0, 28.0], length_sigma=[1.0, 1.0])
+    for key in ("loss", "sigma", "method", "intervals", "seed", "max_steps"):
+        for value in WRONG:
+            refused(json.dumps({key: value, "parameters": {"stiffness": {}}}))
+    for key in ("bounds", "prior", "value", "each"):
+        for value in WRONG:
+            if value is not None and (key, value) not in (("prior", [2, 1]), ("value", 1.5)):
+                refused(json.dumps({"parameters": {"stiffness": {key: value}}}))
+    for value in WRONG:
+        refused(json.dumps({"parameters": value}))
+    for text in ('{"a":' * 100_000, "a=" + "[" * 100_000, '{"request": 3}'):
+        refused(text)

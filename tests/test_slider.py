@@ -6,7 +6,9 @@ import mpmath
 import numpy as np
 import pytest
 
+import slippulse_jax as sp
 from slippulse_jax import Slider, precursor_length
+from slippulse_jax.lattice.exact import exact_front_stress
 from slippulse_jax.units import quantities
 
 
@@ -104,3 +106,58 @@ def test_python_numbers_keep_double_precision_until_jax_asks(float32):
     with jax.enable_x64(True):
         np.testing.assert_allclose(value, precursor_length(Slider(25.0, 0.03, 0.3)), rtol=1e-13)
     assert value.dtype == np.float64
+
+
+NO_NUMBERS = [
+    "25", b"25", ["25", "26"], np.datetime64("2020-01-01"), np.timedelta64(3, "s"), 25 + 1j, None, {}, object(),
+    np.ma.masked_array([25.0, 26.0], [0, 1]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", NO_NUMBERS, ids=lambda x: type(x).__name__)
+def test_what_is_no_number_is_refused(bad):
+    slider = Slider(25.0, 0.03, 0.3)
+    calls = [
+        lambda: Slider(bad, 0.03, 0.3),
+        lambda: sp.Interface(bad),
+        lambda: sp.Profile(np.ones(2), bad),
+        lambda: exact_front_stress(slider, bad),
+        lambda: sp.precursor_length(slider, right="free", sites=bad),
+        lambda: sp.chain(slider, sites=4, upper=bad if bad is not None else "x"),
+        lambda: sp.precursor_length(slider, machine=bad if bad is not None else "x"),
+    ]
+    for call in calls:
+        with pytest.raises((TypeError, ValueError)):
+            call()
+
+
+@pytest.mark.parametrize("bad", [40.5, float("nan"), "40", -1, True])
+def test_counts_are_whole_numbers(bad):
+    slider = Slider(25.0, 0.03, 0.3)
+    chain = sp.chain(slider, sites=10)
+    for call in (
+        lambda: sp.chain(slider, sites=bad),
+        lambda: sp.series(chain, events=bad),
+        lambda: sp.precursor_length(slider, max_contacts=bad),
+        lambda: sp.first_precursor(slider, recorded_sites=bad),
+        lambda: sp.sensitivity(slider, sites=bad),
+        lambda: sp.rupture(chain, chain.relaxed(4.0), max_breaks=bad),
+    ):
+        with pytest.raises(ValueError, match="must be a whole number"):
+            call()
+
+
+@pytest.mark.parametrize("bad", [None, 3.0, "x", sp.Steps(1.0)], ids=str)
+def test_wrong_objects_are_named(bad):
+    slider = Slider(25.0, 0.03, 0.3)
+    chain = sp.chain(slider, sites=10)
+    functions = sp.precursor_length, sp.precursor_lengths, sp.first_precursor, sp.exact_length, sp.exact_front, sp.exact_lengths
+    calls = [lambda f=f: f(bad) for f in functions]
+    calls += [lambda: sp.sensitivity(bad, sites=30), lambda: sp.chain(bad, sites=30), lambda: sp.fit(bad)]
+    calls += [lambda: sp.rupture(bad, chain.relaxed()), lambda: sp.rupture(chain, bad), lambda: sp.nucleate(bad)]
+    calls += [lambda: sp.equilibrium(bad, chain.relaxed()), lambda: sp.series(bad, events=2)]
+    if bad is not None:
+        calls += [lambda f=f: f(slider, bad) for f in functions]
+    for call in calls:
+        with pytest.raises(TypeError, match=r"(slider|interface|chain|state|measurements) (is|= )|path chain"):
+            call()

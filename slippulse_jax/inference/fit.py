@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
@@ -115,6 +116,7 @@ def fit(
     ValueError
         If an argument has no meaning for these measurements; the message names it.
     """
+    check_kind("measurements", measurements, Measurements)
     wanted = _wanted(free, bounds, fixed)
     body = body_of(measurements, event, body)
     if event is None:
@@ -124,10 +126,10 @@ def fit(
         *(("intervals", intervals, INTERVALS), ("event", event, get_args(Event)), ("body", body, get_args(Body))),
     )
     for name, value, known in settings:
-        if value not in known:
+        if value not in list(known):
             raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
-    if max_steps < 1:
-        raise ValueError(f"max_steps = {max_steps}: must be at least 1")
+    check_whole("max_steps", max_steps, 1)
+    check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
     named = {one.name for one in wanted}
     wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]

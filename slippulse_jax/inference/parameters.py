@@ -115,6 +115,12 @@ class Linear(NamedTuple):
         return Linear(self.base[rows], self.slope[rows])
 
 
+def _is_number(x: object) -> bool:
+    if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray) or np.ndim(x):
+        return False
+    return not isinstance(x, int) or abs(x) < 2**63  # NumPy takes no larger ones
+
+
 @dataclasses.dataclass(frozen=True)
 class Parameter:
     """One parameter of a fit.
@@ -149,6 +155,7 @@ class Parameter:
         if self.each not in (None, "specimen"):
             raise ValueError(f"parameter {self.name}: each = {self.each!r}: 'specimen' or nothing")
         positive = PARAMETERS[self.name].log
+        self._check_numbers()
         if self.bounds is not None:
             low, high = self.bounds
             if not (np.isfinite(low) and np.isfinite(high) and low < high and (low > 0 or not positive)):
@@ -162,6 +169,14 @@ class Parameter:
             raise ValueError(f"parameter {self.name}: nuisance = True, but no prior says what its error is")
         if self.value is not None and not (np.isfinite(self.value) and (self.value > 0 or not positive)):
             raise ValueError(f"value = {self.value:g} of {self.name}: must be {'positive and ' * positive}finite")
+
+    def _check_numbers(self) -> None:
+        for key, wanted in (("bounds", "two numbers"), ("prior", "two numbers"), ("value", "a number")):
+            given = getattr(self, key)
+            each = given if key != "value" and isinstance(given, Sequence | np.ndarray) else (given,)
+            count = 1 if key == "value" else 2
+            if given is not None and not (len(each) == count and all(map(_is_number, each))):
+                raise ValueError(f"parameter {self.name}: {key} = {given!r}: must be {wanted}")
 
 
 class Free(NamedTuple):

@@ -168,6 +168,8 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
         content = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
     except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{name}: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{name}: nested too deeply") from None
     content = content.get("request", content)
     parameters = content.get("parameters", {}) if isinstance(content, dict) else None
     if not isinstance(parameters, dict) or not all(isinstance(x, dict) for x in parameters.values()):

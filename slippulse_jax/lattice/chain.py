@@ -7,6 +7,7 @@ the equivalent of an endless uniform interface, which makes the end exactly abso
 """
 
 from collections.abc import Callable
+from types import NoneType
 from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
@@ -18,10 +19,11 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.slider import Slider
-from slippulse_jax.units import quantity_field
+from slippulse_jax.units import as_float, quantity_field
 
 ForceLaw = Callable[[Float[Array, " N"]], Float[Array, " N"]]
 
@@ -129,10 +131,11 @@ def chain(
     """
     if right not in get_args(RightEnd):
         raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
+    check_kind("slider", slider, Slider)
+    check_kind("interface", interface, Interface, Profile, NoneType)
     if slider.shape != ():
         raise ValueError(f"slider has shape {slider.shape}: a chain takes one slider; use jax.vmap for a batch")
-    if sites < 2:
-        raise ValueError(f"sites = {sites}: must be at least 2")
+    check_whole("sites", sites, 2)
     of_interface = _of_interface(interface, sites)
     threshold = of_interface[0] if threshold is None else threshold
     prestress = of_interface[1] if prestress is None else prestress
@@ -143,7 +146,8 @@ def chain(
         if np.shape(value) not in ((), (count,)):
             raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
         if not isinstance(value, Tracer):
-            bad = ~(np.isfinite(value) & inside(np.asarray(value)))
+            known = as_float(value)
+            bad = ~(np.isfinite(known) & inside(np.asarray(known)))
             if bad.any():
                 raise ValueError(f"{name} = {np.asarray(value)[bad].flat[0]:g}: must be {domain}")
         array = jnp.asarray(value)  # a Python number takes the slider's precision: a weak type would compile another program

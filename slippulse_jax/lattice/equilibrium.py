@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.domains import check_kind
 from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
 from slippulse_jax.status import Status
 
@@ -83,6 +84,8 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     The residual is computed from the displacements returned, whose last digits are forces too. It compares them with what each
     spring would exert by itself: when a chain moves as a rigid body these are large, however small the forces that are left.
     """
+    check_kind("chain", chain, Chain)
+    check_kind("state", state, State)
     valid = all_numbers(chain, state)
     safe, state = or_harmless(valid, (chain, state))
     return in_balance(valid, safe, state, eliminate(safe, safe.contact))

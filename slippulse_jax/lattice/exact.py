@@ -26,7 +26,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series as series
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain, check_kind
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack
 from slippulse_jax.lattice.crossing import crossing, length_of, system_of
@@ -35,6 +35,7 @@ from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
+from slippulse_jax.units import as_float
 
 Plain = tuple[bool, bool]
 """Whether prestress and threshold slope are zero for certain, so that compiled code need not carry them."""
@@ -93,6 +94,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     `precursor_length` have the same ceiling beyond 1, and differ by the curvature of t between two contacts: by less than
     0.2 λc, most on soft interfaces where two contacts break.
     """
+    check_kind("slider", slider, Slider)
     if rule is None:
         return _map(_length, slider, interface)
     prestress, threshold_slope = uniform(interface)
@@ -119,6 +121,7 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
     stops if, and only if, it carries at least σ_s at the arrest: ``exact_fields(slider, contacts_broken, 0).stress``. The
     status is then `REBREAK`, as in `first_precursor`, and ℓ* the length of the front, not of the event.
     """
+    check_kind("slider", slider, Slider)
     return ExactFront(*_map(_front, slider, interface))
 
 
@@ -140,6 +143,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
     ValueError, TypeError
         If a concrete `s` is negative or not finite; if the closed form does not hold for `interface`.
     """
+    check_kind("slider", slider, Slider)
     _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     prestress, _ = uniform(interface)
     return _each(_stress, (_is_zero(prestress), True), *of_one_type(slider, prestress, s))
@@ -173,6 +177,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     The stress behind the front is what the later breaks have put back on a contact repinned at zero stretch:
     σ(i) = Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^i X_n with X_m = Σ_{i≤j<s} r_m^{j−i} t(j), a sum in closed form.
     """
+    check_kind("slider", slider, Slider)
     for name, value in (("s", s), ("site", site)):
         _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     prestress, _ = uniform(interface)
@@ -238,7 +243,7 @@ def _each(function: Any, static: Any, *arguments: Array) -> Any:
 
 def _require(name: str, value: Any, inside: Any, requirement: str) -> None:
     if not isinstance(value, Tracer):
-        check_domain(name, np.asarray(value, dtype=float), inside, requirement)
+        check_domain(name, np.asarray(as_float(value), dtype=float), inside, requirement)
 
 
 def _is_zero(value: Any) -> bool:

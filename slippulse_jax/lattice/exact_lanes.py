@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
+from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import long_fronts
 from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, system_of
@@ -69,6 +70,7 @@ def exact_lengths(
     ValueError, TypeError
         If `derivatives` is none of 0, 1, 2; if the closed form does not hold for `interface`; if a value is traced by JAX.
     """
+    check_kind("slider", slider, Slider)
     if derivatives not in (0, 1, 2):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0, 1 or 2, the highest order of derivatives")
     numbers = slider.height, slider.stiffness, slider.poisson, *uniform(interface)

@@ -13,6 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
+from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
 from slippulse_jax.lattice.events import Event, check_event, event_lengths
@@ -100,6 +101,7 @@ def precursor_lengths(
     compile: 80 breaks at H/λc = 50 and b = 6, 14 000 at 10⁴ and b = 5, 85 000 at 10⁴ and b = 40. Its length steps where the
     order of breaks changes; the derivatives are those at a fixed order, which differ from its trend.
     """
+    check_kind("slider", slider, Slider)
     ends = ends_of(right, sites, machine)
     found = lengths(slider, interface, rule=rule, ends=ends, max_contacts=max_contacts, event=event, derivatives=derivatives)
     _warn_of_missing(found.length if isinstance(found, LengthDerivatives) else found, slider, max_contacts)

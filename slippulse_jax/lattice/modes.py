@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.domains import MACHINE
 from slippulse_jax.slider import Slider, of_one_type
-from slippulse_jax.units import Numbers
+from slippulse_jax.units import Numbers, as_float
 
 RightEnd = Literal["semi-infinite", "free", "clamped"]
 
@@ -298,9 +298,9 @@ def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
     """
     check_right_end(right, sites)
     if machine is not None and not isinstance(machine, Tracer):
-        known = np.asarray(machine, dtype=float)
+        known = as_float(machine)
         MACHINE.check("machine", np.where(known == np.inf, 1, known))
-    return Ends(right, *(x if x is None or isinstance(x, Tracer | Array) else np.asarray(x, float) for x in (sites, machine)))
+    return Ends(right, *(x if x is None or isinstance(x, Tracer | Array) else as_float(x) for x in (sites, machine)))
 
 
 def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
@@ -310,5 +310,5 @@ def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
     if right == "semi-infinite":
         if sites is not None:
             raise ValueError(f"sites = {sites}: a semi-infinite chain has no number of sites; choose right='free' or 'clamped'")
-    elif sites is None or not (isinstance(sites, Tracer) or np.all((np.asarray(sites) >= 2) & np.isfinite(sites))):
+    elif sites is None or not (isinstance(sites, Tracer) or np.all((as_float(sites) >= 2) & np.isfinite(as_float(sites)))):
         raise ValueError(f"sites = {sites}: a chain with a {right} right end needs a number of sites, at least 2")

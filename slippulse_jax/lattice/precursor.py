@@ -4,6 +4,7 @@ import functools
 import math
 import warnings
 from functools import partial
+from types import NoneType
 from typing import Any, overload
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
 from slippulse_jax.lattice.blocks import HARD, BlockPrecursor
@@ -214,6 +216,8 @@ def precursor_length(
     >>> print(f"{float(length):.3f} λc")
     25.790 λc
     """
+    check_kind("slider", slider, Slider, Block)
+    check_kind("interface", interface, Interface, Profile, NoneType)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
@@ -284,6 +288,10 @@ def first_precursor(
     ValueError
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """
+    check_kind("slider", slider, Slider, Block)
+    check_kind("interface", interface, Interface, Profile, NoneType)
+    if recorded_sites is not None:
+        check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
         _warn_single_precision(slider)
@@ -361,8 +369,9 @@ def _check_one(slider: Slider, why: str) -> None:
 
 def check_max_contacts(max_contacts: int) -> None:
     """Refuse a cap on breaks that is none, or that a 32-bit count cannot hold."""
-    if not 1 <= max_contacts < 2**31 - 1:
-        raise ValueError(f"max_contacts = {max_contacts}: must be at least 1 and below 2**31 - 1")
+    whole = isinstance(max_contacts, int | np.integer) and not isinstance(max_contacts, bool)
+    if not (whole and 1 <= max_contacts < 2**31 - 1):
+        raise ValueError(f"max_contacts = {max_contacts!r}: must be a whole number, at least 1 and below 2**31 - 1")
 
 
 def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:

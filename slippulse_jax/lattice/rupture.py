@@ -25,6 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
 from slippulse_jax.lattice.chain import Chain, State, eliminate
 from slippulse_jax.lattice.equilibrium import (
@@ -135,9 +136,12 @@ def rupture(
     that of a first precursor to any event (`slippulse_jax.lattice.front.event_length`): it interpolates between the overload of
     the rightmost broken contact when it first broke and the final overload of its right neighbour.
     """
+    check_kind("chain", chain, Chain)
     check_rule(rule, one=True)
     _check(chain, state)
     check_delay(repin_delay)
+    if max_breaks is not None:
+        check_whole("max_breaks", max_breaks, 1)
     if (
         trigger is not None
         and not isinstance(trigger, Tracer)
@@ -172,6 +176,7 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
         That contact, to be passed on as ``rupture(..., trigger=site)``, since rounding may leave it just below its
         threshold; −1 if a contact was already at or above its threshold, or if none can be loaded.
     """
+    check_kind("chain", chain, Chain)
     state = chain.relaxed() if state is None else state
     _check(chain, state)
     return _nucleate(chain, state)
@@ -191,6 +196,7 @@ def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
 
 
 def _check(chain: Chain, state: State) -> None:
+    check_kind("state", state, State)
     if chain.law is not None:
         raise ValueError("a rupture needs linear contacts: this chain has a force law")
     if chain.contact.ndim != 1:

@@ -13,6 +13,7 @@ which needs four sums over the contacts ahead: one pass from the arrest back to 
 """
 
 from functools import partial
+from types import NoneType
 from typing import NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.front import Contacts, Front, advance, contact_at, nucleate, straight_line, stress_ahead
 from slippulse_jax.lattice.modes import Modes, lattice_modes
@@ -70,6 +72,9 @@ def sensitivity(
     ValueError
         If the interface repins after a delay, or is a batch.
     """
+    check_kind("slider", slider, Slider)
+    check_kind("interface", interface, Interface, Profile, NoneType)
+    check_whole("sites", sites, 1)
     check_rule(rule, one=True)
     if interface is not None and interface.repin_delay:
         raise ValueError(

@@ -29,6 +29,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
 from slippulse_jax.lattice.cascade import (
     Cascade,
@@ -131,10 +132,11 @@ def series(
     TypeError
         If `protocol` is not a protocol, or if the series is differentiated: a comparison decides which contact breaks next.
     """
+    check_kind("chain", chain, Chain)
     if chain.law is not None:
         raise ValueError("a series needs linear contacts: this chain has a force law")
-    if events < 1:
-        raise ValueError(f"events = {events}: must be at least 1")
+    check_whole("events", events, 1)
+    check_whole("recorded_breaks", recorded_breaks, 0)
     check_delay(repin_delay)
     if not isinstance(protocol, Protocol):
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
