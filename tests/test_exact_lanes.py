@@ -9,6 +9,8 @@ import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import exact_lanes, long_fronts
 from slippulse_jax.lattice.exact import exact_front, exact_length
+from slippulse_jax.lattice.lengths import arrests as arrests_of
+from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.lattice.rebreaking import exact_arrests
 from slippulse_jax.status import Outcome
 
@@ -96,6 +98,32 @@ def test_fronts_all_but_level_beside_the_threshold_are_found():
     # the series at 60 digits
     expected = [0.899831747494954, 0.0102213419252539, 0.55588669863918, 0.130069399533327]
     np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def near_runaway(count, seed):
+    """Sliders at, below and beyond the prestress from which fronts may never stop, on level, rising and falling thresholds."""
+    rng = np.random.default_rng(seed)
+    slider = 1 + 10 ** rng.uniform(-1.5, 3, count), 10 ** rng.uniform(-6, 0, count), rng.uniform(-0.9, 0.5, count)
+    weight = jax.jit(jax.vmap(lambda *x: lattice_modes(sp.Slider(*x)).weight.sum()))(*slider)
+    critical, u = (1 + np.asarray(weight)) / 2, rng.uniform(0, 1, count)
+    beside = critical * (1 + rng.choice([-1, 1], count) * 10 ** rng.uniform(-7, -1, count))
+    phi = np.choose(rng.integers(0, 3, count), [beside, critical + (1 - critical) * u, 1 - 10 ** rng.uniform(-4, -0.3, count)])
+    slope = rng.choice([-1, 0, 1], count) * 10 ** rng.uniform(-8, -2.5, count)
+    return np.array([*slider, np.minimum(phi, 1 - 1e-9), slope])
+
+
+@pytest.mark.parametrize("count", [500, pytest.param(150_000, marks=pytest.mark.slow)])
+def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(count):
+    """Wrong numbers called arrested were found here, 43 of 96 679; a front the recursion gives up has no whole count to compare."""
+    lanes = near_runaway(count, 81)
+    length, status = exact_lanes.exact_fronts(lanes)
+    found = arrests_of(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), max_contacts=100_000)
+    stopped = np.isfinite(found.length)
+    followed = found.status != Outcome.LIMIT
+    assert followed.mean() > 0.8
+    np.testing.assert_array_equal(np.isfinite(length)[followed], stopped[followed])
+    np.testing.assert_array_equal(np.maximum(np.ceil(length[stopped]), 1), found.contacts_broken[stopped])
+    np.testing.assert_array_equal(status[followed & ~stopped], Outcome.RUN_AWAY)
 
 
 def test_gradient_against_differences():
