@@ -514,6 +514,11 @@ def test_refusals(make, message):
         make()
 
 
+def test_of_a_block_there_are_first_events_only():
+    with pytest.raises(TypeError, match=r"chain is Block: must be Chain"):
+        sp.series(sp.Block(5.0, 0.1, 0.3), events=3)
+
+
 def test_single_precision_says_what_it_is_worth(float32):
     with jax.enable_x64(True):
         exact = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.5)), sites=64))

@@ -1,8 +1,8 @@
 """First precursors of a block under two-dimensional elasticity: any contacts, in any order.
 
-The most overloaded contact breaks next, the pusher held, as in `slippulse_jax.lattice.cascade`. Every contact stays attached to
-the block, so a break costs one row of a matrix (`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks
-are those of the sums.
+The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.lattice.cascade`), with all
+contacts in one block. Every contact stays attached to the body, so a break costs one row of a matrix
+(`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks are those of the sums.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,9 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
+from slippulse_jax.lattice.cascade import Moves, Stresses, run
 from slippulse_jax.lattice.front import event_length, length_or_reason
+from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak
@@ -122,27 +124,26 @@ def event(
     first, load = nucleated(push, threshold, prestress)
     start = prestress + load * push
 
-    def breaks(now: Event, j: Array) -> Event:
-        released = now.stress[j]
-        overload = jnp.where(now.broken[j], now.overload[j], released - threshold[j])
-        return Event(
-            stress=(now.stress + matrix[j] * released).at[j].add(-released),
-            pinning=now.pinning.at[j].add(released),
-            overload=now.overload.at[j].set(overload),
-            broken=now.broken.at[j].set(True),
-            breaks=now.breaks + 1,
-        )
-
-    def most(now: Event) -> Array:
-        return jnp.argmax(now.stress - threshold)
-
-    def goes_on(now: Event) -> Array:
-        j = most(now)
-        return (now.stress[j] >= threshold[j]) & (now.breaks < limit) & ~now.broken[last]
-
     none = jnp.zeros_like(start)
-    one = breaks(Event(start, none, none, jnp.zeros(sites, bool), jnp.int32(0)), first)
-    return lax.while_loop(goes_on, lambda now: breaks(now, most(now)), one), first, load, start
+
+    def note(book: tuple[Array, Array], moves: Moves, released: Array, _: Array) -> tuple[Array, Array]:
+        (overload, broken), j = book, moves.sites[-1]
+        return overload.at[j].set(jnp.where(broken[j], overload[j], released - threshold[j])), broken.at[j].set(True)
+
+    ended = run(
+        limit,
+        0,
+        of_matrix(matrix),
+        Stresses(start[None], jnp.zeros((1, 4), start.dtype), (start - threshold).max()[None]),
+        none[None],
+        lambda *_: (threshold, threshold),
+        first.astype(jnp.int32),
+        (none, jnp.zeros(sites, bool)),
+        note,
+        lambda book: book[1][last],
+    )
+    overload, broken = ended.book
+    return Event(ended.stresses.held[0], ended.given[0], overload, broken, ended.breaks), first, load, start
 
 
 class Contacts(NamedTuple):

@@ -103,6 +103,15 @@ Note = Callable[[Any, Moves, Array, Array], Any]
 """Record of a break: ``book = note(book, moves, stress the contact carried, stress after)``."""
 
 
+Done = Callable[[Any], Array | bool]
+"""Whether a cascade is to end early: ``done(book)``."""
+
+
+def never(_: Any) -> bool:
+    """End no cascade early."""
+    return False
+
+
 def burst(
     resp: Response,
     block: Array,
@@ -112,6 +121,7 @@ def burst(
     forced: Array,
     room: Array,
     note: Note,
+    done: Done = never,
 ) -> Burst:
     """Break contacts of one opened block, the most overloaded first.
 
@@ -137,7 +147,7 @@ def burst(
 
     def going(b: Burst) -> Array:
         sure = (b.overload >= 0) & (b.overload >= others + (b.left * spill).sum())
-        return (sure | ((forced >= 0) & (b.breaks == 0))) & (b.breaks < room)
+        return (sure | ((forced >= 0) & (b.breaks == 0))) & (b.breaks < room) & jnp.logical_not(done(b.book))
 
     def step(b: Burst) -> Burst:
         t, here = b.stress[b.site], sites == b.site
@@ -220,8 +230,9 @@ def run(
     trigger: Int[Array, ""],
     book: Any,
     note: Note,
+    done: Done = never,
 ) -> Cascade:
-    """Break contacts until none is overloaded, or `max_breaks` have broken.
+    """Break contacts until none is overloaded, `max_breaks` have broken, or `done` says so.
 
     Contact `trigger` breaks first, unless it is negative. Broken contacts repin at once, or `delay` breaks later; with a
     delay every break updates all stresses, in O(N).
@@ -229,11 +240,13 @@ def run(
     nothing, none = jnp.full((), -jnp.inf, given.dtype), jnp.zeros((), jnp.int32)
     start = Cascade(stresses, given, jnp.zeros_like(stresses.inbox), none, nothing, book)
     if delay:
-        return _one_by_one(delay, max_breaks, resp, start, limits, trigger, note)
-    return _in_bursts(max_breaks, resp, start, limits, trigger, note)
+        return _one_by_one(delay, max_breaks, resp, start, limits, trigger, note, done)
+    return _in_bursts(max_breaks, resp, start, limits, trigger, note, done)
 
 
-def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note) -> Cascade:
+def _in_bursts(
+    max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note, done: Done
+) -> Cascade:
     blocks, size = start.given.shape
 
     def triggered(now: Cascade) -> Array:
@@ -245,7 +258,7 @@ def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: 
 
     def going(carry: tuple[Cascade, Array, Array]) -> Array:
         now, bound, _ = carry
-        given_up = (now.breaks >= max_breaks) & (now.overload >= 0)
+        given_up = ((now.breaks >= max_breaks) & (now.overload >= 0)) | done(now.book)
         return ((bound.max() >= 0) | triggered(now)) & ~given_up
 
     def turn(resp: Response, carry: tuple[Cascade, Array, Array]) -> tuple[Cascade, Array, Array]:
@@ -254,7 +267,7 @@ def _in_bursts(max_breaks: int | Array, resp: Response, start: Cascade, limits: 
         limit, renewed = limits(block, now.given[block])
         opens = begun(opened(resp, now.stresses, block), limit, now.given[block], now.book)
         forced = jnp.where(triggered(now), trigger % size, -1)
-        end = burst(resp, block, opens, renewed, others, forced, max_breaks - now.breaks, note)
+        end = burst(resp, block, opens, renewed, others, forced, max_breaks - now.breaks, note, done)
         arrivals = carried(resp, block, end.left)
         after = Cascade(
             stresses=closed(now.stresses, block, end.stress, end.overload, arrivals),
@@ -295,7 +308,7 @@ class Delayed(NamedTuple):
 
 
 def _one_by_one(
-    delay: int, max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note
+    delay: int, max_breaks: int | Array, resp: Response, start: Cascade, limits: Limits, trigger: Array, note: Note, done: Done
 ) -> Cascade:
     all_blocks = jnp.arange(start.given.shape[0], dtype=jnp.int32)
 
@@ -303,7 +316,8 @@ def _one_by_one(
         return stress - jax.vmap(limits)(all_blocks, given)[0]
 
     def going(now: Delayed) -> Array:
-        return ((now.overload >= 0) | ((now.breaks == 0) & (trigger >= 0))) & (now.breaks < max_breaks)
+        overloaded = (now.overload >= 0) | ((now.breaks == 0) & (trigger >= 0))
+        return overloaded & (now.breaks < max_breaks) & jnp.logical_not(done(now.book))
 
     def turn(now: Delayed) -> Delayed:
         t = now.stress.reshape(-1)[now.site]

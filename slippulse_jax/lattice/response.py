@@ -13,7 +13,7 @@ A break thus costs O(√N), or O(N) where every stress is wanted, and the chain 
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -229,6 +229,27 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
 
     _, reached = lax.scan(step, jnp.zeros_like(across), (across, jnp.arange(blocks)))
     return jnp.swapaxes(reached, 0, 1)
+
+
+def of_matrix(transfer: Float[Array, "M M"]) -> Response:
+    """Response of contacts in a single block, given the stress that each adds to each, source first.
+
+    For a cascade at a fixed load; of no chain, it has no propagators.
+    """
+    size, none, chain = transfer.shape[0], partial(jnp.zeros, dtype=transfer.dtype), cast(Any, None)
+    return Response(
+        links=chain,
+        contact=none((1, size)),
+        near=transfer[None],
+        read=none((1, 4, size)),
+        leave=none((1, size, 4)),
+        pass_on=none((1, 1, 4, 2)),
+        reach=none((1, 4)),
+        spill=none((1, 4)),
+        at_load=none((1, 4)),
+        edge_stiffness=none(()),
+        right=chain,
+    )
 
 
 def dense(resp: Response) -> Float[Array, "S S"]:
