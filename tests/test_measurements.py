@@ -1,10 +1,12 @@
 """Reading a table: both forms, what is kept, and a clear refusal of everything that is wrong."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from slippulse_jax import Measurements, read_measurements
+from slippulse_jax import Measurements, fit, read_measurements
 from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.tables import from_dataframe, measurements_of
 
 SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
 PLAIN = "height,poisson,length,length_sigma"
@@ -75,11 +77,13 @@ def test_dimensionless_form_and_separators(tmp_path, separator):
         (f"{PLAIN},provenance\n25,0.3,26,0.5,guessed\n", "column provenance: 'guessed': one of measured, printed"),
         (f"{SI}\n50,0,0.3,20,0.5\n", "column correlation_length_um: 0: the correlation length must be positive"),
         (f"{SI}\n0.005,10,0.3,20,0.5\n", "column height_mm: 0.005: the height must exceed the correlation length"),
-        (f"{SI},young_MPa\n50,10,0.3,20,0.5,3000\n", "column young_MPa: did you mean young_GPa"),
+        (f"{SI},young_psi\n50,10,0.3,20,0.5,3000\n", "column young_psi: did you mean young_GPa"),
+        (f"{SI},young_MPa,young_GPa\n50,10,0.3,20,0.5,3000,3\n", "columns young_MPa and young_GPa: one quantity in two units"),
         (f"{SI},young\n50,10,0.3,20,0.5,3\n", "column young: did you mean young_GPa"),
         (f"{SI},sigma_mm\n50,10,0.3,20,0.5,1\n", "column sigma_mm: did you mean length_sigma_mm"),
-        ("height_cm,poisson,length,length_sigma\n5,0.3,20,1\n", "column height_cm: did you mean height_mm, or height in λc"),
-        (f"{SI.replace('sigma_mm', 'sigma_um')}\n50,10,0.3,20,500\n", "column length_sigma_um: did you mean length_sigma_mm"),
+        ("height_in,poisson,length,length_sigma\n5,0.3,20,1\n", "column height_in: did you mean height_mm, or height in λc"),
+        ("height_cm,poisson,length,length_sigma\n5,0.3,20,1\n", "columns of both forms, height_mm and length"),
+        (f"{SI.replace('height_mm', 'height_cm')}\n5e-9,10,0.3,20,0.5\n", "column height_cm: 5e-9: the height must exceed"),
         (f"{SI}\n50,1e-5,0.3,20,0.5\n", "column correlation_length_um: 1e-5: .*an atom's size"),
         (f"{SI},young_GPa\n50,10,0.3,20,0.5,3e9\n", "column young_GPa: 3e9: .*diamond"),
         (f"{SI},young_gpa\n50,10,0.3,20,0.5,3\n", "column young_gpa: did you mean young_GPa"),
@@ -89,6 +93,7 @@ def test_dimensionless_form_and_separators(tmp_path, separator):
         (f'{PLAIN}\n25,0.3,"26,0.5\n', "unexpected end of data"),
         (b"\xff\xfe\x00", "not UTF-8 text"),
         (b"height\0,", "NUL"),
+        (b"PK\x03\x04\x14", "an Excel workbook"),
     ],
 )
 def test_refusals_name_file_line_and_column(tmp_path, text, message):
@@ -135,3 +140,45 @@ def test_measurements_from_arrays():
 def test_columns_that_do_not_fit_are_named(column, message):
     with pytest.raises(MeasurementError, match=message):
         Measurements(**({"height": [25, 50], "poisson": 0.3, "length": [20, 30]} | column))
+
+
+def test_lengths_and_moduli_in_other_units(tmp_path):
+    header = "height_cm,correlation_length_nm,poisson,young_MPa,length_m,length_sigma_um"
+    found = read_measurements(write(tmp_path, f"{header}\n5,10000,0.3,3000,0.02,500\n"))
+    usual = read_measurements(write(tmp_path, f"{SI},young_GPa\n50,10,0.3,20,0.5,3\n"))
+    for name in ("height", "correlation_length", "length", "length_sigma", "young"):
+        np.testing.assert_allclose(getattr(found, name), getattr(usual, name), rtol=1e-14)
+
+
+@pytest.mark.parametrize("first", ["", "sep=;\n", '"sep=;"\r\n'])
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_decimal_commas_between_semicolons_and_tabs(tmp_path, first, mark):
+    if mark == "\t" and first:
+        first = first.replace(";", "\t")
+    text = f"{SI},specimen\n50,10,0.3,20,0.5,1,5\n".replace(",", mark).replace(".", ",").replace(f"1{mark}5\n", "1,5\n")
+    m = read_measurements(write(tmp_path, first + text))
+    assert (m.poisson[0], m.length_sigma[0] * 1e-5, m.specimen) == (0.3, pytest.approx(0.5e-3), ("1.5",))
+
+
+def test_a_dataframe_and_a_path_are_measurements_too(tmp_path):
+    path = write(tmp_path, f"{SI},kind,specimen\n50,10,0.3,20,0.5,,A\n75,10,0.3,30,,at_least,B\n")
+    table = pd.read_csv(path)
+    usual = read_measurements(path)
+    for found in (measurements_of(path), measurements_of(table), from_dataframe(table)):
+        for name in ("height", "length", "length_sigma", "correlation_length", "kind", "specimen"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(usual, name))
+    table.loc[1, "length_mm"] = np.nan
+    with pytest.raises(MeasurementError, match="table, line 3, column length_mm: missing value"):
+        measurements_of(table)
+    with pytest.raises(TypeError, match="measurements: int; give Measurements, a pandas.DataFrame or the path"):
+        measurements_of(3)
+
+
+def test_a_fit_takes_a_path_and_gives_a_dataframe(tmp_path):
+    path = write(tmp_path, f"{SI},young_GPa,specimen\n25,10,0.3,14.03,0.5,3,A\n75,10,0.3,59,0.5,3,B\n")
+    result = fit(path)
+    table = result.to_dataframe()
+    assert list(table.specimen) == ["A", "B"]
+    np.testing.assert_allclose(table.length_mm, [14.03, 59])
+    np.testing.assert_allclose((table.length_fitted_mm - table.length_mm) / table.length_sigma_mm, table.residual)
+    assert fit(pd.read_csv(path)).values == result.values

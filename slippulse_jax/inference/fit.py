@@ -1,12 +1,13 @@
 """The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
@@ -27,8 +28,12 @@ from slippulse_jax.inference.parameters import (
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
+from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
 from slippulse_jax.status import Outcome
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Intervals = dict[float, list[Interval]]
 """Pieces by confidence level."""
@@ -48,7 +53,7 @@ COVERED = (0.64, 0.93)
 
 
 def fit(
-    measurements: Measurements,
+    measurements: "Measurements | pd.DataFrame | str | os.PathLike[str]",
     free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
     *,
     bounds: tuple[float, float] | None = None,
@@ -70,8 +75,8 @@ def fit(
 
     Parameters
     ----------
-    measurements : Measurements
-        From `read_measurements`, or built from arrays.
+    measurements : Measurements, pandas.DataFrame or path
+        From `read_measurements`, or built from arrays; or a table with the columns of `read_measurements`, or its CSV file.
     free : sequence of str or Parameter
         Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
         are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
@@ -116,7 +121,7 @@ def fit(
     ValueError
         If an argument has no meaning for these measurements; the message names it.
     """
-    check_kind("measurements", measurements, Measurements)
+    measurements = measurements_of(measurements)
     wanted = _wanted(free, bounds, fixed)
     body = body_of(measurements, event, body)
     if event is None:

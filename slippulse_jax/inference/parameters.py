@@ -13,7 +13,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.block import Control
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import machine_ratio
@@ -533,9 +532,10 @@ def body_of(m: Measurements, event: Event | None, body: Body | None) -> Body:
 
 
 def pushed(
-    height: np.ndarray, at: np.ndarray, width: np.ndarray | None, control: Sequence[Control] = ()
+    height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
     """Inputs that say where the sides of blocks are pushed, all of shape (n,)."""
+    assert at is not None
     none = np.full(len(height), np.nan)
     share = (none if width is None else width) / height
     force = [one == "force" for one in control] or [False] * len(height)
@@ -547,7 +547,7 @@ def pushed(
 
 
 def pushed_at(
-    inputs: Inputs, height: np.ndarray, at: np.ndarray, width: np.ndarray | None, control: Sequence[Control] = ()
+    inputs: Inputs, height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
 ) -> Inputs:
     """The same inputs of blocks that are pushed; the last axis of the inputs is that of the pushes."""
     push = pushed(height, at, width, control)

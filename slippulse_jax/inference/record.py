@@ -21,6 +21,8 @@ from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from slippulse_jax.inference.result import FitResult, Root
 
 
@@ -175,6 +177,28 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not isinstance(parameters, dict) or not all(isinstance(x, dict) for x in parameters.values()):
         raise ValueError(f"{name}: [parameters.NAME] tables are expected, each with its settings")
     return content
+
+
+def to_dataframe(result: "FitResult") -> "pd.DataFrame":
+    """Measurements beside the model as a pandas.DataFrame, one per row; lengths in mm, or in λc where they were given so."""
+    import pandas as pd
+
+    m = result.measurements
+    scale, unit = (np.ones(len(m)), "") if m.correlation_length is None else (m.correlation_length * 1e3, "_mm")
+    text = {"line": m.lines, "label": m.label, "specimen": m.specimen, "kind": m.kind}
+    lengths = {
+        "height": m.height,
+        "push_height": m.push_height,
+        "length": m.length,
+        "length_sigma": m.sigma * np.sqrt(result.variance_factor),
+        "length_fitted": result.fitted.length,
+        "length_attainable": result.attainable,
+    }
+    return pd.DataFrame(
+        {name: list(column) for name, column in text.items() if column}
+        | {name + unit: x * scale for name, x in lengths.items() if x is not None}
+        | {"residual": result.residuals, "outcome": [Outcome(int(status)).name.lower() for status in result.fitted.status]}
+    )
 
 
 MAY_BE_ABSENT = ("block_length", "machine_stiffness", "push_height", "push_width", "push_height_sigma")

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -17,7 +17,7 @@ from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import contacts_of, crack_status
 from slippulse_jax.inference.parameters import Inputs, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Rise
-from slippulse_jax.inference.record import to_dict
+from slippulse_jax.inference.record import to_dataframe, to_dict
 from slippulse_jax.inference.report import notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
@@ -25,6 +25,9 @@ from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -290,6 +293,10 @@ class FitResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
         return to_dict(self)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the measurements beside the model as a pandas.DataFrame, one per row, in mm or λc as they were given."""
+        return to_dataframe(self)
 
     def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
         """Refit simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""

@@ -34,13 +34,17 @@ Without a column of σ the errors are taken as equal, and their size from the sc
 ``label``
     a name for the precursor, by which the table of gauges refers to it (`read_gauges`)
 
-Other columns are kept and named in the report, and have no effect; but one named as a quantity of these in another unit, or in
-none, is refused. Lines that start with ``#`` are comments.
+Lengths may be given in ``m``, ``cm``, ``mm``, ``um`` or ``nm``, and Young's modulus in ``Pa``, ``kPa``, ``MPa`` or ``GPa``, by
+the ending of the column's name. Other columns are kept and named in the report, and have no effect; but one named as a quantity
+of these in a unit that is not read, or in none, is refused. Lines that start with ``#`` are comments.
+
+Columns are separated by commas, semicolons or tabs; between semicolons and tabs all numbers of a table may have decimal commas.
 """
 
 import csv
 import io
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -50,7 +54,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, Gauges, MeasurementError, Measurements, check_domain
-from slippulse_jax.units import SI, split_unit
+from slippulse_jax.units import split_unit
 
 
 class _Column(NamedTuple):
@@ -77,6 +81,20 @@ _SI = {
     **_columns("machine_stiffness_N_per_m", "block_width_mm"),
     **_columns("displacement_um", "displacement_sigma_um", "force_N_per_mm", "force_sigma_N_per_mm"),
 }
+_SAME = (
+    {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
+    {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+)
+"""Units that stand for each other at the end of a column's name."""
+_ALIASES = {
+    f"{column.removesuffix('_' + unit)}_{other}": (column, size / units[unit])
+    for column in _SI
+    for units in _SAME
+    for unit in units
+    if column.endswith("_" + unit) and "_per_" not in column
+    for other, size in units.items()
+}
+"""Column whose quantity a name in another unit holds, and its unit in that of the column."""
 _PLAIN = {
     **_columns("height", "length", required=True),
     **_columns("length_sigma", "height_sigma", "block_length", "machine_stiffness"),
@@ -117,7 +135,7 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
     Parameters
     ----------
     path : path
-        UTF-8 text; comma, semicolon or tab between the columns, a point as decimal mark.
+        UTF-8 text; comma, semicolon or tab between the columns.
     gauges : path, optional
         A second file: readings along the interface after arrest (`read_gauges`).
 
@@ -131,12 +149,41 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
         If the file cannot be read, a column is missing or there twice, or a value is missing, not a number, or outside its
         domain: the message names file, line and column.
     """
-    lengths = _parse(read_text(path), os.fspath(path))
+    lengths = _parse(rows(read_text(path), os.fspath(path)), os.fspath(path))
     return lengths if gauges is None else replace(lengths, gauges=read_gauges(gauges, lengths.label))
 
 
-def _parse(text: str, name: str) -> Measurements:
-    table_rows = rows(text, name)
+def from_dataframe(table: Any, name: str = "table") -> Measurements:
+    """Measurements of a pandas.DataFrame with the columns of a CSV file; NaN and None are blank cells.
+
+    Raises
+    ------
+    MeasurementError
+        As `read_measurements`; its line 1 is the header, and line 2 the first row.
+    """
+    missing = table.isna()
+    cells = [
+        [
+            "" if none else repr(float(x)) if isinstance(x, float | np.floating) else str(x)
+            for x, none in zip(row, blank, strict=True)
+        ]
+        for row, blank in zip(table.itertuples(index=False, name=None), missing.itertuples(index=False, name=None), strict=True)
+    ]
+    return _parse(list(enumerate([[str(column) for column in table.columns], *cells], start=1)), name)
+
+
+def measurements_of(given: Any) -> Measurements:
+    """Measurements as they are, or those of a DataFrame or a CSV file."""
+    if isinstance(given, Measurements):
+        return given
+    if isinstance(given, str | os.PathLike):
+        return read_measurements(given)
+    if hasattr(given, "itertuples") and hasattr(given, "columns"):
+        return from_dataframe(given)
+    raise TypeError(f"measurements: {type(given).__name__}; give Measurements, a pandas.DataFrame or the path of a CSV file")
+
+
+def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
     if not table_rows:
         raise MeasurementError(f"{name}: empty: expected a header line with {_FORMS}")
     header_line, header = table_rows[0]
@@ -171,11 +218,21 @@ def _parse(text: str, name: str) -> Measurements:
     )
 
 
-def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
-    """The numeric columns of this table; refuses one that is in neither form, or in both."""
-    for column, count in Counter(header).items():
+def _in_usual_units(given: list[str], where: str) -> list[str]:
+    """The columns in the units of `_SI`; refuses one that is there twice, or in two units."""
+    usual = [_ALIASES.get(column, (column,))[0] for column in given]
+    for column, count in Counter(usual).items():
+        twice = [own for own, known in zip(given, usual, strict=True) if known == column]
+        if len(set(twice)) > 1:
+            raise MeasurementError(f"{where}, columns {' and '.join(twice)}: one quantity in two units")
         if count > 1:
             raise MeasurementError(f"{where}, column {column or '(no name)'}: there {count} times")
+    return usual
+
+
+def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
+    """The numeric columns of this table; refuses one that is in neither form, or in both."""
+    header = _in_usual_units(given, where)
     folded = {known.casefold(): known for known in (*_SI, *_PLAIN, *_BOTH, *_TEXT)}
     for column in header:
         meant = folded.get(column.casefold(), column)
@@ -198,9 +255,14 @@ def _known_columns(header: list[str], where: str) -> dict[str, _Column]:
             raise MeasurementError(f"{where}, column {column}: there is no column {partner} that it could be the error of")
     machine, width = "machine_stiffness_N_per_m", "block_width_mm"
     if only_si and (machine in header) != (width in header):
-        given, missed = (machine, width) if machine in header else (width, machine)
-        raise MeasurementError(f"{where}, column {given}: needs the column {missed}: the model is one of a unit width")
-    return {column: meaning for column, meaning in known.items() if column in header}
+        there, missed = (machine, width) if machine in header else (width, machine)
+        raise MeasurementError(f"{where}, column {there}: needs the column {missed}: the model is one of a unit width")
+    factors = (_ALIASES.get(column, (column, 1.0))[1] for column in given)
+    return {
+        own: known[column]._replace(unit=known[column].unit * factor)
+        for own, column, factor in zip(given, header, factors, strict=True)
+        if column in known
+    }
 
 
 def _refuse_other_units(header: list[str], where: str) -> None:
@@ -211,7 +273,7 @@ def _refuse_other_units(header: list[str], where: str) -> None:
             if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
                 plain = known.removesuffix("_mm")
                 other = f", or {plain} in λc" if plain in _PLAIN else ""
-                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}? Other units are not converted")
+                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}? This unit is not converted")
 
 
 def _value_column(column: str) -> str:
@@ -223,6 +285,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
     """Values of one line as quantities in λc, m, Pa and N/m, checked."""
     kind = row.get("kind", "") or "length"
     raw: dict[str, float] = {}
+    correlation_length = 1.0
     for column, meaning in columns.items():
         place = f"{where}, column {column}"
         if not row[column] and meaning.quantity in MAY_BE_BLANK:
@@ -231,8 +294,8 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
             raw[column] = 0.0
         else:
             raw[column] = number(row[column], place)
-    # a correlation length of 0 is refused for itself, not for the division by it
-    correlation_length = raw.get("correlation_length_um", 1.0) * SI["um"] or np.nan
+        if meaning.quantity == "correlation_length":  # one of 0 is refused for itself, not for the division by it
+            correlation_length = raw[column] * meaning.unit or np.nan
     quantities, shown = {}, {}
     for column, meaning in columns.items():
         scale = meaning.unit / correlation_length if meaning.over_correlation_length else meaning.unit
@@ -287,7 +350,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
     """
     name = os.fspath(path)
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        content = Path(path).read_bytes()
+        if content.startswith(b"PK\x03\x04"):
+            raise MeasurementError(f"{name}: an Excel workbook, or another zip file: save it as CSV UTF-8")
+        text = content.decode("utf-8-sig")
     except OSError as error:
         raise MeasurementError(f"{name}: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
@@ -300,9 +366,13 @@ def read_text(path: str | os.PathLike[str]) -> str:
 def rows(text: str, name: str) -> list[tuple[int, list[str]]]:
     """Line number and cells of every line that is neither blank nor a comment."""
     # a quoted cell may run over several lines: comments are blanked, not removed, so that line numbers stay true
-    kept = "\n".join("" if line.lstrip().startswith("#") else line for line in text.splitlines())
-    first = next((line for line in kept.splitlines() if line.strip()), "")
-    delimiter = max(",;\t", key=first.count)
+    lines = ["" if line.lstrip().startswith("#") else line for line in text.splitlines()]
+    delimiter = ""
+    if lines and (said := lines[0].strip().strip('"').lower()).startswith("sep="):  # as Excel writes it
+        delimiter, lines[0] = said.removeprefix("sep=") or "\t", ""
+    kept = "\n".join(lines)
+    if len(delimiter) != 1:
+        delimiter = max(",;\t", key=next((line for line in lines if line.strip()), "").count)
     found, line = [], 1
     reader = csv.reader(io.StringIO(kept), delimiter=delimiter, strict=True)
     try:
@@ -312,7 +382,14 @@ def rows(text: str, name: str) -> list[tuple[int, list[str]]]:
             line = reader.line_num + 1
     except csv.Error as error:
         raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
-    return found
+    if delimiter == "," or any(_DECIMAL["."].fullmatch(cell) for _, cells in found for cell in cells):
+        return found
+    with_comma = _DECIMAL[","].fullmatch
+    return [(line, [cell.replace(",", ".") if with_comma(cell) else cell for cell in cells]) for line, cells in found]
+
+
+_DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*[{mark}]\d+(e[+-]?\d+)?\s*", flags=re.IGNORECASE) for mark in ".,"}
+"""Numbers with a decimal point, and with a comma."""
 
 
 def number(text: str, where: str) -> float:

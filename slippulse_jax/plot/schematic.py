@@ -78,9 +78,9 @@ def _block(ax: "Axes", body: Block) -> None:
     for y in np.linspace(low, high, 7)[1::2] if force else [(low + high) / 2]:
         _push(ax, -0.3, float(y))
     ax.text(-1.2, (low + high) / 2, "$F$" if force else "$U$", ha="right", va="center")
-    marks = {"$H$": (0, height, 6.2)}
+    marks = {"$H$": (0.0, height, 6.2)}
     if body.push.height is not None:
-        marks["$h$"] = (0, float(body.push.height) * height, 0.45)
+        marks["$h$"] = (0.0, float(body.push.height) * height, 0.45)
     if body.push.width is not None:
         marks["$w$"] = (low, high, 1.1)
     for name, (start, end, at) in marks.items():

@@ -201,9 +201,9 @@ def _smooth(request: Request, columns: Columns) -> Columns:
 
 
 def _block(request: Request, columns: Columns) -> Columns:
-    numbers = _fields(columns, *SLIDER, "prestress", "threshold_slope", "push_height")
-    width = columns.get("push_width", np.full(len(numbers[0]), np.nan))
-    return {"block_precursor_length": blocks.lengths(blocks.Lanes(*numbers, width), request.push_control)}
+    columns = {"push_width": np.full(len(columns["height"]), np.nan)} | columns
+    lanes = blocks.Lanes(*_fields(columns, *SLIDER, "prestress", "threshold_slope", *PUSH))
+    return {"block_precursor_length": blocks.lengths(lanes, request.push_control)}
 
 
 def _load(request: Request, columns: Columns) -> Columns:
