@@ -22,7 +22,15 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Front, advance, in_domain, length_or_reason, passage
+from slippulse_jax.lattice.front import (
+    DEFAULT_MAX_CONTACTS,
+    Front,
+    advance,
+    in_domain,
+    length_or_reason,
+    nucleate,
+    stress_ahead,
+)
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
@@ -123,14 +131,17 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     slider, rule = jax.tree.unflatten(kind, list(theta))
     modes = lattice_modes(slider)
     one = jnp.ones_like(modes.load)
-    over = passage(modes)  # contact 0 breaks completely
     # the neglected remainder is at most the broken fraction times the sum of a decay no slower than ρ_2 < 1
     negligible = 1e-4 * float(jnp.finfo(one.dtype).eps)
 
     def release(front: Front, given: Array) -> Front:
-        return advance(modes, front, given, start=modes.drive)
+        return advance(modes, front, given)
 
-    end, fading = fade(rule, over.start, over.stress, lambda _: one, release, max_contacts, negligible)
+    def stress(front: Front) -> Array:  # itself and not its change, whose rounding would not fade
+        return stress_ahead(front)[0]
+
+    start = release(nucleate(modes), one)  # contact 0 breaks completely
+    end, fading = fade(rule, start, stress, lambda _: one, release, max_contacts, negligible)
     valid = in_domain(slider) & (rule.width > 0)
     status = jnp.select(
         [~valid | ~jnp.isfinite(end.length), fading], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED

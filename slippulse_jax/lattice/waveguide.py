@@ -113,6 +113,7 @@ def attached(slab: Slab, contact: Array) -> Slab:
     )  # fmt: skip
 
 
+@jax.custom_jvp
 def driving_point(slab: Slab) -> Float[Array, "n n"]:
     """X of the half-infinite guide: twice as many slabs each time, until the far end is not felt."""
 
@@ -126,6 +127,26 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 
     unread = 0 * slab.reading_left
     return lax.while_loop(felt, twice, (slab._replace(reading_left=unread, reading_right=unread), jnp.int32(0)))[0].left
+
+
+@driving_point.defjvp
+def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
+    """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab. The sum of (Tᵀ)^m F T^m, by doubling."""
+    (slab,), (change,) = primals, tangents
+    X = driving_point(slab)
+    T = -inverse(X + slab.right) @ slab.across.T
+    across = change.across @ T
+    F = change.left + across + across.T + T.T @ change.right @ T
+
+    def felt(state: tuple[Array, Array, Array]) -> Array:
+        power, _, count = state
+        return (jnp.abs(power).max() > jnp.finfo(power.dtype).eps) & (count < DOUBLINGS)
+
+    def twice(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        power, total, count = state
+        return power @ power, total + power.T @ total @ power, count + 1
+
+    return X, lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
 
 
 def guide(slab: Slab, loaded: Loaded, length: Int[Array, ""] | None = None) -> Guide:
