@@ -293,17 +293,16 @@ def test_closed_streams(closed):
 
 
 def test_interrupted_while_it_starts():
-    """Of the command that is installed, once Python itself has begun."""
-    code = (
-        "import sys, os, signal; from slippulse_jax.cli import run; sys.argv = ['slippulse', '--help']; print(1, flush=True)\n"
+    """Of the command that is installed, from its first import on."""
+    slow = (
+        "import builtins, sys, time; from slippulse_jax.cli import run; real = builtins.__import__\n"
+        "def late(*a, **k): print(1, flush=True); time.sleep(0.02); return real(*a, **k)\n"
     )
-    slow = "import builtins, time; real = builtins.__import__\ndef late(*a, **k): time.sleep(0.02); return real(*a, **k)\n"
     started = subprocess.Popen(
-        [sys.executable, "-c", code + slow + "builtins.__import__ = late\nrun()"],
+        [sys.executable, "-c", slow + "sys.argv = ['slippulse', '--help']; builtins.__import__ = late; run()"],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert started.stdout.readline() == "1\n"
-    time.sleep(0.1)
     started.send_signal(signal.SIGINT)
     _, said = started.communicate(timeout=60)
     assert started.returncode == 130

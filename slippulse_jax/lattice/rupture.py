@@ -145,7 +145,7 @@ def rupture(
     if (
         trigger is not None
         and not isinstance(trigger, Tracer)
-        and not (np.ndim(trigger) == 0 and trigger in range(-1, chain.sites))
+        and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
     ):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
     trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
