@@ -170,7 +170,7 @@ def test_a_dataframe_and_a_path_are_measurements_too(tmp_path):
     table.loc[1, "length_mm"] = np.nan
     with pytest.raises(MeasurementError, match="table, line 3, column length_mm: missing value"):
         measurements_of(table)
-    with pytest.raises(TypeError, match="measurements: int; give Measurements, a pandas.DataFrame or the path"):
+    with pytest.raises(TypeError, match="measurements is int: must be Measurements, pandas.DataFrame or the path"):
         measurements_of(3)
 
 

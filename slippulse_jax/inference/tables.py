@@ -180,7 +180,7 @@ def measurements_of(given: Any) -> Measurements:
         return read_measurements(given)
     if hasattr(given, "itertuples") and hasattr(given, "columns"):
         return from_dataframe(given)
-    raise TypeError(f"measurements: {type(given).__name__}; give Measurements, a pandas.DataFrame or the path of a CSV file")
+    raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")
 
 
 def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
