@@ -304,8 +304,17 @@ def stresses(over: Passage, count: int) -> Float[Array, " count"]:
 
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: Contacts = None) -> Float[Array, " count"]:
-    """`stresses` on contacts that repin at once."""
-    return stresses(passage(modes, contacts), count)
+    """`stresses` on contacts that repin at once, of Z_m itself and not of its change, whose rounding would not fade."""
+    threshold, prestress = contact_at(modes, contacts, 0)
+
+    def step(front: Front, _: None) -> tuple[Front, Array]:
+        echo = echo_at(modes, front.position)
+        stress = stress_ahead(front, echo)[0] + contact_at(modes, contacts, front.position)[1]
+        return advance(modes, front, stress, echo), stress
+
+    at_0 = nucleate(modes, threshold - prestress)
+    start = advance(modes, at_0, threshold, echo_at(modes, at_0.position))
+    return jnp.concatenate([threshold[None], lax.scan(step, start, length=count - 1)[1]])
 
 
 # --- run-away ----------------------------------------------------------------------------------------------------------

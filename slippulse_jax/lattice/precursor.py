@@ -338,6 +338,8 @@ def _counted(slider: Slider, interface: Contacts, ends: Ends, max_contacts: int)
 def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
     threshold, prestress = front.contact_at(modes, interface, 0)
+    if interface is None or not interface.repin_delay:
+        return modes.load * (threshold - prestress), front.front_stress(modes, sites, interface)
     return modes.load * (threshold - prestress), front.stresses(passage(modes, interface), sites)
 
 
