@@ -239,6 +239,42 @@ def test_wrong_sigma_and_repeated_lines_are_remarked():
     assert any("humidity" in note for note in notes)
 
 
+@pytest.mark.parametrize("sigma", ["absolute", "relative"])
+def test_copies_show_no_scatter(sigma):
+    """Of copied lines no size of errors can be taken: NaN in another column does not make them different."""
+    m = Measurements(height=[25] * 3, poisson=0.3, length=[15] * 3, length_sigma=None if sigma == "absolute" else 0.5)
+    with pytest.raises(ValueError, match=r"3 data, of which 2 repeat another one exactly, for 1 fitted .* give σ"):
+        fit(m, sigma=sigma)
+    blank = [np.nan, np.nan, 300]
+    assert Measurements(height=[25] * 3, poisson=0.3, length=15, block_length=blank).distinct == 2
+    assert Measurements(height=[25] * 3, poisson=0.3, length=15, specimen=("A", "B", "A")).distinct == 2
+    assert (
+        "1 measurement repeats another one" in fit(Measurements(height=[25, 25, 50], poisson=0.3, length=[15, 15, 32])).report()
+    )
+
+
+def test_lengths_without_scatter_have_no_error():
+    """Computed lengths without σ give their stiffness, and no error of 1e-11; rounded ones an error."""
+    height = np.array([15.0, 30.0, 60.0])
+    result = fit(Measurements(height=height, poisson=0.3, length=exact(height, 0.003)))
+    assert result.identifiability is Identifiability.NO_SCATTER
+    assert result.values["stiffness"] == pytest.approx(0.003)
+    assert result.stderrs["stiffness"] is None
+    assert result.intervals["stiffness"] == {0.6827: [], 0.95: []}
+    assert "give σ" in result.report()
+    assert "±" not in result.report()
+    assert "none: no value" not in result.report()
+    rounded = fit(Measurements(height=height, poisson=0.3, length=exact(height, 0.003).round(1)))
+    assert rounded.identifiability is Identifiability.IDENTIFIED
+
+
+def test_fewer_different_lines_than_parameters_are_remarked():
+    m = Measurements(height=[25] * 3, poisson=0.3, length=15, length_sigma=0.5)
+    result = fit(m, ("stiffness", "prestress"), intervals="profile")
+    assert any("2 parameters are fitted, but only 1 of the data are different" in note for note in result.notes)
+    assert result.report().count(result.verdicts["stiffness"].reason) == 1
+
+
 def test_scatter_beyond_sigma_is_remarked_and_measured():
     """χ² of p between 0.001 and 0.05 gets a note; without σ the report prints the scatter, and rises in its unit."""
     length = exact(np.array([15.0, 30.0, 60.0]), 0.003)

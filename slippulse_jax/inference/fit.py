@@ -141,7 +141,7 @@ def fit(
     parameters = parameter_set(measurements, wanted, event, body)
     errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
-    _check_scaled(problem, scaled)
+    _check_scaled(measurements, problem, scaled)
     request = {
         "free": wanted,
         "loss": loss,
@@ -183,6 +183,8 @@ def fit(
     verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
     verdicts = {j: _one_front(problem, verdicts[j], pieces[j][LEVELS[-1]], curves[j]) for j in asked}
     pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
+    if any(one.identifiability is Identifiability.NO_SCATTER for one in verdicts.values()):
+        variance = np.nan
     names = parameters.names
     return FitResult(
         measurements=measurements,
@@ -234,12 +236,15 @@ def _wanted(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, f
     return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
 
 
-def _check_scaled(problem: Problem, scaled: bool) -> None:
+def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
     if not scaled:
         return
-    if problem.count <= problem.p:
+    copies = len(m) - m.distinct
+    if problem.count - copies <= problem.p:
+        different = f", of which {copies} repeat another one exactly," if copies else ""
         raise ValueError(
-            f"{problem.count} data for {problem.p} fitted parameters: no size of errors can be taken from the scatter; give σ"
+            f"{problem.count} data{different} for {problem.p} fitted parameters: no size of errors can be taken from the "
+            "scatter; give σ"
         )
     if problem.parameters.discrepancy is not None:
         raise ValueError(
@@ -495,7 +500,7 @@ def _trusted(
     verdict: Verdict, intervals: dict[float, list[Interval]], deviance: float, dof: int | None
 ) -> dict[float, list[Interval]]:
     """Drop the intervals that would measure a misfit, not the parameter."""
-    if verdict.identifiability is Identifiability.POOR_FIT:
+    if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
         return dict.fromkeys(intervals, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
         # around a maximum that the data lie far above, the rise measures the misfit

@@ -306,6 +306,15 @@ class Measurements:
         """Standard errors of the lengths in λc, NaN where none is given."""
         return np.full(len(self), np.nan) if self.length_sigma is None else self.length_sigma
 
+    @property
+    def distinct(self) -> int:
+        """Number of different measurements: lines copied from another count once."""
+        columns = [
+            np.nan_to_num(getattr(self, name), nan=np.inf).tolist() for name in NUMERIC if getattr(self, name) is not None
+        ]
+        texts = [column for column in (self.kind, self.specimen, self.push_control) if column]
+        return len(set(zip(*columns, *texts, strict=True)))
+
     def or_zero(self, name: str) -> np.ndarray:
         """Column `name`, or zeros where it was not given; shape (n,)."""
         column = getattr(self, name)

@@ -12,12 +12,13 @@ from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.parameters import STIFFNESSES, Body, Event, Inputs, softest, stiffest
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability, gravest
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
+WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
 
@@ -88,21 +89,24 @@ def _values(result: "FitResult") -> list[str]:
     rows = []
     shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
     intervals = result.intervals
+    verdict = result.verdicts[gravest(result.verdicts)]  # which the headline gives
     width = max(10, *(len(shown.get(name, ("k/K", ""))[0]) for name in result.values))
     for name, value in result.values.items():
         symbol, unit = shown.get(name, ("k/K", ""))
         rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
         narrow = _narrowest(intervals.get(name, {}))
         for level, pieces in intervals.get(name, {}).items():
+            if not pieces and result.verdicts.get(name, verdict).identifiability in WITHOUT_INTERVALS:
+                continue
             text = (
                 " or ".join(interval(piece, value, narrow) for piece in pieces) or "none: no value gives these lengths within σ"
             )
             how = " (calibrated)" if result.request["intervals"] == "calibrated" else ""
             rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text}")
-        verdict = result.verdicts.get(name)
-        if verdict is not None and len(result.verdicts) > 1 and verdict.identifiability is not Identifiability.IDENTIFIED:
-            reason = f": {verdict.reason}" if verdict.reason else ""
-            rows.append(f"  {'':{width}s} {verdict.identifiability.value}{reason}")
+        own = result.verdicts.get(name)
+        if own not in (None, verdict) and own.identifiability is not Identifiability.IDENTIFIED:
+            reason = f": {own.reason}" if own.reason else ""
+            rows.append(f"  {'':{width}s} {own.identifiability.value}{reason}")
     if "stiffness" not in result.values:
         ratio = result.parameters.ratio(result.theta)
         each = any("stiffness[" in name for name in result.names)
@@ -175,6 +179,8 @@ def _roots(result: "FitResult") -> list[str]:
 def _quality(result: "FitResult") -> str:
     plain = set(result.measurements.kind) == {"length"} and result.problem.loss.name == "normal"
     name = "chi-squared" if plain and result.parameters.discrepancy is None else "deviance"
+    if result.scaled and result.identifiability is Identifiability.NO_SCATTER:
+        return "Fit: no size of errors is taken from the scatter: there is none"
     if result.scaled:
         size = f": {_scatter(result)}" if result.measurements.length_sigma is None else ""
         return f"Fit: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
@@ -485,9 +491,18 @@ def _of_data(result: "FitResult") -> Iterator[str]:
     kinds = sorted({text for text in m.provenance if text})
     if kinds and kinds != ["measured"]:
         yield f"provenance: {', '.join(kinds)}"
-    rows = set(zip(m.specimen or [""] * len(m), m.height, m.poisson, m.length, m.sigma, m.kind, strict=True))
-    if len(rows) < len(m) and m.length_sigma is not None:
-        yield f"{len(m) - len(rows)} measurement(s) repeat another one exactly: each counts as a measurement of its own"
+    copies = len(m) - m.distinct
+    if copies:
+        yield (
+            f"{_plural(copies, 'measurement')} repeat{'s' * (copies == 1)} another one exactly, and each counts as a "
+            "measurement of its own: leave out those that were copied"
+        )
+    if result.problem.count - copies < result.problem.p:
+        yield (
+            f"{_plural(result.problem.p, 'parameter')} are fitted, but only {result.problem.count - copies} of the data are "
+            "different: hold some (--fix NAME=VALUE), state what is known of them (--prior NAME=MEAN,DEVIATION), or measure "
+            "at more heights"
+        )
     beside = {one.name for one in result.parameters.free if one.nuisance}
     if "model_factor" in beside:
         yield (

@@ -15,6 +15,8 @@ from slippulse_jax.inference.search import Minimum
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
 """Probability of χ² under which model and σ together are said not to describe the data."""
+UNMEASURABLE = 1e-4
+"""Scatter of lengths, relative to them, under which it says nothing of the error of measuring."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
 PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
 
@@ -31,14 +33,15 @@ class Identifiability(enum.Enum):
     REBREAKS = "identified only if the event ends with its first front, which in the model it does not"
     EQUAL = "bounded, without a best value: all values inside the interval fit equally"
     UNINFORMATIVE = "not identifiable: no value is preferred"
+    NO_SCATTER = "a value without an error: these lengths have no scatter to take one from"
     POOR_FIT = "the model does not describe these data"
     NOT_CONVERGED = "the search did not converge"
 
 
 GRAVITY = (
     Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
-    Identifiability.AT_MAXIMUM, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED, Identifiability.EQUAL,
-    Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
+    Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED,
+    Identifiability.EQUAL, Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
 )  # fmt: skip
 
 
@@ -79,6 +82,7 @@ def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) ->
         _misfit,
         _singular,
         _beyond_maximum,
+        _no_scatter,
         _not_alone,
         _open,
         _not_normal,
@@ -114,6 +118,20 @@ def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
             "the range searched gives these measurements, so no uncertainty is given",
         )
     return None
+
+
+def _no_scatter(j: int, e: Evidence, _: dict) -> Verdict | None:
+    if e.rise.dof is None or e.rise.fitted_variance is not None:
+        return None
+    data = e.problem.blocks[0].data
+    closest = float(np.sqrt(e.deviance / e.rise.dof) * np.max(data.sigma / data.value[0]))
+    if closest >= UNMEASURABLE:
+        return None
+    return Verdict(
+        Identifiability.NO_SCATTER,
+        f"the lengths lie within {closest:.1g} of themselves of the fit, closer than anyone measures: they were computed, or "
+        "copied; give σ (column length_sigma or length_sigma_mm)",
+    )
 
 
 def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
