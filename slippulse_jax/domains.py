@@ -30,6 +30,10 @@ STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in unit
 NORMAL_STIFFNESS = Domain(0, np.inf, "must be positive: the normal stiffness of the interface over that in shear")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
 MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
+CORRELATION_LENGTH = Domain(
+    0.999e-10, np.inf, "the correlation length must be positive, and no less than an atom's size, 0.1 nm"
+)
+YOUNG = Domain(0, 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's", closed=True)
 POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed=True)
 PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
 """At 1 a contact breaks without a push; at −1 it breaks backwards."""

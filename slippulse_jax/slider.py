@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_domain
+from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.units import Numbers, as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
@@ -227,9 +226,12 @@ def from_si(
     given = {**lengths, "correlation_length": correlation_length, "areal_stiffness": areal_stiffness, "young": young}
     si = {name: as_float(x) for name, x in given.items()}
     for name, value in si.items():
-        unit = {"areal_stiffness": "Pa/m", "young": "Pa"}.get(name, "m")
-        if not isinstance(value, Tracer):
-            check_domain(f"{owner}: {name}", np.asarray(value), lambda x: x > 0, f"must be positive, in {unit}")
+        domain = {
+            "correlation_length": CORRELATION_LENGTH,
+            "young": YOUNG,
+            "areal_stiffness": Domain(0, np.inf, "must be positive, in Pa/m"),
+        }.get(name, Domain(0, np.inf, "must be positive, in m"))
+        domain.check(f"{owner}: {name}", value)
     in_contacts = {name: si[name] / si["correlation_length"] for name in lengths}
     return in_contacts, si["areal_stiffness"] * si["correlation_length"] / si["young"]
 

@@ -93,9 +93,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
+    from slippulse_jax.inference.hints import before_fit
     from slippulse_jax.inference.parameters import body_of
     from slippulse_jax.inference.record import from_request, read_request
-    from slippulse_jax.inference.report import before_fit
     from slippulse_jax.inference.tables import read_measurements
 
     _check(options)
@@ -103,9 +103,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
         asked = from_request(_asked(request, options))
-        if body_of(measurements, asked.get("event"), asked.get("body")) == "slider":
-            for warning in before_fit(measurements, asked.get("event") or "domino"):
-                click.echo(f"before fitting: {warning}", err=True)
+        body = body_of(measurements, asked.get("event"), asked.get("body"))
+        for warning in before_fit(measurements, asked.get("event") or "domino", body):
+            click.echo(f"before fitting: {warning}", err=True)
         result = fit(measurements, bounds=options["bounds"] or None, **asked)
         more = {}
         if options["bootstrap"]:

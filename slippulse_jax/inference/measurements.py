@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.block import Control
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESHOLD_SLOPE, YOUNG
 from slippulse_jax.plain import shortened
+from slippulse_jax.units import UNITS_OF_LENGTH
 
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 KINDS = ("length", "whole", "at_least")
@@ -159,6 +160,8 @@ class Measurements:
         Name of that file, for messages and reports.
     other : dict of str to list of str
         Columns that were kept but not used.
+    columns : dict of str to str
+        Name in the file of each quantity's column, for messages, which are then in its unit.
 
     Raises
     ------
@@ -196,6 +199,7 @@ class Measurements:
     lines: tuple[int, ...] = ()
     source: str = "measurements"
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+    columns: dict[str, str] = dataclasses.field(default_factory=dict)
 
     if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
 
@@ -231,6 +235,7 @@ class Measurements:
             lines: Sequence[int] = (),
             source: str = "measurements",
             other: Mapping[str, Sequence[str]] = {},
+            columns: Mapping[str, str] = {},
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -296,6 +301,13 @@ class Measurements:
         """Where measurement i came from, for messages."""
         return f"{self.source}, line {self.lines[i]}" if self.lines else f"{self.source}, measurement {i}"
 
+    def in_its_unit(self, i: int, length: float) -> str:
+        """A length along the interface, in λc, in the unit of the table: ``14.03 mm``."""
+        if self.correlation_length is None:
+            return f"{length:.5g} λc"
+        unit = self.columns.get("length", "length_mm").rpartition("_")[2]
+        return f"{length * self.correlation_length[i] / UNITS_OF_LENGTH[unit]:.5g} {unit}"
+
     @property
     def in_si(self) -> bool:
         """Whether the correlation length is known in metres."""
@@ -358,7 +370,8 @@ def set_columns(table: Any, names: Sequence[str]) -> list[str]:
 NUMERIC = tuple(
     field.name
     for field in dataclasses.fields(Measurements)
-    if field.name not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other")
+    if field.name
+    not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other", "columns")
 )
 
 # quantity -> (test, requirement)
@@ -367,11 +380,8 @@ _DOMAIN: dict[str, tuple[Any, str]] = {
     "poisson": (POISSON.holds, POISSON.requirement),
     "length": (lambda x: x > 0, "a length must be positive"),
     "length_sigma": (lambda x: x >= 0, "a standard error cannot be negative"),
-    "correlation_length": (
-        lambda x: x >= 1e-10,
-        "the correlation length must be positive, and no less than an atom's size, 0.1 nm",
-    ),
-    "young": (lambda x: 0 < x <= 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's"),
+    "correlation_length": (CORRELATION_LENGTH.holds, CORRELATION_LENGTH.requirement),
+    "young": (YOUNG.holds, YOUNG.requirement),
     "prestress": (PRESTRESS.holds, PRESTRESS.requirement),
     "threshold_slope": (THRESHOLD_SLOPE.holds, THRESHOLD_SLOPE.requirement),
     "block_length": (lambda x: x >= 2, "a block must be at least two correlation lengths λc long"),
@@ -403,6 +413,7 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
     """
 
     def refuse(name: str, requirement: str) -> None:
+        requirement += slip(name, values[name], columns)
         column, text = columns.get(name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in IN_LC)))
         raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
 
@@ -418,6 +429,18 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
             refuse(name, requirement)
     _check_kind(values, kind, refuse)
     _check_push(values, refuse)
+
+
+def slip(name: str, value: float, columns: Mapping[str, tuple[str, str]]) -> str:
+    """The unit that a number outside its domain may have been in: ``: is it in Pa?``; empty where none is likely."""
+    column = columns.get(name, ("", ""))[0]
+    if name == "young" and value > YOUNG.high and not column.endswith("_Pa"):
+        return ": is it in Pa?"
+    if name == "correlation_length" and 0 < value <= CORRELATION_LENGTH.low:
+        return ": is it in m?" * (not column.endswith("_m"))
+    if name == "height" and 0 < value <= 1 and "correlation_length" in columns:
+        return f": is {column} in m, or {columns['correlation_length'][0]} in nm?"
+    return ""
 
 
 def _check_push(values: Mapping[str, float], refuse: Callable[[str, str], None]) -> None:

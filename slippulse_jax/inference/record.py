@@ -77,6 +77,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
         "unstated_ends": result.unstated_ends,
         "unstated_push": result.unstated_push,
+        "next_steps": result.next_steps,
         "notes": result.notes,
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),

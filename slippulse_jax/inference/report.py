@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slippulse_jax.inference.budget import total
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.model import longest_length
-from slippulse_jax.inference.parameters import STIFFNESSES, Body, Event, Inputs, softest, stiffest
+from slippulse_jax.inference.hints import of_attainable, slips
+from slippulse_jax.inference.parameters import STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability, gravest
+from slippulse_jax.inference.verdict import IMPROBABLE, Identifiability, gravest
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
+WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER)
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
 
@@ -46,6 +45,7 @@ def report(result: "FitResult") -> str:
         "",
         *_table(result),
         *_further(result),
+        *_next_steps(result),
         *_budget(result),
         *_bodies(result),
         *_unstated(result),
@@ -274,6 +274,10 @@ def _further(result: "FitResult") -> list[str]:
     return rows
 
 
+def _next_steps(result: "FitResult") -> list[str]:
+    return ["", "What to try next", *(f"  - {step}" for step in result.next_steps)] if result.next_steps else []
+
+
 INPUTS = {
     "height": "H",
     "length": "every length",
@@ -442,20 +446,12 @@ def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
 
 
-def before_fit(m: Measurements, event: Event = "domino") -> Iterator[str]:
-    """Warn of lengths near or above the longest that any stiffness gives, with the inputs as stated, on a slider."""
-    inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
-    if event == "crack":  # its friction is not known yet
-        return
-    longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)
-    yield from _of_attainable(m, longest)
-
-
 def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
-    yield from _of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
+    yield from slips(result.measurements)
+    yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
@@ -538,30 +534,8 @@ def _of_intervals(result: "FitResult") -> Iterator[str]:
         elif result.parameters.event == "full":
             what = "the length of an event steps where the order of its breaks changes, and is interpolated, which moves it by"
         yield (
-            f"{what} up to {result.between_contacts[i]:.2g} λc "
+            f"{what} up to {result.measurements.in_its_unit(i, float(f'{result.between_contacts[i]:.2g}'))} "
             f"({result.measurements.place(i)}): that is added to σ in quadrature"
         )
     if not result.complete and result.problem.p <= SCANNED:
         yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
-
-
-def _of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
-    sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
-    lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
-    above = lowest > attainable
-    if above.any():
-        i = int(np.argmax(m.length / attainable))
-        where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
-        yield (
-            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
-            f"worst at {where}: {m.length[i]:.6g} λc, attainable {attainable[i]:.6g} λc"
-        )
-    plateau = ~above & (m.length > PLATEAU * attainable)
-    if plateau.any() and event != "crack":
-        poisson = m.poisson[plateau][0]
-        ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
-        of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
-        yield (
-            f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
-            f"constrain stiffness little{of_slider}"
-        )

@@ -12,6 +12,7 @@ from slippulse_jax.inference.bayes import Posterior, posterior
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
+from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import contacts_of, crack_status
@@ -219,6 +220,11 @@ class FitResult:
     def budget(self) -> dict[str, Moved]:
         """What usual errors of the inputs that are taken as exact would change, by the input."""
         return budget(self)
+
+    @functools.cached_property
+    def next_steps(self) -> list[str]:
+        """What the residuals of a rejected fit suggest to try, by option; empty where it is not rejected."""
+        return next_steps(self)
 
     @functools.cached_property
     def unstated_ends(self) -> dict[str, dict[str, float]]:

@@ -54,7 +54,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, Gauges, MeasurementError, Measurements, check_domain
-from slippulse_jax.units import split_unit
+from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS, split_unit
 
 
 class _Column(NamedTuple):
@@ -81,15 +81,10 @@ _SI = {
     **_columns("machine_stiffness_N_per_m", "block_width_mm"),
     **_columns("displacement_um", "displacement_sigma_um", "force_N_per_mm", "force_sigma_N_per_mm"),
 }
-_SAME = (
-    {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
-    {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
-)
-"""Units that stand for each other at the end of a column's name."""
 _ALIASES = {
     f"{column.removesuffix('_' + unit)}_{other}": (column, size / units[unit])
     for column in _SI
-    for units in _SAME
+    for units in (UNITS_OF_LENGTH, UNITS_OF_MODULUS)
     for unit in units
     if column.endswith("_" + unit) and "_per_" not in column
     for other, size in units.items()
@@ -215,6 +210,7 @@ def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
         lines=tuple(line for line, _ in table_rows[1:]),
         source=name,
         other=texts,
+        columns={column.quantity: name for name, column in columns.items()},
     )
 
 

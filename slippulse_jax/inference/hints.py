@@ -1,0 +1,221 @@
+"""Hints: likely slips in a table before it is fitted, and what to try after a fit that is rejected."""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import chdtrc
+
+from slippulse_jax.inference.likelihood import Problem, make_problem
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model import longest_length
+from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.parameters import (
+    STIFFNESSES,
+    Body,
+    Event,
+    Inputs,
+    Parameter,
+    ParameterSet,
+    parameter_set,
+    softest,
+    stiffest,
+)
+from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+from slippulse_jax.units import UNITS_OF_LENGTH
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
+
+DIAMOND = 1.2e12
+"""Young's modulus of diamond, in Pa."""
+LIKELY = (0.02, 1.2)
+"""Lengths over the height that are usual."""
+SUSPECT = (0.01, 1.5)
+"""Lengths over the height beyond which a unit is suspected."""
+MUCH = 0.2
+"""Share of χ² per degree of freedom that a hint must leave at most, where it does not lead to an accepted fit."""
+MOST_OUTLIERS = 5
+STARTS = 7
+STEPS = 25
+
+
+def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
+    """Warn of likely slips, and of lengths near or above the longest that any stiffness gives on a slider."""
+    yield from slips(m)
+    if event == "crack" or body == "block":  # the friction is not known yet; the block's lengths are not known without a fit
+        return
+    inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
+    longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)
+    yield from of_attainable(m, longest, event)
+
+
+def slips(m: Measurements) -> Iterator[str]:
+    """Name the columns that may have been exchanged, or be in another unit than their names say."""
+    height, length = (m.columns.get(name, name) for name in ("height", "length"))
+    over = float(np.median(m.length / m.height))
+    if not SUSPECT[0] <= over <= SUSPECT[1]:
+        may_be = [f"are {height} and {length} exchanged"] * (LIKELY[0] <= 1 / over <= LIKELY[1])
+        if m.in_si:
+            may_be += [f"is {height} in {unit}" for unit in _other_units(height, lambda factor: over / factor)]
+            may_be += [f"is {length} in {unit}" for unit in _other_units(length, lambda factor: over * factor)]
+        if may_be:
+            yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
+    if m.correlation_length is None:
+        return
+    if (m.height * m.correlation_length).max() < 1e-3:
+        yield f"every height is below 1 mm: is {height} in m?"
+    shortest = float(m.correlation_length.min())
+    if shortest < 1e-7:
+        column = m.columns.get("correlation_length", "correlation_length")
+        yield f"a correlation length of {shortest * 1e9:.3g} nm is that of no rough interface: is {column} in mm?"
+    if m.young is not None and m.young.max() > DIAMOND:
+        column = m.columns.get("young", "young")
+        yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
+
+
+def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
+    """Units of length in which a column would give usual lengths over the height."""
+    own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
+    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
+    return [unit for unit, found in ratios.items() if LIKELY[0] <= found <= LIKELY[1]]
+
+
+def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
+    """Warn of lengths near or above the longest that any stiffness gives."""
+    sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
+    lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
+    above = lowest > attainable
+    if above.any():
+        i = int(np.argmax(m.length / attainable))
+        where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
+        yield (
+            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
+            f"worst at {where}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
+            f"attainable, {m.in_its_unit(i, attainable[i])}"
+        )
+    plateau = ~above & (m.length > PLATEAU * attainable)
+    if plateau.any() and event != "crack":
+        poisson = m.poisson[plateau][0]
+        ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
+        of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
+        yield (
+            f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
+            f"constrain stiffness little{of_slider}"
+        )
+
+
+def next_steps(result: "FitResult") -> list[str]:
+    """What the residuals of a rejected fit suggest to try next, each by its option.
+
+    A fit that is richer by one thing is started from the best fit; it is offered where the data would be accepted, or χ² per
+    degree of freedom falls to a fifth, the best first.
+    """
+    at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
+    if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
+        return []
+    rejected = (result.p_value or 0.0) < IMPROBABLE and result.testable_dof and result.problem.plain
+    steps = [text for _, text in sorted([*_richer(result), *_outliers(result)])] if rejected else []
+    if at_maximum:
+        steps.append(
+            "check the units of heights and lengths, and that the height is the effective one, of the line where the load acts"
+        )
+    if at_maximum or _trend(result):
+        steps += _of_a_block(result)
+    if rejected and not steps:
+        factor = np.sqrt(result.deviance / result.testable_dof)
+        steps.append(
+            f"if σ is a guess, it would have to be {factor:.2g} times as large: --sigma relative takes it from the scatter"
+        )
+    return steps
+
+
+def _of_a_block(result: "FitResult") -> list[str]:
+    """The block, where the table does not say at what height its side is pushed."""
+    m = result.measurements
+    if m.push_height is not None:
+        return []
+    unit = "_mm" * m.in_si
+    return [f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"]
+
+
+def _trend(result: "FitResult") -> str:
+    """How the residuals go with the height, in words; empty where they do not, or there are fewer than three heights."""
+    height, off = result.measurements.height, result.residuals
+    if len(set(height.tolist())) < 3 or np.abs(np.corrcoef(np.log(height), off)[0, 1]) < 0.8:
+        return ""
+    falls = np.corrcoef(np.log(height), off)[0, 1] < 0
+    low, tall = ("long", "short") if falls else ("short", "long")
+    return f"the fitted lengths are too {low} on low blocks and too {tall} on tall ones"
+
+
+def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
+    """χ² per degree of freedom and a hint, for each further freedom that helps."""
+    m, wanted = result.measurements, result.request["free"]
+    named = {one.name: one for one in wanted}
+    stiffness = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
+    if stiffness is not None and len(set(m.specimen)) > 1:
+        each = [
+            Parameter("stiffness", stiffness.bounds, stiffness.prior, "specimen") if one is stiffness else one for one in wanted
+        ]
+        signs = [set(np.sign(result.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
+        pattern = "the residuals of each specimen have one sign: " * all(len(one) == 1 for one in signs)
+        yield from _helps(
+            result, each, f"{pattern or 'the specimens may differ: '}try one stiffness for each: --each-specimen stiffness"
+        )
+    if "prestress" not in named and m.prestress is None and result.parameters.body == "slider":
+        pattern = f"{_trend(result)}: " * bool(_trend(result))
+        free = "".join(f" --free {one.name}" for one in wanted if one.value is None and not one.nuisance)
+        text = f"{pattern}try a prestress, the same for all:{free} --free prestress"
+        yield from _helps(result, [*wanted, Parameter("prestress")], text)
+
+
+def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
+    """The hint, where a fit of these parameters is so much better."""
+    old = result.parameters
+    q = parameter_set(result.measurements, wanted, old.event, old.body)
+    problem = make_problem(result.measurements, q, result.problem.loss, result.problem.blocks[0].data.sigma)
+    values = dict(zip(old.names, result.theta, strict=True))
+    start = np.array([values.get(one.label, values.get(one.label.partition("[")[0], 0.0)) for one in q.free])
+    deviance = 2 * float(minimise(problem, _starts(q, start), q.low, q.high, max_steps=STEPS).value.min())
+    yield from _offered(result, deviance, result.problem.p - problem.p, text)
+
+
+def _starts(q: ParameterSet, start: np.ndarray) -> np.ndarray:
+    """The best fit, and others of a stiffness anywhere in its range: the misfit may have driven it far away."""
+    stiff = np.array([one.name in STIFFNESSES for one in q.free])
+    spread = q.low + (q.high - q.low) * np.linspace(0.05, 0.95, STARTS)[:, None]
+    return np.vstack([start, np.where(stiff, spread, start)])
+
+
+def _outliers(result: "FitResult") -> Iterator[tuple[float, str]]:
+    """The hint at one measurement without which the others agree, if there is one."""
+    m, problem, q = result.measurements, result.problem, result.parameters
+    suspects = np.argsort(-np.abs(result.residuals))[:MOST_OUTLIERS]
+    count = len(suspects)
+    if len(m) < 4:
+        return
+    weights = {block.observable: np.ones((count, len(block.measurement))) for block in problem.blocks}
+    for lane, i in enumerate(suspects):
+        for block in problem.blocks:
+            weights[block.observable][lane, block.measurement == i] = 0.0
+    values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}
+    without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
+    starts = _starts(q, result.theta)
+    lane = np.repeat(np.arange(count), len(starts))
+    value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=STEPS).value
+    best = int(np.argmin(value))
+    text = (
+        f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: --loss student"
+    )
+    yield from _offered(result, 2 * float(value[best]), -1, text)
+
+
+def _offered(result: "FitResult", deviance: float, more_dof: int, text: str) -> Iterator[tuple[float, str]]:
+    """The hint with the χ² it leads to, where that is accepted or much less."""
+    dof = (result.testable_dof or 0) + more_dof
+    if dof < 1:
+        return
+    accepted = chdtrc(dof, deviance) >= IMPROBABLE
+    if accepted or deviance / dof < MUCH * result.deviance / (result.testable_dof or 1):
+        yield deviance / dof, f"{text} (chi-squared {deviance:.3g} for {dof} degree{'s' * (dof > 1)} of freedom)"

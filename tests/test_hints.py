@@ -1,0 +1,129 @@
+"""Hints: what a table may have wrong, and what a rejected fit suggests to try next, by options that there are."""
+
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import slippulse_jax as sp
+from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.verdict import Identifiability
+
+HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
+NOISE = 0.3 * np.random.default_rng(0).standard_normal(6)
+
+
+def lengths(stiffness, **interface):
+    return sp.exact_lengths(sp.Slider(HEIGHT, stiffness, 0.3), sp.Interface(**interface))
+
+
+def rejected(length, **columns):
+    """The steps offered after a rejected fit; every option named in them is one of the command."""
+    m = Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.3, **columns)
+    result = sp.fit(m)
+    assert result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
+    text = result.report()
+    assert text.count(result.identifiability.value) == 1
+    assert "What to try next" in text
+    known = {option for one in command.params for option in one.opts}
+    assert set(re.findall(r"--[a-z-]+", " ".join(result.next_steps))) <= known
+    assert result.to_dict()["next_steps"] == result.next_steps
+    return m, result.next_steps
+
+
+def test_specimens_of_different_stiffness():
+    two = np.where(np.arange(6) % 2, lengths(0.002), lengths(0.008))
+    m, steps = rejected(two + NOISE, specimen=tuple("ABABAB"))
+    assert "--each-specimen stiffness (chi-squared" in steps[0]
+    each = sp.fit(m, [sp.Parameter("stiffness", each="specimen")], intervals="profile")
+    assert each.values["stiffness[A]"] == pytest.approx(0.008, rel=0.2)
+    assert each.next_steps == []
+
+
+def test_one_outlier():
+    typo = (lengths(0.004) + NOISE) * np.where(np.arange(6) == 2, 1.6, 1)
+    m, steps = rejected(typo)
+    assert "measurement 2 is at odds with the others" in steps[0]
+    assert "--loss student" in steps[0]
+    assert sp.fit(m, loss="student").values["stiffness"] == pytest.approx(0.004, rel=0.1)
+
+
+def test_a_trend_in_height():
+    _, steps = rejected(lengths(0.004, prestress=0.3) + NOISE)
+    assert "too long on low blocks and too short on tall ones" in steps[0]
+    assert "--free stiffness --free prestress (chi-squared" in steps[0]
+    assert any("columns push_height and push_width" in step for step in steps)
+
+
+def test_mere_scatter():
+    _, steps = rejected(lengths(0.004) + 8 * NOISE)
+    assert len(steps) == 1
+    assert "3.3 times as large: --sigma relative" in steps[0]
+
+
+HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "hint"),
+    [
+        (HEADER, "14.03,10,0.3,3,25,0.5\n36.2,10,0.3,3,50,0.5\n9,10,0.3,3,20,0.5", "are height_mm and length_mm exchanged"),
+        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "is height_mm in m, or is length_mm in um?"),
+        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "times the longest attainable, 0.0[0-9]+ mm"),
+        (HEADER, "25,10,0.3,3,0.01403,0.0005\n50,10,0.3,3,0.0362,0.0005", "is height_mm in um, or is length_mm in m?"),
+        (HEADER, "25,0.01,0.3,3,14.03,0.5", "10 nm is that of no rough interface: is correlation_length_um in mm?"),
+        (HEADER, "0.025,10,0.3,3,0.01403,0.0005", "every height is below 1 mm: is height_mm in m?"),
+        (HEADER, "25,10,0.3,3000,14.03,0.5", "3000 GPa is above diamond's: is young_GPa in MPa?"),
+        (HEADER.replace("height_mm", "height_cm"), "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,4,0.5", None),
+        (HEADER, "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,36.2,0.5", None),
+        (
+            "height,poisson,length,length_sigma",
+            "14,0.3,25,0.5\n36,0.3,80,0.5\n9,0.3,20,0.5",
+            "are height and length exchanged?",
+        ),
+    ],
+)
+def test_slips_are_named_before_the_fit(tmp_path, header, rows, hint):
+    path = tmp_path / "slip.csv"
+    path.write_text(f"{header}\n{rows}\n")
+    said = CliRunner().invoke(command, [str(path)])
+    if hint is None:
+        assert "?" not in said.stderr
+    else:
+        assert re.search(hint, said.stderr), said.stderr
+        assert re.search(hint, said.stdout) or "attainable" in hint
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("0.025,1e-5,0.3,3e9,0.01403,5e-4", "correlation_length_um: 1e-5: .* 0.1 nm: is it in m?"),
+        ("25,10,0.3,3e9,14.03,0.5", "young_GPa: 3e9: .*diamond's: is it in Pa?"),
+        ("0.005,10,0.3,3,14.03,0.5", "is height_mm in m, or correlation_length_um in nm?"),
+    ],
+)
+def test_slips_that_are_refused_are_named(tmp_path, row, message):
+    path = tmp_path / "slip.csv"
+    path.write_text(f"{HEADER}\n{row}\n")
+    with pytest.raises(MeasurementError, match=message):
+        sp.read_measurements(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("correlation_length", 1e-11, "0.1 nm"),
+        ("young", 3e18, "diamond's"),
+        ("young", -1.0, "must be positive"),
+        ("height", -1.0, "must be positive, in m"),
+        ("height", 1e-6, "must exceed 1"),
+        ("poisson", 0.6, "must lie in"),
+        ("areal_stiffness", 0.0, "in Pa/m"),
+    ],
+)
+def test_a_slider_of_materials_is_checked_like_a_table(name, value, message):
+    material = {"height": 0.02, "correlation_length": 1e-5, "areal_stiffness": 1e10, "poisson": 0.3, "young": 3e9}
+    with pytest.raises(ValueError, match=message):
+        sp.Slider.from_material(**(material | {name: value}))
