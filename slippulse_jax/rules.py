@@ -18,6 +18,9 @@ class HardBreak(eqx.Module):
     """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch."""
 
 
+HARD = HardBreak()
+
+
 class SmoothBreak(eqx.Module):
     """A λ-contact of many micro-junctions with thresholds of their own.
 

@@ -18,7 +18,7 @@ from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.lengths import general_kernel
 from slippulse_jax.lattice.modes import ENDLESS
-from slippulse_jax.lattice.precursor import HARD
+from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
@@ -65,8 +65,7 @@ def test_rupture_against_dense_program(delay):
     assert got.drift < 1e-12
 
 
-@pytest.mark.slow  # both are held to dense solves in the usual run
-@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_first_precursor_is_that_of_the_recursion(delay):
     expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
     chain = sp.chain(FIG2, sites=150)

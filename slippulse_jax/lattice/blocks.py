@@ -7,7 +7,7 @@ contacts in one block. Every contact stays attached to the body, so a break cost
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -28,11 +28,10 @@ from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
-from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
-HARD = HardBreak()
 FEWEST, MORE, MOST = 64, 4, 2**13
 """Fewest contacts resolved, the factor by which they grow while an event reaches the last of them, and the most: the response
 of so many to each other is a matrix."""
@@ -229,7 +228,7 @@ def faded(contacts: Contacts, rule: SmoothBreak) -> Float[Array, ""]:
 
 
 @partial(jax.jit, static_argnames="sites")
-def length(block: Block, interface: Interface | Profile | None, sites: int, rule: BreakRule = HARD) -> Float[Array, ""]:
+def length(block: Block, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int) -> Float[Array, ""]:
     """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
     numbers, together = ravel_pytree((block, interface, rule))
 
@@ -242,36 +241,41 @@ def length(block: Block, interface: Interface | Profile | None, sites: int, rule
     return by_forward_mode(one)(numbers)
 
 
-def resolved(
-    block: Block, interface: Interface | Profile | None, sites: Numbers | None, length_on: Callable[[Any, int], Array]
-) -> int:
-    """Number of contacts on which an event stays, or the one that is given.
+Found = TypeVar("Found", Array, BlockPrecursor)
+
+
+def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[tuple[Any, ...], int], Found]) -> Found:
+    """Event on as many contacts as it stays on, or on those that are given.
 
     Parameters
     ----------
-    block, interface, sites
-    length_on : callable
-        ℓ of block and interface on so many contacts; inf where it runs through them.
+    given : tuple
+        Block, interface, and what else `event_on` takes.
+    sites : int, optional
+    event_on : callable
+        Length or record on so many contacts; its length is inf where it runs through them.
 
     Raises
     ------
     ValueError
         If it is neither given nor can be found out, because the block is traced; or too large, or no number of contacts.
     """
+    block = given[0]
     if sites is not None:
         if not isinstance(sites, int) or not 2 <= sites <= MOST:
             raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
         if sites < (block.contacts or 0):
             raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
-        return sites
-    known = _known((block, interface))
+        return event_on(given, sites)
+    known = _known(given)
     contacts = known[0].contacts
     if contacts is not None and contacts <= MOST:
-        return max(FEWEST, 1 << (contacts - 1).bit_length())
-    count = FEWEST
+        return event_on(given, max(FEWEST, 1 << (contacts - 1).bit_length()))
+    count, traced = FEWEST, any(isinstance(x, Tracer) for x in jax.tree.leaves(given))
     while count <= MOST and contacts is None:
-        if not np.isposinf(length_on(known, count)):
-            return count
+        found = event_on(known, count)
+        if not np.isposinf(found.length if isinstance(found, BlockPrecursor) else found):
+            return event_on(given, count) if traced else found
         count *= MORE
     raise ValueError(  # under a wide smooth rule for ever
         f"{block} or its event reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
@@ -345,9 +349,9 @@ def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array
     at = 1.0 if known[0].push.height is None else known[0].push.height
     height = _coarse_heights(np.array([known[0].height]), np.array([at]), look)[0][0]
     if height == known[0].height:
-        found = length(block, interface, FOLLOWED)
+        found = length(block, interface, sites=FOLLOWED)
         return found, jnp.zeros_like(found)
-    pair = [length(*_coarser((block, interface), one), FOLLOWED) for one in (height, height / 2)]
+    pair = [length(*_coarser((block, interface), one), sites=FOLLOWED) for one in (height, height / 2)]
     return extrapolated(pair[0], pair[1], height, block.height)
 
 
@@ -439,19 +443,16 @@ def precursor_length(
     every = sites is not None or block.length is not None or smooth
     if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
         return tall_length(block, interface)[0]
-    plain = lax.stop_gradient(rule)
-    count = resolved(block, interface, sites, lambda known, count: length(*known, count, plain))
-    found = length(block, interface, count, rule)
+    found = resolved((block, interface, rule), sites, lambda given, count: length(*given, sites=count))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(record(block, interface, count).nucleation)
+        begins = int(first_precursor(block, interface, sites).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 
 
 def first_precursor(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    count = resolved(block, interface, sites, lambda known, count: record(*known, count).length)
-    found = record(block, interface, count)
+    found = resolved((block, interface), sites, lambda given, count: record(*given, count))
     if block.contacts is None:
         return found
     # no more than it has

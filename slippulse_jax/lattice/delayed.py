@@ -101,6 +101,18 @@ def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Arra
 
 
 @partial(jax.jit, static_argnames="count")
+def front_stress(modes: Modes, count: int, contacts: Interface | Profile) -> Float[Array, " count"]:
+    """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too."""
+    over = passage(modes, contacts)
+
+    def step(front: DelayedFront, _: None) -> tuple[DelayedFront, Array]:
+        return over.advance(front), front.ahead
+
+    threshold = contact_at(modes, contacts, 0)[0]
+    return jnp.concatenate([threshold[None], lax.scan(step, over.start, length=count - 1)[1]])
+
+
+@partial(jax.jit, static_argnames="count")
 def pinning(modes: Modes, contacts: Interface | Profile, count: int, position: Array) -> Float[Array, " count"]:
     """u_b of the first `count` sites when contacts before `position` have broken; detached ones follow the layer."""
     over, n, site = passage(modes, contacts), contacts.repin_delay, jnp.arange(count, dtype=jnp.int32)

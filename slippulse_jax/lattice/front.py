@@ -214,10 +214,6 @@ class Passage(NamedTuple):
     threshold: Callable[[Array], Array]  # of a contact
     edge: Callable[[Any], Array]  # stress on contact 0
 
-    def stress(self, front: Any) -> Array:
-        """Stress on the contact ahead, in σ_s."""
-        return self.threshold(front.position) + self.excess(front)
-
 
 def nucleate(modes: Modes, drive: Any = 1) -> Front:
     """The front before contact 0 breaks; `drive` is the stress by which it is loaded."""
@@ -292,19 +288,12 @@ def in_domain(slider: Slider) -> Array:
     return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
 
 
-def stresses(over: Passage, count: int) -> Float[Array, " count"]:
-    """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too."""
-
-    def step(front: Any, _: None) -> tuple[Any, Array]:
-        return over.advance(front), over.stress(front)
-
-    first = over.threshold(jnp.int32(0))
-    return jnp.concatenate([first[None], lax.scan(step, over.start, length=count - 1)[1]])
-
-
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: Contacts = None) -> Float[Array, " count"]:
-    """`stresses` on contacts that repin at once, of Z_m itself and not of its change, whose rounding would not fade."""
+    """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too.
+
+    Of Z_m itself and not of its change, whose rounding would not fade.
+    """
     threshold, prestress = contact_at(modes, contacts, 0)
 
     def step(front: Front, _: None) -> tuple[Front, Array]:

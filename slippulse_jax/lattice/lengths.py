@@ -20,14 +20,13 @@ from slippulse_jax.lattice.events import Event, check_event, event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
 from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
-    HARD,
     arrest,
     check_max_contacts,
     check_smooth,
     report_without_length,
 )
 from slippulse_jax.lattice.smooth import smooth_length
-from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
+from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers

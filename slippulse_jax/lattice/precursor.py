@@ -21,7 +21,7 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
-from slippulse_jax.lattice.blocks import HARD, BlockPrecursor
+from slippulse_jax.lattice.blocks import BlockPrecursor
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
 from slippulse_jax.lattice.modes import (
     ENDLESS,
@@ -34,7 +34,7 @@ from slippulse_jax.lattice.modes import (
     lattice_modes,
 )
 from slippulse_jax.lattice.smooth import smooth_length
-from slippulse_jax.rules import BreakRule, SmoothBreak, check_rule
+from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
@@ -50,6 +50,13 @@ class FrontNotArrested(NotConverged):
 def passage(modes: Modes, contacts: Contacts) -> Passage:
     """How the front passes over the contacts, repinned at once or after a delay."""
     return front.passage(modes, contacts) if contacts is None or not contacts.repin_delay else delayed.passage(modes, contacts)
+
+
+def front_stress(modes: Modes, count: int, contacts: Contacts) -> Array:
+    """Stress on each contact once all before it have broken, repinned at once or after a delay."""
+    if contacts is None or not contacts.repin_delay:
+        return front.front_stress(modes, count, contacts)
+    return delayed.front_stress(modes, count, contacts)
 
 
 def arrest(
@@ -338,9 +345,7 @@ def _counted(slider: Slider, interface: Contacts, ends: Ends, max_contacts: int)
 def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
     threshold, prestress = front.contact_at(modes, interface, 0)
-    if interface is None or not interface.repin_delay:
-        return modes.load * (threshold - prestress), front.front_stress(modes, sites, interface)
-    return modes.load * (threshold - prestress), front.stresses(passage(modes, interface), sites)
+    return modes.load * (threshold - prestress), front_stress(modes, sites, interface)
 
 
 _smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule, max_contacts=max_contacts), static_argnums=2)
