@@ -6,6 +6,7 @@ the lengths that a fit works with stand in for it.
 
 import json
 import sys
+import warnings
 from functools import partial, partialmethod
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from click.testing import CliRunner
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference import model
+from slippulse_jax.inference.bayes import Posterior, theta_of
 from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import STIFFEST, Inputs, parameter_set, softest
@@ -87,6 +89,31 @@ def test_command_line(monkeypatch):
     assert drawn["stderr"][name] == pytest.approx(found["stderr"][name], rel=0.2)
 
 
+def test_arviz_takes_the_posterior(monkeypatch):
+    """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
+    az = import_arviz()
+    result = fit(DATA)
+    monkeypatch.setattr(model, "traced_length", tabulated(result.measurements))
+    drawn = result.posterior(samples=60, warmup=60, chains=2, progress=False)
+    table = az.summary(drawn)
+    assert list(table.index) == ["areal_stiffness"]
+    summary = Posterior(drawn)
+    assert table["mean"].iloc[0] == pytest.approx(summary.to_dict()["mean"]["areal_stiffness"], rel=1e-3)
+    assert drawn["posterior"]["areal_stiffness"].attrs["units"] == "Pa/m"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Matplotlib's about ArviZ
+        az.plot_trace(drawn)
+    np.testing.assert_allclose(np.exp(theta_of(result, drawn)).ravel(), summary.of("areal_stiffness"))
+    assert theta_of(result, result.bootstrap(5)).shape == (5, 1)
+
+
+def import_arviz():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of its own next version
+        import arviz
+    return arviz
+
+
 def test_missing_sampler_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "numpyro.diagnostics", None)
     done = CliRunner().invoke(command, [DATA, "--posterior", "10"])
@@ -103,7 +130,7 @@ def test_posterior_profile_and_bootstrap_agree():
         height=height, poisson=0.3, length=length * (1 + 0.01 * rng.standard_normal(6)), length_sigma=0.01 * length
     )
     result = fit(m)
-    drawn = result.posterior(samples=1000, warmup=500)
+    drawn = Posterior(result.posterior(samples=1000, warmup=500))
     assert drawn.converged, drawn
     profile = result.intervals["stiffness"][0.95][0]
     width = profile.high - profile.low

@@ -7,8 +7,6 @@ import click
 from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from slippulse_jax.inference.result import FitResult
 
 
@@ -91,6 +89,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
+    from slippulse_jax.inference.bayes import Posterior
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.hints import before_fit
@@ -107,25 +106,25 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         for warning in before_fit(measurements, asked.get("event") or "domino", body):
             click.echo(f"before fitting: {warning}", err=True)
         result = fit(measurements, bounds=options["bounds"] or None, **asked)
-        more = {}
+        more, drawn = {}, None
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
-            more["bootstrap"] = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
+            drawn = more["bootstrap"] = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
         if options["posterior"]:
-            more["posterior"] = result.posterior(samples=options["posterior"], seed=result.request["seed"])
+            drawn = result.posterior(samples=options["posterior"], seed=result.request["seed"])
+            more["posterior"] = Posterior(drawn)
     except (ValueError, ModuleNotFoundError) as error:
         refuse(error)
     if options["as_json"]:
-        print_json(result.to_dict() | {name: drawn.to_dict() for name, drawn in more.items()})
+        print_json(result.to_dict() | {name: one.to_dict() for name, one in more.items()})
     else:
         click.echo("\n\n".join([result.report(), *map(str, more.values())]))
-    samples = next((drawn.theta.reshape(-1, result.problem.p) for drawn in more.values()), None)
-    _draw(result, samples, options)
+    _draw(result, drawn, options)
     if not result.converged:
         ctx.exit(NOT_CONVERGED)
 
 
-def _draw(result: "FitResult", samples: "np.ndarray | None", options: dict[str, Any]) -> None:
+def _draw(result: "FitResult", samples: Any, options: dict[str, Any]) -> None:
     """Draw the pictures asked for."""
     if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
         return

@@ -1,19 +1,21 @@
-"""The posterior by the No-U-Turn sampler: the extra ``bayes`` (numpyro).
+"""The posterior by the No-U-Turn sampler: the extra ``bayes`` (numpyro and ArviZ).
 
 The density is that of the fit (`slippulse_jax.inference.likelihood.log_density`); a parameter without a prior is flat over the
 range searched, a positive one in its logarithm.
 """
 
-import dataclasses
+import sys
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray
 from jaxtyping import Array
 
+from slippulse_jax.inference.bootstrap import Samples
 from slippulse_jax.inference.likelihood import log_density
-from slippulse_jax.inference.verdict import LEVELS
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -22,50 +24,27 @@ GOOD_RHAT = 1.01
 GOOD_ESS = 400.0
 
 
-class Samples:
-    """Base of samples of the parameters, whether refits or draws from a posterior."""
-
-    names: tuple[str, ...]
-    values: np.ndarray  # (…, parameters), in the units of the parameters
-
-    def of(self, name: str) -> np.ndarray:
-        """All samples of one parameter, shape (count,)."""
-        return self.values[..., self.names.index(name)].ravel()
-
-    def stderr(self, name: str) -> float:
-        """Standard deviation of a parameter."""
-        return float(self.of(name).std(ddof=1))
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Central interval of a parameter, by its percentiles."""
-        low, high = np.quantile(self.of(name), [(1 - level) / 2, (1 + level) / 2])
-        return float(low), float(high)
-
-    def summary(self) -> dict[str, Any]:
-        """Standard deviations and intervals of all parameters as plain Python values."""
-        return {
-            "stderr": {name: self.stderr(name) for name in self.names},
-            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
-        }
-
-    def line(self, name: str) -> str:
-        """Summarise one parameter in a line."""
-        low, high = self.interval(name)
-        mean, sd = self.of(name).mean(), self.stderr(name)
-        return f"  {name}: mean {mean:.5g}, standard deviation {sd:.3g}, 95% {low:.5g} to {high:.5g}"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Posterior(Samples):
-    """Samples of the posterior, with the diagnostics of their convergence."""
+    """Summary of a posterior: moments, intervals, and the diagnostics of its convergence.
 
-    names: tuple[str, ...]
-    theta: np.ndarray  # (chains, samples, p)
-    values: np.ndarray  # (chains, samples, p), in the units of the parameters
+    Parameters
+    ----------
+    tree : arviz.InferenceData or xarray.DataTree
+        As `posterior` returns it.
+    """
+
     rhat: dict[str, float]  # split R-hat: 1 where the chains agree
     ess: dict[str, float]  # effective number of independent samples
     divergences: int
     seed: int
+
+    def __init__(self, tree: Any) -> None:
+        drawn = tree["posterior"].data_vars
+        self.names = tuple(str(name) for name in drawn)
+        self.values = np.stack([np.asarray(drawn[name]) for name in self.names], axis=-1)
+        self.rhat, self.ess = ({name: float(drawn[name].attrs[key]) for name in self.names} for key in ("rhat", "ess"))
+        self.divergences = int(np.asarray(tree["sample_stats"]["diverging"]).sum())
+        self.seed = int(tree["posterior"].attrs["seed"])
 
     @property
     def converged(self) -> bool:
@@ -99,7 +78,15 @@ class Posterior(Samples):
         return "\n".join(rows)
 
 
-def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> Posterior:
+def posterior(
+    result: "FitResult",
+    *,
+    samples: int = 1000,
+    warmup: int = 500,
+    chains: int = 4,
+    seed: int = 0,
+    progress: bool | None = None,
+) -> Any:
     """Sample the posterior of a fit.
 
     Parameters
@@ -111,6 +98,14 @@ def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, ch
     chains : int
         They start at the roots in turn: a second root that they do not mix with shows in R-hat.
     seed : int
+    progress : bool, optional
+        Whether to show a progress bar; by default on a terminal.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+        What ArviZ of this version works on: ``az.summary`` and ``az.plot_trace`` take it. The group ``posterior`` has the
+        parameters in their units, by label, with their R-hat and effective sample size as attributes; `Posterior` sums it up.
 
     Raises
     ------
@@ -127,10 +122,13 @@ def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, ch
     if result.problem.loss.name == "huber" or result.scaled:
         raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
     try:
+        with warnings.catch_warnings():  # which announces its next version on import
+            warnings.simplefilter("ignore", FutureWarning)
+            import arviz as az  # pyright: ignore[reportMissingImports]
         from numpyro.diagnostics import effective_sample_size, split_gelman_rubin  # pyright: ignore[reportMissingImports]
         from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
-        raise ModuleNotFoundError("the posterior needs numpyro: pip install 'slippulse_jax[bayes]'") from None
+        raise ModuleNotFoundError("the posterior needs numpyro and arviz: pip install 'slippulse_jax[bayes]'") from None
     low, high = result.parameters.low, result.parameters.high
     starts = np.array([one.theta for one in result.roots] or [result.theta])
     share = np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)
@@ -146,21 +144,42 @@ def posterior(result: "FitResult", *, samples: int = 1000, warmup: int = 500, ch
         # a few parameters: forward mode is less to compile
         kernel = NUTS(potential_fn=potential, dense_mass=True, target_accept_prob=0.9, forward_mode_differentiation=True)
         run = MCMC(
-            kernel, num_warmup=warmup, num_samples=samples, num_chains=chains, chain_method="vectorized", progress_bar=False
+            kernel,
+            num_warmup=warmup,
+            num_samples=samples,
+            num_chains=chains,
+            chain_method="vectorized",
+            progress_bar=sys.stderr.isatty() if progress is None else progress,
         )
         run.run(jax.random.key(seed), init_params=jnp.asarray(unbounded), extra_fields=("diverging",))
         drawn = np.asarray(run.get_samples(group_by_chain=True))
-        diverging = int(np.asarray(run.get_extra_fields()["diverging"]).sum())
+        diverging = np.asarray(run.get_extra_fields(group_by_chain=True)["diverging"])
     theta = low + (high - low) / (1 + np.exp(-drawn))
-    free = result.parameters.free
-    values = np.stack([np.asarray(one.value(theta[:, :, i])) for i, one in enumerate(free)], axis=-1)
-    names = tuple(result.parameters.names)
-    return Posterior(
-        names=names,
-        theta=theta,
-        values=values,
-        rhat={name: float(split_gelman_rubin(theta[:, :, i])) for i, name in enumerate(names)},
-        ess={name: float(effective_sample_size(theta[:, :, i])) for i, name in enumerate(names)},
-        divergences=diverging,
-        seed=seed,
-    )
+    columns = {
+        one.label: xarray.DataArray(
+            np.asarray(one.value(column)),
+            dims=("chain", "draw"),
+            attrs={
+                "units": one.unit,
+                "rhat": float(split_gelman_rubin(column)),
+                "ess": float(effective_sample_size(column)),
+            },
+        )
+        for one, column in zip(result.parameters.free, np.moveaxis(theta, -1, 0), strict=True)
+    }
+    where = {"chain": np.arange(chains), "draw": np.arange(samples)}
+    groups = {
+        "posterior": xarray.Dataset(columns, where, {"seed": seed}),
+        "sample_stats": xarray.Dataset({"diverging": (("chain", "draw"), diverging)}, where),
+    }
+    make: Any = getattr(az, "InferenceData", None)  # until ArviZ 1
+    return make(**groups) if make else xarray.DataTree.from_dict(groups)
+
+
+def theta_of(result: "FitResult", samples: Any) -> np.ndarray:
+    """θ of samples of a fit, (n, p): an array of them, a `Bootstrap`, or what `posterior` returns."""
+    if not hasattr(samples, "posterior"):
+        return np.reshape(getattr(samples, "theta", samples), (-1, result.problem.p))
+    drawn = samples["posterior"]
+    values = [(one, np.ravel(drawn[one.label])) for one in result.parameters.free]
+    return np.stack([np.log(value) if one.log else value for one, value in values], axis=-1)

@@ -5,15 +5,48 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.bayes import Samples
 from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
 from slippulse_jax.inference.optimise import Convergence, minimise
+from slippulse_jax.inference.verdict import LEVELS
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
 KINDS = ("parametric", "case")
 MOST_STARTS = 4
+
+
+class Samples:
+    """Base of samples of the parameters, whether refits or draws from a posterior."""
+
+    names: tuple[str, ...]
+    values: np.ndarray  # (…, parameters), in the units of the parameters
+
+    def of(self, name: str) -> np.ndarray:
+        """All samples of one parameter, shape (count,)."""
+        return self.values[..., self.names.index(name)].ravel()
+
+    def stderr(self, name: str) -> float:
+        """Standard deviation of a parameter."""
+        return float(self.of(name).std(ddof=1))
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Central interval of a parameter, by its percentiles."""
+        low, high = np.quantile(self.of(name), [(1 - level) / 2, (1 + level) / 2])
+        return float(low), float(high)
+
+    def summary(self) -> dict[str, Any]:
+        """Standard deviations and intervals of all parameters as plain Python values."""
+        return {
+            "stderr": {name: self.stderr(name) for name in self.names},
+            "intervals": {name: {f"{level:g}": list(self.interval(name, level)) for level in LEVELS} for name in self.names},
+        }
+
+    def line(self, name: str) -> str:
+        """Summarise one parameter in a line."""
+        low, high = self.interval(name)
+        mean, sd = self.of(name).mean(), self.stderr(name)
+        return f"  {name}: mean {mean:.5g}, standard deviation {sd:.3g}, 95% {low:.5g} to {high:.5g}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,11 +1,14 @@
 """The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
+import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from scipy.special import chdtrc
+from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.blocks import block_lengths
@@ -158,7 +161,11 @@ def fit(
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
-    explored = _of_counts(problem, counts) if counts and counts.pieces else _explore(problem, method, max_steps, seed)
+    if counts and counts.pieces:
+        explored = _of_counts(problem, counts)
+    else:
+        with _progress(problem) as shown:
+            explored = _explore(shown, method, max_steps, seed)
     minima, curves, best, deviance, unconverged, cells = explored
     rise = _rise(problem, deviance, scaled)
     variance = deviance / (problem.count - problem.p) if scaled else 1.0
@@ -177,7 +184,8 @@ def fit(
     if counts is not None:
         verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
     elif _to_be_simulated(problem, intervals, scaled, minima, deviance, {j: pieces[j] for j in asked}, best):
-        found = calibrated(problem, LEVELS, curves=curves, cells=cells, seed=seed)
+        with _progress(problem) as shown:
+            found = calibrated(shown, LEVELS, curves=curves, cells=cells, seed=seed)
         pieces = {j: one.intervals for j, one in found.items()}
         verdicts = {j: _simulated(verdicts[j], found[j].covered) for j in asked}
     verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
@@ -204,6 +212,13 @@ def fit(
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
     )
+
+
+@contextmanager
+def _progress(problem: Problem) -> Iterator[Problem]:
+    """The problem with a count of its evaluations, on a terminal, after two seconds."""
+    with tqdm(desc="fit", unit=" lengths", unit_scale=True, delay=2, leave=False, disable=None) as bar:
+        yield dataclasses.replace(problem, tick=bar.update)
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:

@@ -114,7 +114,8 @@ def next_steps(result: "FitResult") -> list[str]:
     at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
-    rejected = (result.p_value or 0.0) < IMPROBABLE and result.testable_dof and result.problem.plain
+    dof = result.testable_dof
+    rejected = dof and (result.p_value or 0.0) < IMPROBABLE and result.problem.plain
     steps = [text for _, text in sorted([*_richer(result), *_outliers(result)])] if rejected else []
     if at_maximum:
         steps.append(
@@ -122,8 +123,8 @@ def next_steps(result: "FitResult") -> list[str]:
         )
     if at_maximum or _trend(result):
         steps += _of_a_block(result)
-    if rejected and not steps:
-        factor = np.sqrt(result.deviance / result.testable_dof)
+    if dof and rejected and not steps:
+        factor = np.sqrt(result.deviance / dof)
         steps.append(
             f"if σ is a guess, it would have to be {factor:.2g} times as large: --sigma relative takes it from the scatter"
         )

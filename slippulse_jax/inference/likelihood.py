@@ -10,6 +10,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -292,6 +293,7 @@ class Problem:
     prior_mean: np.ndarray  # (R, p), one for each replicate
     prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
     held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
+    tick: Callable[[int], object] | None = None  # told how many lengths are computed, to show progress
 
     @property
     def p(self) -> int:
@@ -379,6 +381,8 @@ class Problem:
         free = slice(None) if self.held is None else ~self.held
         wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
+        if self.tick is not None:
+            self.tick(lanes * distinct)
         predict = partial(lengths, event=self.parameters.event) if block.observable == "length" else PREDICTED[block.observable]
         model: Prediction = predict(inputs.ravel(), wanted)
         scale = np.exp(block.scale(theta))

@@ -15,6 +15,9 @@ from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESH
 from slippulse_jax.plain import shortened
 from slippulse_jax.units import UNITS_OF_LENGTH
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 KINDS = ("length", "whole", "at_least")
 """Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
@@ -120,8 +123,8 @@ class Measurements:
     Parameters
     ----------
     height, poisson, length : array_like, shape (n,)
-        H/λc, ν, and the measured length over λc: numbers of λc, also where `correlation_length` says how many metres that is.
-        (`Slider.from_material`, `design` and a table with ``height_mm`` take metres or millimetres.) Scalars are repeated.
+        H/λc, ν, and the measured length over λc: numbers of λc, also where `correlation_length` says how many metres that is
+        (`from_si` takes metres). Scalars are repeated.
     length_sigma : array_like, shape (n,), optional
         Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest, and meant where there is
         nothing else. Without it the errors are taken as equal and their size from the scatter.
@@ -237,6 +240,38 @@ class Measurements:
             other: Mapping[str, Sequence[str]] = {},
             columns: Mapping[str, str] = {},
         ) -> None: ...
+
+    @classmethod
+    def from_si(cls, *, correlation_length: ArrayLike, **columns: Any) -> "Measurements":
+        """Measurements of arrays in SI units.
+
+        Parameters
+        ----------
+        correlation_length : array_like
+            λc, in m.
+        **columns
+            As of `Measurements`, but with heights and lengths, and their standard errors, in m.
+        """
+        unit = np.asarray(correlation_length, dtype=np.float64)
+        CORRELATION_LENGTH.check("Measurements.from_si: correlation_length", unit)
+        lengths = {*IN_LC, *(f"{name}_sigma" for name in IN_LC)}
+        in_lc: dict[str, Any] = {
+            name: np.asarray(x) / unit if name in lengths and x is not None else x for name, x in columns.items()
+        }
+        return cls(correlation_length=unit, **in_lc)
+
+    @classmethod
+    def from_dataframe(cls, table: "pd.DataFrame") -> "Measurements":
+        """Measurements of a pandas.DataFrame with the columns of a CSV file; NaN and None are blank cells.
+
+        Raises
+        ------
+        MeasurementError
+            As `read_measurements`; its line 1 is the header, and line 2 the first row.
+        """
+        from slippulse_jax.inference.tables import from_dataframe  # which makes measurements
+
+        return from_dataframe(table)
 
     def __post_init__(self) -> None:
         given = set_columns(self, NUMERIC)

@@ -7,13 +7,14 @@ import math
 import os
 import platform
 import tomllib
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Measurements
+from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.plain import plain
@@ -26,11 +27,16 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult, Root
 
 
+SCHEMA = 1
+"""Version of the record: larger where a record written before could not be read."""
+
+
 def to_dict(result: "FitResult") -> dict[str, Any]:
     """Return the whole result as plain Python values; open ends and missing numbers are None."""
     q = result.parameters
     units = {one.label: one.unit for one in q.free}
     content = {
+        "schema": SCHEMA,
         "identifiability": result.identifiability.name.lower(),
         "statement": result.identifiability.value,
         "reason": result.reason or None,
@@ -82,9 +88,67 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "source": result.measurements.source,
         "data_sha256": data_hash(result.measurements),
         "request": as_request(result.request),
+        "table": _columns(result.measurements),
+        "search": _search(result),
         "versions": versions(),
     }
     return plain(content)
+
+
+def _columns(table: Any) -> dict[str, Any]:
+    """The columns of a table of measurements or of gauges, as they are held."""
+    held = {field.name: getattr(table, field.name) for field in dataclasses.fields(table)}
+    return {name: _columns(x) if isinstance(x, Gauges) else x for name, x in held.items() if x is not None}
+
+
+def measurements_of_record(content: dict[str, Any]) -> Measurements:
+    """The measurements that a record was written with."""
+    table = dict(content["table"])
+    if "gauges" in table:
+        table["gauges"] = Gauges(**_numeric(table["gauges"], GAUGE_COLUMNS))
+    return Measurements(**_numeric(table, NUMERIC))
+
+
+def _numeric(table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Columns of numbers as arrays, with NaN for what JSON has no word for."""
+    return {name: np.array(x, dtype=float) if name in names else x for name, x in table.items()}
+
+
+def _search(result: "FitResult") -> dict[str, Any]:
+    """What the search found, beside what the record has of it: enough to make the result again without a search."""
+    return {
+        "theta": result.theta,
+        "roots": [
+            {"theta": root.theta, "deviance": root.deviance, "covariance": root.covariance, "stderr": root.stderrs}
+            for root in result.roots
+        ],
+        "curves": {name: curve._asdict() for name, curve in result.curves.items()},
+        "intervals": {
+            name: {f"{level:g}": pieces for level, pieces in by_level.items()} for name, by_level in result.intervals.items()
+        },
+        "rise": dataclasses.asdict(result.rise),
+        "testable_dof": result.testable_dof,
+        "unconverged": result.unconverged,
+        "between_contacts": result.between_contacts,
+        "complete": result.complete,
+    }
+
+
+def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the JSON of a fit.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one, or was written by a version whose record is another.
+    """
+    name, content = os.fspath(path), read_request_file(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError(
+            f"{name}: no fit that this version wrote: its schema is not {SCHEMA}; repeat it (slippulse fit TABLE.CSV "
+            f"--request {name})"
+        )
+    return content
 
 
 def _root(root: "Root", result: "FitResult") -> dict[str, Any]:
@@ -160,6 +224,16 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     ValueError
         If the file cannot be read or is neither.
     """
+    content = read_request_file(path)
+    content = content.get("request", content)
+    parameters = content.get("parameters", {}) if isinstance(content, dict) else None
+    if not isinstance(parameters, dict) or not all(isinstance(x, dict) for x in parameters.values()):
+        raise ValueError(f"{os.fspath(path)}: [parameters.NAME] tables are expected, each with its settings")
+    return content
+
+
+def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a TOML or JSON file."""
     name = os.fspath(path)
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -173,10 +247,6 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise ValueError(f"{name}: {error}") from None
     except RecursionError:
         raise ValueError(f"{name}: nested too deeply") from None
-    content = content.get("request", content)
-    parameters = content.get("parameters", {}) if isinstance(content, dict) else None
-    if not isinstance(parameters, dict) or not all(isinstance(x, dict) for x in parameters.values()):
-        raise ValueError(f"{name}: [parameters.NAME] tables are expected, each with its settings")
     return content
 
 

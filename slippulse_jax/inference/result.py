@@ -2,23 +2,26 @@
 
 import dataclasses
 import functools
+import json
+import os
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.bayes import Posterior, posterior
+from slippulse_jax.files import write_atomically
+from slippulse_jax.inference.bayes import posterior
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
 from slippulse_jax.inference.hints import next_steps
-from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import contacts_of, crack_status
-from slippulse_jax.inference.parameters import Inputs, ParameterSet
+from slippulse_jax.inference.parameters import Inputs, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise
-from slippulse_jax.inference.record import to_dataframe, to_dict
+from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
 from slippulse_jax.inference.report import notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
@@ -304,13 +307,72 @@ class FitResult:
         """Return the measurements beside the model as a pandas.DataFrame, one per row, in mm or λc as they were given."""
         return to_dataframe(self)
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result as JSON, as ``slippulse fit --json`` prints it; `load_fit` reads it."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, (text + "\n").encode())
+
     def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
         """Refit simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
         return bootstrap(self, count, kind=kind, seed=seed)
 
-    def posterior(self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0) -> Posterior:
-        """Sample the posterior by NUTS: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
-        return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed)
+    def posterior(
+        self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
+    ) -> Any:
+        """Sample the posterior by NUTS, for ArviZ: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
+        return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed, progress=progress)
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitResult:
+    """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
+
+    Nothing is fitted again: measurements, request, and what the search found are in the file.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or has another schema.
+    """
+    content = read_record(path)
+    measurements, request, found = measurements_of_record(content), from_request(content["request"]), content["search"]
+    parameters = parameter_set(measurements, request["free"], request["event"], request["body"])
+    errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
+    between = found["between_contacts"] and np.array(found["between_contacts"], dtype=float)
+    sigma = errors if between is None else np.hypot(errors, between)
+
+    def finite_or_inf(x: Any) -> np.ndarray:
+        return np.nan_to_num(np.array(x, dtype=float), nan=np.inf)
+
+    def root(one: dict[str, Any]) -> Root:
+        theta = np.array(one["theta"])
+        values = {q.label: float(q.value(t)) for q, t in zip(parameters.free, theta, strict=True) if not q.nuisance}
+        covariance = finite_or_inf(one["covariance"])
+        return Root(values, one["stderr"], theta, one["deviance"], covariance, parameters.inputs_at(theta))
+
+    return FitResult(
+        measurements=measurements,
+        problem=make_problem(measurements, parameters, Loss(request["loss"]), sigma),
+        request=request,
+        theta=np.array(found["theta"]),
+        deviance=content["chi2"],
+        roots=[root(one) for one in found["roots"]],
+        curves={name: Curve(*(finite_or_inf(x) for x in curve.values())) for name, curve in found["curves"].items()},
+        intervals={
+            name: {float(level): [Interval(*piece) for piece in pieces] for level, pieces in by_level.items()}
+            for name, by_level in found["intervals"].items()
+        },
+        verdicts={
+            name: Verdict(Identifiability[one["identifiability"].upper()], one["reason"] or "")
+            for name, one in content["verdicts"].items()
+        },
+        rise=Rise(**found["rise"]),
+        testable_dof=found["testable_dof"],
+        unconverged=found["unconverged"],
+        attainable=finite_or_inf([one["attainable"] for one in content["measurements"]]),
+        attainable_at=finite_or_inf([one["attainable_at_stiffness"] for one in content["measurements"]]),
+        between_contacts=between,
+        complete=found["complete"],
+    )
 
 
 def root_of(problem: Problem, one: Minimum, variance_factor: float) -> Root:

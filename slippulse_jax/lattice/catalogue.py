@@ -3,7 +3,7 @@
 import csv
 import io
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
@@ -11,6 +11,9 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.chain import State
 from slippulse_jax.status import Status
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class SeriesStatus(Status):
@@ -65,6 +68,15 @@ class Catalogue(NamedTuple):
     def table(self) -> dict[str, np.ndarray]:
         """Return the columns of the catalogue, without its empty rows."""
         return table(self)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the events as a pandas.DataFrame, one per row, with the class of each in words and units in ``attrs``."""
+        import pandas as pd
+
+        frame = pd.DataFrame(table(self)).rename_axis("event")
+        frame["kind"] = [EventClass(kind).name.lower() for kind in frame["kind"]]
+        frame.attrs["units"] = {name: unit for name, (unit, _) in COLUMNS.items()}
+        return frame
 
     def reach(self, load: ArrayLike) -> np.ndarray:
         """Interpolate the farthest position reached by fronts at a load, in λc.

@@ -1,11 +1,12 @@
 """Pictures of a fit."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
 
+from slippulse_jax.inference.bayes import theta_of
 from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
 from slippulse_jax.inference.parameters import Inputs, at
@@ -59,7 +60,7 @@ def fit_profiles(result: "FitResult") -> "Figure":
     return figure
 
 
-def corner(result: "FitResult", samples: np.ndarray | None = None, *, nodes: int = 31) -> "Figure":
+def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31) -> "Figure":
     """Draw the confidence regions of every pair of fitted parameters.
 
     The regions are those of 68 % and 95 %.
@@ -67,8 +68,8 @@ def corner(result: "FitResult", samples: np.ndarray | None = None, *, nodes: int
     Parameters
     ----------
     result : FitResult
-    samples : array, shape (n, p), optional
-        θ of a bootstrap or a posterior, drawn as points.
+    samples : Bootstrap, posterior or array of θ, shape (n, p), optional
+        Drawn as points.
     nodes : int
         Values of each parameter at which the others are fitted anew.
     """
@@ -314,7 +315,7 @@ def confidence_region(
     result: "FitResult",
     horizontal: str,
     vertical: str,
-    samples: np.ndarray | None = None,
+    samples: Any = None,
     *,
     nodes: int = 31,
     ax: "Axes | None" = None,
@@ -328,8 +329,8 @@ def confidence_region(
     result : FitResult
     horizontal, vertical : str
         Names of the two parameters.
-    samples : array, shape (n, p), optional
-        θ of a bootstrap or a posterior, drawn as points.
+    samples : Bootstrap, posterior or array of θ, shape (n, p), optional
+        Drawn as points.
     nodes : int
         Values of each of the two.
     ax : matplotlib.axes.Axes, optional
@@ -346,7 +347,8 @@ def confidence_region(
     levels = [0, result.rise(0.6827, 2), result.rise(BAND_LEVEL, 2)]
     ax.contourf(first, second, rise.T, levels=levels, colors=[c.blue, c.sky], alpha=0.5)
     if samples is not None:
-        ax.plot(q.free[i].value(samples[:, i]), q.free[j].value(samples[:, j]), ".", color=c.ink, ms=1, alpha=0.4)
+        theta = theta_of(result, samples)
+        ax.plot(q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j]), ".", color=c.ink, ms=1, alpha=0.4)
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=c.vermilion, ms=8)
     _name(q.free[i], ax.xaxis)
     _name(q.free[j], ax.yaxis)
