@@ -7,14 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles.finite_elements import WholeBlock, break_all, rectangle
+from oracles.finite_elements import WholeBlock, break_all, events_of, rectangle
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
+from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.precursor import _warn_once
+from slippulse_jax.lattice.series import Adiabatic, Ends, Shape, Spring, Steps, _one_series, of_response
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
@@ -515,9 +517,88 @@ def test_refusals(make, message):
         make()
 
 
-def test_of_a_block_there_are_first_events_only():
-    with pytest.raises(TypeError, match=r"chain is Block: must be Chain"):
-        sp.series(sp.Block(5.0, 0.1, 0.3), events=3)
+# --- series of events ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.7), Steps(0.05)], ids=["edge", "spring", "steps"])
+def test_a_series_of_the_slider_as_a_waveguide(protocol):
+    """Springs, forces and energies of contacts whose response is a matrix are those of the chain."""
+    slider, sites = sp.Slider(10.0, 0.03, 0.3), 64
+    expected = sp.series(sp.chain(slider, sites=sites), protocol, events=12)
+
+    def as_waveguide(slider, protocol):
+        guide, k = slider_guide(slider), jnp.asarray(slider.stiffness)
+        found, one = waveguide.response(guide, k, sites), jnp.ones(sites)
+        edge = waveguide.edge_stiffness(guide, k, found)
+        body = of_response(
+            blocks.Contacts(found, one, 0 * one, sites - 1, jnp.array(True)),
+            sites,
+            k,
+            edge,
+            getattr(protocol, "stiffness", None),
+        )
+        return _one_series(Shape(12, 0, 0, sites), body, protocol, None, Ends(jnp.inf, jnp.array(True), jnp.int32(3000)))
+
+    found = jax.jit(as_waveguide)(slider, protocol)
+    assert int(found.number) == int(expected.number) == 12
+    for name in ("site", "leftmost", "extent", "breaks", "kind", "status"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    for name in ("load", "force_before", "force_after", "length", "slip", "work", "stored", "broken", "relaxed"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-11, err_msg=name)
+    np.testing.assert_allclose(found.state.pinning, expected.state.pinning, atol=1e-11)
+    assert max(found.drift, found.energy_drift) < 1e-12
+
+
+@pytest.mark.parametrize("contacts", [None, 40])
+def test_a_series_of_a_block(contacts):
+    """Loads and breaks of a whole block by sparse finite elements; the first event is the first precursor."""
+    block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=contacts)
+    dense = whole(block, contacts or 160, reach=contacts or 48)
+    loads, orders = events_of(dense.push, dense.matrix, 8)
+    found = sp.series(block, events=8, sites=contacts or 48, recorded_breaks=500)
+    count = min(8, next((i + 1 for i, order in enumerate(orders) if max(order) == (contacts or 48) - 1), 8))
+    assert int(found.number) == count
+    np.testing.assert_allclose(found.load[:count], loads[:count], rtol=1e-9)
+    breaks = np.asarray(found.break_site)
+    assert [list(breaks[found.break_event == e]) for e in range(count)] == orders[:count]
+    assert max(found.drift, found.energy_drift) < 1e-12
+    first = sp.first_precursor(block)
+    assert found.length[0] == pytest.approx(float(first.length), rel=1e-12)
+    assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
+
+
+def test_a_series_on_an_interface_and_of_a_batch():
+    """The first event is the first precursor there; lanes do not depend on each other; the force is the balance of all contacts."""
+    interface = sp.Interface(prestress=0.2, threshold_slope=0.01)
+    block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=50)
+    found = sp.series(block, events=3, interface=interface)
+    first = sp.first_precursor(block, interface)
+    assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
+    assert found.length[0] == pytest.approx(float(first.length), rel=1e-12)
+    change = block.stiffness * (first.stress - interface.prestress_at(jnp.arange(50))).sum()
+    assert found.force_after[0] == pytest.approx(float(change), rel=1e-9)
+    many = jax.vmap(lambda h: sp.series(block, events=3, interface=sp.Interface(h, 0.01)))(jnp.array([0.0, 0.2]))
+    np.testing.assert_array_equal(many.load[1], found.load)
+    aged = sp.series(block, events=3, interface=interface, ageing=sp.Ageing(0.5, 1.0), repin_delay=2)
+    assert int(aged.status) in (SeriesStatus.DONE, SeriesStatus.SPANNED)
+    assert aged.energy_drift < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("body", "given", "message"),
+    [
+        (sp.Block(5.0, 0.1, 0.3), {}, "has no end: give sites"),
+        (sp.Block(5.0, 0.1, 0.3, length=20), {"sites": 10}, "sites = 10: .*at least the contacts"),
+        (sp.Block(5.0, 0.1, 0.3, length=9000), {}, "sites = None: .* from 2 to 8192"),
+        (sp.Block(5.0, 0.1, 0.3), {"sites": 1e4}, "sites = 10000.0: of a block a whole number"),
+        (sp.Block(5.0, 0.1, 0.3, sp.Push(0.4, 0.2, "force")), {"sites": 30}, "push.control = 'force'"),
+        (sp.Block(5.0, 0.1, 0.3), {"sites": 30, "interface": sp.Interface(repin_delay=2)}, "give the delay to series"),
+        (sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=10), {"sites": 10}, "sites = 10: that is for a block"),
+    ],
+)
+def test_series_that_cannot_be(body, given, message):
+    with pytest.raises(ValueError, match=message):
+        sp.series(body, events=3, **given)
 
 
 def test_single_precision_says_what_it_is_worth(float32):

@@ -155,7 +155,8 @@ class Contacts(NamedTuple):
     valid: Bool[Array, ""]  # whether all numbers lie in their domains
 
 
-def _contacts(block: Block, interface: Interface | Profile | None, sites: int) -> Contacts:
+def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> Contacts:
+    """The first contacts of a block, and their response."""
     site = jnp.arange(sites)
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
@@ -170,7 +171,7 @@ def _contacts(block: Block, interface: Interface | Profile | None, sites: int) -
 
 def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
     site = jnp.arange(sites)
-    response, threshold, prestress, last, valid = _contacts(block, interface, sites)
+    response, threshold, prestress, last, valid = contacts_of(block, interface, sites)
     ended, first, load, before = event(response, threshold, prestress, last)
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
@@ -235,7 +236,7 @@ def length(block: Block, interface: Interface | Profile | None, rule: BreakRule 
     def one(numbers: Array) -> Array:
         block, interface, rule = together(numbers)
         if isinstance(rule, SmoothBreak):
-            return faded(_contacts(block, interface, sites), rule)
+            return faded(contacts_of(block, interface, sites), rule)
         return _record(block, interface, sites).length
 
     return by_forward_mode(one)(numbers)
@@ -506,7 +507,7 @@ class Stages(NamedTuple):
 @partial(jax.jit, static_argnames="sites")
 def stages(block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"]) -> Stages:
     """Stresses after so many breaks of the first precursor, 0 for none."""
-    response, threshold, prestress, last, _ = _contacts(block, interface, sites)
+    response, threshold, prestress, last, _ = contacts_of(block, interface, sites)
     _, _, load, before = event(response, threshold, prestress, last, 1)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 

@@ -228,12 +228,12 @@ def precursor_length(
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
-        _warn_single_precision(slider)
+        warn_single_precision(slider)
         return blocks.precursor_length(slider, interface, sites, rule)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule)
-    _warn_single_precision(slider)
+    warn_single_precision(slider)
     if isinstance(rule, SmoothBreak):
         check_smooth(interface, ends)
         length, status = _smooth(slider, rule, max_contacts)
@@ -301,14 +301,14 @@ def first_precursor(
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
-        _warn_single_precision(slider)
+        warn_single_precision(slider)
         return blocks.first_precursor(slider, interface, sites)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     _check_one(slider, "first_precursor takes one slider (lengths of many: precursor_lengths)")
     if interface is not None and interface.shape != ():
         raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
-    _warn_single_precision(slider)
+    warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
@@ -400,7 +400,8 @@ def _warn_once(message: str) -> None:
     warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=4)
 
 
-def _warn_single_precision(body: Slider | Block) -> None:
+def warn_single_precision(body: Slider | Block) -> None:
+    """Say once what single precision costs there."""
     if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return
     if isinstance(body, Block):

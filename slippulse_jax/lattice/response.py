@@ -231,23 +231,32 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
     return jnp.swapaxes(reached, 0, 1)
 
 
-def of_matrix(transfer: Float[Array, "M M"]) -> Response:
-    """Response of contacts in a single block, given the stress that each adds to each, source first.
+def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"] | None = None, edge_stiffness: Any = 0.0) -> Response:
+    """Response of contacts in a single block, given the stress that each adds to each, source first; of no chain.
 
-    For a cascade at a fixed load; of no chain, it has no propagators.
+    Parameters
+    ----------
+    transfer : array
+    push : array, optional
+        Stress per load; needed unless the load is fixed.
+    edge_stiffness : array, shape ()
+        Force on the pusher per load, in K.
     """
     size, none, chain = transfer.shape[0], partial(jnp.zeros, dtype=transfer.dtype), cast(Any, None)
+    read, at_load = none((1, 4, size)), none((1, 4))
+    if push is not None:
+        read, at_load = read.at[0, 0].set(push), at_load.at[0, 0].set(1)
     return Response(
         links=chain,
         contact=none((1, size)),
         near=transfer[None],
-        read=none((1, 4, size)),
+        read=read,
         leave=none((1, size, 4)),
         pass_on=none((1, 1, 4, 2)),
-        reach=none((1, 4)),
+        reach=read.max(-1),
         spill=none((1, 4)),
-        at_load=none((1, 4)),
-        edge_stiffness=none(()),
+        at_load=at_load,
+        edge_stiffness=jnp.asarray(edge_stiffness, transfer.dtype),
         right=chain,
     )
 

@@ -1,4 +1,4 @@
-r"""Series of events: a chain under increasing load, one rupture after another.
+r"""Series of events: a chain or a block under increasing load, one rupture after another.
 
 Between events every stress grows linearly with the load, so the next break is found exactly. In an event contacts break one
 after another at a fixed load, the most overloaded first. All sums are updated from break to break. The chain is solved afresh
@@ -15,8 +15,10 @@ edges. For each block the series keeps a lower bound on the load of its next bre
 lowered by whatever has arrived since. The next break is found by opening the few blocks that may hold it, at O(√N) per event.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from types import NoneType
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,9 +29,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.block import Block
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.lattice import blocks, waveguide
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
 from slippulse_jax.lattice.cascade import (
     Cascade,
@@ -48,7 +53,8 @@ from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
 from slippulse_jax.lattice.front import event_length
-from slippulse_jax.lattice.response import Response, into_blocks, shared_response
+from slippulse_jax.lattice.precursor import warn_single_precision
+from slippulse_jax.lattice.response import Response, into_blocks, of_matrix, shared_response
 
 
 class Adiabatic(eqx.Module):
@@ -84,10 +90,12 @@ Protocol = Adiabatic | Steps | Spring
 
 
 def series(
-    chain: Chain,
+    body: Chain | Block,
     protocol: Protocol = Adiabatic(),  # noqa: B008 - a constant
     *,
     events: int,
+    interface: Interface | Profile | None = None,
+    sites: int | None = None,
     ageing: Ageing | None = None,
     repin_delay: int = 0,
     until: Float[AnyArrayLike, ""] | None = None,
@@ -95,15 +103,20 @@ def series(
     max_breaks: int | None = None,
     recorded_breaks: int = 0,
 ) -> Catalogue:
-    """Load a relaxed chain through `events` events.
+    """Load a relaxed chain or block through `events` events.
 
     Parameters
     ----------
-    chain : Chain
-        With linear contacts; thresholds and prestress may have any profile.
+    body : Chain or Block
+        A chain with linear contacts, whose thresholds and prestress may have any profile. Or a block whose pusher is displaced;
+        "the left edge" of what follows is then its pusher.
     protocol : Adiabatic, Steps or Spring
     events : int
         Number of events, and of rows in the catalogue.
+    interface : Interface or Profile, optional
+        Thresholds and prestress of the contacts of a block; a chain has its own.
+    sites : int, optional
+        Number of contacts resolved of a block without end, which must be given; from 2 to 8192.
     ageing : Ageing, optional
         Contacts that never broke have the thresholds of the chain; those that did are reborn weak. By default they recover
         immediately.
@@ -128,13 +141,21 @@ def series(
     Raises
     ------
     ValueError
-        If a size is not positive or the chain has nonlinear contacts.
+        If a size is not positive, the chain has nonlinear contacts, or the force on a block is held.
     TypeError
         If `protocol` is not a protocol, or if the series is differentiated: a comparison decides which contact breaks next.
     """
-    check_kind("chain", chain, Chain)
-    if chain.law is not None:
-        raise ValueError("a series needs linear contacts: this chain has a force law")
+    check_kind("body", body, Chain, Block)
+    check_kind("interface", interface, Interface, Profile, NoneType)
+    if isinstance(body, Chain):
+        if body.law is not None:
+            raise ValueError("a series needs linear contacts: this chain has a force law")
+        if interface is not None or sites is not None:
+            given = f"sites = {sites}" if interface is None else f"interface = {interface!r}"
+            raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
+        sites = body.sites
+    else:
+        sites = _sites_of_block(body, interface, sites)
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
     check_delay(repin_delay)
@@ -145,15 +166,37 @@ def series(
         if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
             raise ValueError(f"{type(protocol).__name__}.{name} = {value}: must be positive")
     ends = Ends(
-        jnp.asarray(jnp.inf if until is None else until, chain.contact.dtype),
+        jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype),
         jnp.asarray(stop_when_spanning),
-        jnp.asarray(50 * chain.sites if max_breaks is None else max_breaks, jnp.int32),
+        jnp.asarray(50 * sites if max_breaks is None else max_breaks, jnp.int32),
     )
-    return _hard_series((events, recorded_breaks, repin_delay), chain, protocol, ageing, ends)
+    return _hard_series(Shape(events, recorded_breaks, repin_delay, sites), (body, interface), protocol, ageing, ends)
 
 
-Shape = tuple[int, int, int]
-"""Arguments that set the shape of a compiled series: events, breaks recorded, repinning delay."""
+def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
+    """Number of contacts resolved of a block."""
+    if block.push.control != "displacement":
+        raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
+    if interface is not None and interface.repin_delay:
+        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: give the delay to series, as repin_delay")
+    if sites is None and block.contacts is None:
+        raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
+    warn_single_precision(block)
+    found = blocks.MOST + 1 if sites is None and (block.contacts or 0) > blocks.MOST else sites or block.contacts
+    if not isinstance(found, int) or not 2 <= found <= blocks.MOST or found < (block.contacts or 0):
+        raise ValueError(
+            f"sites = {sites}: of a block a whole number from 2 to {blocks.MOST}, at least the contacts of one that ends"
+        )
+    return block.contacts or found
+
+
+class Shape(NamedTuple):
+    """Arguments that set the shape of a compiled series."""
+
+    events: int
+    recorded: int  # breaks
+    delay: int
+    sites: int
 
 
 class Ends(NamedTuple):
@@ -164,43 +207,127 @@ class Ends(NamedTuple):
     max_breaks: Int[Array, ""]  # of one event
 
 
-def _series(shape: Shape, chain: Chain, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
-    chain = driven(chain, protocol.stiffness) if isinstance(protocol, Spring) else chain
-    resp = shared_response(chain)
-    return lane_by_lane(lambda *given: _one_series(shape, *given), resp, chain, protocol, ageing, ends)
+class Body(NamedTuple):
+    """What is loaded, before it is."""
+
+    response: Response
+    contacts: "Contacts"
+    prestress: Float[Array, "B M"]  # the only stress while it is relaxed
+    valid: Array
+    sites: int  # with the driver's
+    ahead: int  # sites before those of the body: the driver's
+    afresh: Callable[[State], tuple[Float[Array, " N"], Float[Array, ""]]]  # stresses and potential energy, solved anew
 
 
-def _one_series(shape: Shape, resp: Response, chain: Chain, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
-    events, room, delay = shape
-    ahead = int(isinstance(protocol, Spring))  # sites added before those of the chain
-    by = Loading(
+def _series(
+    shape: Shape, given: tuple[Chain | Block, Interface | Profile | None], protocol: Protocol, ageing: Ageing | None, ends: Ends
+) -> Catalogue:
+    body, interface = given
+    spring = protocol.stiffness if isinstance(protocol, Spring) else None
+    if isinstance(body, Block):
+
+        def on_block(block: Block, interface: Interface | Profile | None, spring: Array | None, *more: Any) -> Catalogue:
+            return _one_series(shape, _of_block(block, interface, shape.sites, spring), *more)
+
+        return lane_by_lane(on_block, body, interface, spring, protocol, ageing, ends)
+
+    def on_chain(chain: Chain, resp: Response, *more: Any) -> Catalogue:
+        return _one_series(shape, _of_chain(chain, resp, spring is not None), *more)
+
+    chain = body if spring is None else driven(body, spring)
+    return lane_by_lane(on_chain, chain, shared_response(chain), protocol, ageing, ends)
+
+
+def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> Body:
+    prestress = jnp.where(chain.contact > 0, chain.prestress, 0)
+    holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
+
+    def afresh(state: State) -> tuple[Array, Array]:
+        solved = equilibrium(chain, state)
+        return solved.stress, potential_energy(chain, (solved.upper, solved.layer), state.pinning)
+
+    return Body(
         response=resp,
-        contacts=contacts_of(chain, resp),
+        contacts=contacts_of(chain.contact, chain.threshold, chain.stiffness, resp),
+        prestress=into_blocks(prestress, resp.near.shape[1]),
+        valid=all_numbers(chain, chain.relaxed()) & ~resp.right.floating & holds,
+        sites=chain.sites,
+        ahead=int(behind_spring),
+        afresh=afresh,
+    )
+
+
+def _of_block(block: Block, interface: Interface | Profile | None, sites: int, spring: Array | None) -> Body:
+    given, k = blocks.contacts_of(block, interface, 1 << (sites - 1).bit_length()), jnp.asarray(block.stiffness)
+    edge = waveguide.edge_stiffness(blocks.guide_of(block), k, given.response)
+    return of_response(given, sites, k, edge, spring)
+
+
+def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, spring: Array | None) -> Body:
+    """The first `sites` contacts of a response that is a matrix; a spring to the driver makes the pusher give way.
+
+    Parameters
+    ----------
+    given : Contacts
+        A power of two of them.
+    sites : int
+    k : array, shape ()
+        Stiffness of a contact, in K.
+    edge : array, shape ()
+        Force on the pusher per load, in K.
+    spring : array, shape (), optional
+        In K.
+    """
+    (push, matrix), threshold, prestress, _, valid = given
+    there = jnp.arange(push.size) < sites
+    prestress = jnp.where(there, prestress, 0)
+    if spring is not None:
+        share = spring / (spring + edge)
+        matrix = matrix + jnp.outer(push, push) * k / (spring + edge)
+        push, edge = push * share, edge * share
+    resp = of_matrix(matrix, push, edge)
+
+    def afresh(state: State) -> tuple[Array, Array]:
+        u, p, driven, own = state.load, state.pinning, state.load * push[:sites], prestress[:sites]
+        apart = p - matrix[:sites, :sites] @ p
+        return own + driven - apart, edge * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
+
+    return Body(
+        response=resp,
+        contacts=contacts_of(jnp.where(there, k, 0), threshold, k, resp),
+        prestress=prestress[None],
+        valid=valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
+        sites=sites,
+        ahead=0,
+        afresh=afresh,
+    )
+
+
+def _one_series(shape: Shape, body: Body, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
+    by = Loading(
+        response=body.response,
+        contacts=body.contacts,
         ageing=ageing,
         velocity=jnp.asarray(protocol.velocity),
-        step=jnp.asarray(protocol.size, chain.contact.dtype) if isinstance(protocol, Steps) else None,
-        sites=chain.sites,
-        ahead=ahead,
-        delay=delay,
-        events=events,
-        recorded=room,
+        step=jnp.asarray(protocol.size, body.prestress.dtype) if isinstance(protocol, Steps) else None,
+        sites=body.sites,
+        ahead=body.ahead,
+        delay=shape.delay,
+        events=shape.events,
+        recorded=shape.recorded,
         ends=ends,
     )
-    prestress = jnp.where(chain.contact > 0, chain.prestress, 0)  # the only stress in a relaxed chain
-    holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
-    valid = all_numbers(chain, chain.relaxed()) & ~resp.right.floating & holds
-    end = load_through(by, start(by, into_blocks(prestress, resp.near.shape[1]), valid))
+    end = load_through(by, start(by, body.prestress, body.valid))
     pinning = by.contacts.gains[:, :, 1] * end.given
-    state = State(pinning.reshape(-1)[: chain.sites], end.numbers.load)
-    solved = equilibrium(chain, state)
+    state = State(pinning.reshape(-1)[: body.sites], end.numbers.load)
+    stress, stored = body.afresh(state)
     columns = recorded(by, end)
-    stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
-    last = jnp.arange(events, dtype=jnp.int32) == columns["number"] - 1
+    last = jnp.arange(shape.events, dtype=jnp.int32) == columns["number"] - 1
     booked = columns["stored"].sum(where=last & (columns["kind"] >= 0))
     return Catalogue(
         **columns,
-        state=State(state.pinning[ahead:], state.load),
-        drift=jnp.abs(all_opened(resp, end.stresses).reshape(-1)[: chain.sites] - solved.stress).max(),
+        state=State(state.pinning[body.ahead :], state.load),
+        drift=jnp.abs(all_opened(body.response, end.stresses).reshape(-1)[: body.sites] - stress).max(),
         energy_drift=jnp.abs(booked - stored),
         status=end.ending,
     )
@@ -227,10 +354,10 @@ class Contacts(NamedTuple):
     edge_stiffness: Float[Array, ""]  # force on the edge per load
 
 
-def contacts_of(chain: Chain, resp: Response) -> Contacts:
+def contacts_of(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Array, resp: Response) -> Contacts:
     """Tabulate the effect of loading and breaking each contact."""
     size = resp.near.shape[1]
-    q, k = into_blocks(chain.contact, size), chain.stiffness
+    q = into_blocks(contact, size)
     per_load = (resp.at_load[:, :, None] * resp.read).sum(1)
     pulled = per_load[:, None] > 0
     soft = k / jnp.where(q > 0, q, jnp.inf)
@@ -239,7 +366,7 @@ def contacts_of(chain: Chain, resp: Response) -> Contacts:
     beyond = jnp.concatenate([felt[:, :, :2].sum((1, 2)), felt[:, :, 2:].sum((1, 2))], -1)
     lost = 1 - resp.near.sum(-1) - (resp.leave * beyond[:, None]).sum(-1)
     return Contacts(
-        threshold=into_blocks(jnp.where(chain.contact > 0, chain.threshold, jnp.inf), size, jnp.inf),
+        threshold=into_blocks(jnp.where(contact > 0, threshold, jnp.inf), size, jnp.inf),
         per_load=per_load,
         hastened=jnp.where(pulled, resp.read / jnp.where(pulled, per_load[:, None], 1), 0).max(-1),
         gains=jnp.stack([k * per_load * soft, soft, lost], -1),

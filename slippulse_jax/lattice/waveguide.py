@@ -222,6 +222,15 @@ def response(guide: Guide, contact: Array, sites: int) -> Response:
     return Response(t, contact * A)
 
 
+def edge_stiffness(guide: Guide, contact: Array, response: Response) -> Float[Array, ""]:
+    """Force on the pusher per load: that of all contacts, beyond those of the response too."""
+    if guide.end is not None:
+        return contact * response.push.sum()
+    slab, T = guide.slab, guide.transfer
+    endless = inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T)
+    return contact * ((slab.reading_left + slab.reading_right @ T) @ endless @ guide.pushed)
+
+
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
     """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
     slab, T = guide.slab, guide.transfer

@@ -90,3 +90,20 @@ def break_all(push, matrix):
         if stress[j] < 1 or order[-1] == stress.size - 1:
             return order, stress
         order.append(j)
+
+
+def events_of(push, matrix, events):
+    """Load at which each event begins, and the contacts that it breaks in order; the pusher is held meanwhile."""
+    pinning, load, loads, orders = np.zeros(push.size), 0.0, [], []
+    for _ in range(events):
+        stress = load * push - pinning + matrix @ pinning
+        rise = np.where(push > 0, (1 - stress) / np.where(push > 0, push, 1), np.inf)
+        j, load, order = int(np.argmin(rise)), load + rise.min(), []
+        while not order or stress[j] >= 1:
+            order.append(j)
+            pinning[j] += 1 if len(order) == 1 else stress[j]
+            stress = load * push - pinning + matrix @ pinning
+            j = int(np.argmax(stress))
+        loads.append(load)
+        orders.append(order)
+    return np.array(loads), orders
