@@ -3,6 +3,7 @@
 import gc
 import os
 import resource
+import signal
 import sys
 from pathlib import Path
 
@@ -79,3 +80,17 @@ def compiler_flags_stay():
 def float32():
     with jax.enable_x64(False):
         yield
+
+
+@pytest.fixture
+def full_disk():
+    """No file may grow beyond a few bytes, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def limit(size):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+
+    yield limit
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, ignored)

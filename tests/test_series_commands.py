@@ -1,6 +1,5 @@
 """`slippulse series` and `slippulse claims`: output, files read back, pictures, and bad input."""
 
-import csv
 import io
 import json
 
@@ -10,6 +9,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas
 import pytest
 import xarray
 from click.testing import CliRunner
@@ -37,12 +37,15 @@ def run(command, *arguments):
 def test_csv_on_stdout(catalogue):
     done = run(series_command, *SMALL)
     assert (done.exit_code, done.stderr) == (0, "done: reached the requested number of events or load\n")
-    names, units, *rows = list(csv.reader(io.StringIO(done.stdout)))
-    assert names == ["event", *COLUMNS]
-    assert units[1:] == [unit for unit, _ in COLUMNS.values()]
-    assert len(rows) == 12
-    assert [float(row[1]) for row in rows] == [float(x) for x in catalogue.load]
-    assert rows[0][-1] == "edge"
+    found = pandas.read_csv(io.StringIO(done.stdout))
+    assert list(found)[:5] == ["event", "load (u_s)", "force_before (K u_s)", "force_after (K u_s)", "site"]
+    assert [name.split(" (")[0] for name in found] == ["event", *COLUMNS]
+    assert len(found) == 12
+    assert all(pandas.api.types.is_numeric_dtype(column) for column in found.drop(columns="kind").dtypes), (
+        "numbers are read as numbers"
+    )
+    np.testing.assert_allclose(found["load (u_s)"], catalogue.load, rtol=1e-15)
+    assert found["kind"][0] == "edge"
 
 
 def test_json_and_figure(tmp_path, catalogue):

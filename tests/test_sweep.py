@@ -102,6 +102,19 @@ def test_bits_do_not_depend_on_chunks_order_or_company():
     assert all(float(alone[name]) == float(whole[name][5]) for name in asked)
 
 
+@pytest.mark.parametrize("chunk", [None, 5])
+@pytest.mark.parametrize("points", [False, True])
+def test_lazy_dataset_is_the_same_once_computed(points, chunk):
+    many = np.linspace(0.02, 0.05, 12)
+    given = {"height": np.linspace(10, 50, 12), "stiffness": many, "poisson": 0.3, "points": points}
+    given["outputs"] = ("status", "length", "contacts_broken", "b")
+    whole, lazy = sp.sweep(**given), sp.sweep(**given, lazy=True, chunk=chunk)
+    assert all(column.chunks for column in lazy.data_vars.values())
+    xr.testing.assert_identical(lazy.compute(), whole)
+    one = {"height": 25.0, "stiffness": 0.03, "poisson": 0.3}
+    xr.testing.assert_identical(sp.sweep(**one, lazy=True).compute(), sp.sweep(**one))
+
+
 def test_every_output_can_be_chosen_and_every_set_names_outputs():
     assert {output.group for output in table.OUTPUTS.values()} == set(table._GROUPS)
     for members in table.SETS.values():
@@ -131,10 +144,12 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"chunk": 0}, "chunk = 0"),
         ({"share": (2, 2)}, r"share = \(2, 2\)"),
         ({"share": (0, 2)}, "give it a store"),
+        ({"share": (0, 2), "client": "a client"}, "share is for processes without a scheduler"),
+        ({"lazy": True, "store": "s"}, "lazy = True takes no store and no client"),
     ],
 )
 def test_refusals_come_before_any_work(given, message, monkeypatch):
-    monkeypatch.setattr("slippulse_jax.sweeps.run.evaluate", None)
+    monkeypatch.setattr("slippulse_jax.sweeps.compute.evaluate", None)
     with pytest.raises(ValueError, match=message):
         sp.sweep(**{"height": 25.0, "stiffness": 0.03, "poisson": 0.3, **given})
 
@@ -155,10 +170,10 @@ def test_request_of_a_hundred_million_points_is_small():
         push_control="displacement",
     )
     assert request.size == 10**8
-    columns = request.columns(98_765_432, 98_765_434)
-    assert columns["poisson"][0] == given["poisson"][32]
-    assert columns["stiffness"][1] == given["stiffness"][654]
-    assert columns["height"][0] == given["height"][987]
+    columns = request.columns((slice(987, 988), slice(653, 655), slice(30, 33)))
+    np.testing.assert_array_equal(columns["poisson"], np.tile(given["poisson"][30:33], 2))
+    np.testing.assert_array_equal(columns["stiffness"], np.repeat(given["stiffness"][653:655], 3))
+    assert (columns["height"] == given["height"][987]).all()
     assert len(json.dumps(request.describe())) < 1000
 
 

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
+from slippulse_jax.sweeps import compute
 
 ROOT = Path(__file__).resolve().parent.parent
 GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
@@ -76,17 +78,25 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact)
 
 
-def test_full_disk_is_incomplete(tmp_path, monkeypatch):
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    store = tmp_path / "s"
+def test_full_disk_is_incomplete(tmp_path, full_disk):
+    store = str(tmp_path / "s")
     sp.sweep(**SAME, store=store, chunk=4, share=(0, 2))
-    monkeypatch.setattr(os, "fsync", full)
-    done = invoke(*GRID, "--store", str(store))
+    full_disk(10)
+    done = invoke(*GRID, "--store", store)
     assert done.exit_code == 4
-    assert "No space left on device: " in done.stderr
-    assert "what was computed is kept in" in done.stderr
+    assert "File too large; what was computed is kept in" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    done = invoke(*GRID, "--store", str(tmp_path / "t"))
+    assert (done.exit_code, len(done.stderr.splitlines())) == (2, 1)
+    assert "no store can be made there" in done.stderr
+
+
+def test_store_that_vanishes(tmp_path, monkeypatch):
+    evaluate = compute.evaluate
+    monkeypatch.setattr(compute, "evaluate", lambda *a: (shutil.rmtree(tmp_path / "s", ignore_errors=True), evaluate(*a))[1])
+    done = invoke(*GRID, "--store", str(tmp_path / "s"), "--chunk", "4")
+    assert done.exit_code == 2
+    assert done.stderr == f"Error: {tmp_path}/s: the store was removed while the sweep ran\n"
 
 
 @pytest.mark.parametrize(
@@ -99,6 +109,10 @@ def test_full_disk_is_incomplete(tmp_path, monkeypatch):
         (["--height", "0.5", *GRID[2:]], "Slider.height = 0.5: must exceed 1"),
         ([*GRID, "--outputs", "len"], "output 'len': must be one of length,"),
         ([*GRID, "--chunk", "4"], "go with --store"),
+        ([*GRID, "--share", "0/2"], "go with --store"),
+        ([*GRID, "--scheduler", "127.0.0.1:1"], "no Dask scheduler answers at 127.0.0.1:1"),
+        ([*GRID, "--scheduler", "s", "--store", "s", "--share", "0/2"], "--share is for processes without a scheduler"),
+        ([*GRID, "--store", "s4://bucket/s"], "s4://bucket/s: Protocol not known: s4"),
         ([*GRID, "--store", "s", "--share", "half"], "'half' is not index/number"),
         ([*GRID, "--out", "sweep.xlsx"], "must end in .csv, .nc"),
         ([*GRID, "--out", "no/such/folder/sweep.nc"], "there is no folder no/such/folder"),
@@ -136,7 +150,7 @@ def test_interrupt_leaves_a_store_to_resume(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_ENABLE_COMPILATION_CACHE": "0"},
     ) as process:  # fmt: skip
-        while process.poll() is None and len(list((store / "chunks").glob("*.npz"))) < 5:
+        while process.poll() is None and len(list((store / "length").rglob("c/*/*"))) < 5:
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
         err = process.stderr.read()

@@ -9,6 +9,7 @@ the input, so that no part of the work is left to one core.
 """
 
 import functools
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -54,6 +55,8 @@ DEFAULT_LAYOUT = Layout()
 PIECE = 32
 """Largest number of chunks per call."""
 
+_compiling = threading.RLock()
+
 
 def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, rank: Rank | None = None) -> list[np.ndarray]:
     """Evaluate ``kernel`` at every lane, in double precision.
@@ -83,7 +86,8 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     many = count > layout.few or not layout.few
     program, width = (_chunk_by_chunk, layout.chunk) if many else (_at_once, layout.few)
     devices = devices_for(max(len(pieces), 1))  # of no lanes too the shapes of the results are wanted
-    ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
+    with _compiling:  # threads that need the same program: one compiles it, the others wait
+        ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
     results = [np.empty((*x.shape[:-1], count), x.dtype) for x in next(iter(ready.values())).out_info]
 
     def run(where: slice) -> None:

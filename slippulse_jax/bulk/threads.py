@@ -3,8 +3,10 @@
 import functools
 import itertools
 import os
-from collections.abc import Callable, Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import jax
@@ -17,9 +19,22 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+_here = threading.local()
+
+
+@contextmanager
+def in_this_thread() -> Iterator[None]:
+    """Work in the calling thread alone, for a caller whose own threads keep all cores busy."""
+    before, _here.alone = getattr(_here, "alone", False), True
+    try:
+        yield
+    finally:
+        _here.alone = before
+
+
 def workers() -> int:
-    """Number of threads: one per core, and at least one per local device."""
-    return max(cores(), len(jax.local_devices()))
+    """Number of threads: one per core, and at least one per local device; one within `in_this_thread`."""
+    return 1 if getattr(_here, "alone", False) else max(cores(), len(jax.local_devices()))
 
 
 def devices_for(pieces: int) -> Sequence[Any]:
@@ -45,8 +60,9 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
         with jax.enable_x64(True), jax.default_device(device):  # settings of the thread
             work(piece)
 
-    if len(dealt) == 1:
-        run(dealt[0])
+    if len(dealt) == 1 or workers() == 1:
+        for one in dealt:
+            run(one)
         return
     for _ in _pool(workers()).map(run, dealt):
         pass

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -102,6 +103,8 @@ def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str 
             raise click.BadParameter(f"{value}: there is no folder {path.parent}", ctx, parameter)
         if path.is_dir():
             raise click.BadParameter(f"{value}: is a folder", ctx, parameter)
+        if path.suffix == ".nc" and find_spec("h5netcdf") is None:
+            raise click.BadParameter(f"{value}: needs h5netcdf; pip install 'slippulse_jax[netcdf]'", ctx, parameter)
         return path
 
     return check

@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slippulse_jax.cli.shared import as_json, figure_path, last_words, print_json, refuse, right_end, save_figure, table_path
+from slippulse_jax.plain import shortened
+
+TIMEOUT = 10
+"""Seconds to wait for a scheduler to answer."""
 
 if TYPE_CHECKING:
     import numpy as np
@@ -71,28 +75,26 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
 @right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
-@click.option("--store", type=click.Path(), metavar="FOLDER", help="Write the result to this folder as it is computed.")
+@click.option("--store", metavar="FOLDER", help="Write the result to this folder, or s3://… and such, as it is computed.")
 @click.option("--resume/--no-resume", default=True, show_default=True, help="Resume the sweep that --store holds, if any.")
-@click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Points per file of the store.")
+@click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Largest number of points per chunk or task.")
 @click.option("--share", callback=_pair, metavar="I/N", help="Compute only the I-th of N shares (I from 0) into the store.")
-@click.option("--distributed", is_flag=True, help="Share with the processes of a SLURM or MPI job, through jax.distributed.")
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, such as tcp://node0:8786.")
 @click.option("--out", callback=table_path, metavar="FILE", help="Write the result to .csv or .nc.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output: a map, or a family of lines.")
 @as_json
 def command(
     outputs: str, points: bool, right: Any, sites: int | None, store: str | None, resume: bool, chunk: int | None,
-    share: tuple[int, int] | None, distributed: bool, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
+    share: tuple[int, int] | None, scheduler: str | None, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
 ) -> None:  # fmt: skip
     """Compute first precursors over ranges of parameters: CSV on stdout, or a store that survives interruption.
 
     --outputs also takes gradients, theory and validity, each for several outputs.
     """
-    if store is None and (share or distributed or chunk):
-        raise click.UsageError("--share, --distributed and --chunk go with --store")
-    import jax
-
-    if distributed:
-        jax.distributed.initialize()
+    if store is None and (share or (chunk and not scheduler)):
+        raise click.UsageError("--share and --chunk go with --store")
+    if share and scheduler:
+        raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
     found = _sweep(
         store,
         **values,
@@ -103,9 +105,21 @@ def command(
         resume=resume,
         chunk=chunk,
         share=share,
+        client=_client(scheduler) if scheduler else None,
     )
-    if jax.process_index() == 0:
-        _hand_over(found, out, figure, as_json, store)
+    _hand_over(found, out, figure, as_json, store)
+
+
+def _client(address: str) -> Any:
+    """Connect to a Dask scheduler."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise click.UsageError("--scheduler needs Dask: pip install 'slippulse_jax[cluster]'") from None
+    try:
+        return Client(address, timeout=TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise click.BadParameter(f"no Dask scheduler answers at {address} ({shortened(str(error))})") from None
 
 
 def _sweep(store: str | None, **request: Any) -> "xr.Dataset":

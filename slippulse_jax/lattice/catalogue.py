@@ -148,12 +148,12 @@ def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
 
 
 def to_csv(catalogue: Catalogue) -> str:
-    """Format a catalogue as CSV: names, units, then numbers in full precision."""
+    """Format a catalogue as CSV: names with their units, then numbers in full precision."""
     columns = table(catalogue)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["event", *columns])
-    writer.writerow(["1", *(COLUMNS[name][0] for name in columns)])
+    units = {name: COLUMNS[name][0] for name in columns}
+    writer.writerow(["event", *(name if unit == "1" else f"{name} ({unit})" for name, unit in units.items())])
     for event, row in enumerate(zip(*columns.values(), strict=True)):
         cells = [EventClass(int(x)).name.lower() if name == "kind" else x.item() for name, x in zip(columns, row, strict=True)]
         writer.writerow([event, *cells])

@@ -23,7 +23,7 @@ ROWS = 1 << 16
 def write(found: xr.Dataset, path: Path) -> None:
     """Write to ``.nc`` (with units, request and versions) or ``.csv``, whole or not at all."""
     if path.suffix == ".nc":
-        content = found.to_netcdf(engine="h5netcdf")
+        content = found.drop_encoding().to_netcdf(engine="h5netcdf")
         write_atomically(path, bytes(content))
         return
     table = io.StringIO()

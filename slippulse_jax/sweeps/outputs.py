@@ -19,7 +19,7 @@ from slippulse_jax.lattice.rebreaking import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.sweeps.request import PUSH, SLIDER, Columns, Request
+from slippulse_jax.sweeps.request import PUSH, SLIDER, Columns, Region, Request, shape_of
 
 LAYOUT = Layout(chunk=512)
 """Of the outputs that have no layout of their own."""
@@ -141,13 +141,13 @@ def _objection(name: str, given: set[str]) -> str:
     return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
 
 
-def evaluate(request: Request, start: int, stop: int) -> Columns:
-    """Compute the outputs of points `start` to `stop`; the bits of a point do not depend on the other points."""
-    columns = request.columns(start, stop)
+def evaluate(request: Request, region: Region) -> Columns:
+    """Compute the outputs of a region, in its shape; the bits of a point do not depend on the other points."""
+    columns, shape = request.columns(region), shape_of(region)
     found: Columns = {}
     for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
         found |= _GROUPS[group](request, columns)
-    return {name: found[name].astype(OUTPUTS[name].dtype, copy=False) for name in request.outputs}
+    return {name: found[name].astype(OUTPUTS[name].dtype, copy=False).reshape(shape) for name in request.outputs}
 
 
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:

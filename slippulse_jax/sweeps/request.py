@@ -4,6 +4,7 @@ So 10⁸ points take the memory of their axes.
 """
 
 import hashlib
+import itertools
 import json
 import math
 from typing import Any, NamedTuple
@@ -21,6 +22,9 @@ from slippulse_jax.units import Quantity, quantities
 
 Columns = dict[str, np.ndarray]
 """Values by name of parameter or output, one per point."""
+
+Region = tuple[slice, ...]
+"""A part of the result: from where to where along each of its dimensions."""
 
 SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
 INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name="delay before a contact repins")}
@@ -82,14 +86,16 @@ class Request(NamedTuple):
         """Whether any parameter of the interface was given."""
         return any(name in self.parameters for name in INTERFACE)
 
-    def columns(self, start: int, stop: int) -> Columns:
-        """Parameters of points `start` to `stop`, counted with the last axis running fastest."""
-        index = np.arange(start, stop)
-        at = dict(zip(self.axes, np.unravel_index(index, self.shape), strict=True)) if self.product and self.axes else {}
-        return {
-            name: values[at.get(name, index)] if values.ndim else np.full(stop - start, values)
-            for name, values in self.parameters.items()
-        }
+    def columns(self, region: Region) -> Columns:
+        """Parameters of the points of a region, the last axis running fastest."""
+        shape = shape_of(region)
+        found = {}
+        for name, values in self.parameters.items():
+            if values.ndim:
+                axis = self.axes.index(name) if self.product else 0
+                values = values[region[axis]].reshape(-1, *[1] * (len(shape) - axis - 1))
+            found[name] = np.broadcast_to(values, shape).ravel()
+        return found
 
     def describe(self) -> dict[str, Any]:
         """The request for JSON; the values of the axes, which are coordinates of the result, by their digest."""
@@ -115,6 +121,26 @@ class Request(NamedTuple):
 
 def _digest(values: np.ndarray) -> str:
     return hashlib.sha256(values.astype(values.dtype.newbyteorder("<")).tobytes()).hexdigest()
+
+
+def shape_of(region: Region) -> tuple[int, ...]:
+    """Number of points of a region along each dimension."""
+    return tuple(part.stop - part.start for part in region)
+
+
+def chunk_shape(shape: tuple[int, ...], points: int) -> tuple[int, ...]:
+    """Shape of chunks of at most `points` points: trailing axes whole as far as they fit, one axis in equal parts."""
+    sizes: list[int] = []
+    for n in reversed(shape):
+        sizes.insert(0, -(-n // -(-n // points)))  # as many parts as needed, all but the last of one size
+        points //= sizes[0]
+    return tuple(sizes)
+
+
+def regions(shape: tuple[int, ...], chunk: tuple[int, ...]) -> list[Region]:
+    """Cut a shape into chunks, the last axis running fastest."""
+    parts = ([slice(a, min(a + step, n)) for a in range(0, n, step)] for n, step in zip(shape, chunk, strict=True))
+    return list(itertools.product(*parts))
 
 
 def make_request(

@@ -1,13 +1,11 @@
-"""Run a sweep in memory or into a store, alone or shared."""
+"""Run a sweep: in memory or into a store, in this process or on a Dask cluster, or when its values are needed."""
 
+import math
 import os
-import time
 import warnings
-from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -16,16 +14,19 @@ from slippulse_jax.block import Control
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
-from slippulse_jax.sweeps import dataset
-from slippulse_jax.sweeps import store as stores
-from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
-from slippulse_jax.sweeps.request import Columns, Request, make_request, with_interface
-from slippulse_jax.sweeps.store import Store, StoreError
+from slippulse_jax.sweeps import compute, dataset
+from slippulse_jax.sweeps.outputs import OUTPUTS, choose
+from slippulse_jax.sweeps.request import Region, Request, chunk_shape, make_request, regions, shape_of, with_interface
+from slippulse_jax.sweeps.store import Place, Store, StoreError, check_same, create, open_store
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 LARGE, SMALL, COSTLY = 1 << 20, 1 << 14, 1 << 7
 """Points per chunk by default: of lengths by the recursion, of anything that costs more, and of blocks."""
 
-_PROBE, _PAUSE = 1024, 0.2  # points computed again on resuming; seconds between two looks at the store
+TASKS, LEAST = 256, 1 << 12
+"""Chunks into which a sweep that goes into no store is cut for Dask, as long as each has so many points."""
 
 
 def sweep(
@@ -50,6 +51,8 @@ def sweep(
     resume: bool = True,
     chunk: int | None = None,
     share: tuple[int, int] | None = None,
+    client: "Client | None" = None,
+    lazy: bool = False,
     progress: bool | None = None,
 ) -> xr.Dataset:
     """Compute first precursors over ranges of parameters, as a labelled dataset.
@@ -75,15 +78,19 @@ def sweep(
         Names of `slippulse_jax.sweeps.outputs.OUTPUTS`, or "gradients", "theory", "validity".
     right, sites, max_contacts
         As for `precursor_length`.
-    store : path, optional
-        Folder to write the result to as it is computed, in constant memory; a sweep found there is resumed.
+    store : path or str, optional
+        Folder to write the result to as it is computed, in constant memory, as a Zarr group; or any address that fsspec knows,
+        such as ``"s3://bucket/scan.zarr"``. A sweep found there is resumed.
     resume : bool
         Whether a sweep found in `store` may be resumed.
     chunk : int, optional
-        Points per file of the store.
+        Largest number of points per chunk of the store, or per task.
     share : (int, int), optional
-        Index and number of the processes that share the sweep; by default those of ``jax.distributed``. Chunk i belongs to
-        process i mod number.
+        Index and number of the processes that share the store without a scheduler. Chunk i belongs to process i mod number.
+    client : dask.distributed.Client, optional
+        Cluster on which the chunks are computed, each on one thread of a worker. With a store the workers write it themselves.
+    lazy : bool
+        Return dask arrays: a chunk is computed when one of its values is needed.
     progress : bool, optional
         Show a progress bar, on stderr or in the notebook; by default only on a terminal.
 
@@ -115,18 +122,30 @@ def sweep(
         given, points=points, outputs=chosen, right=right, sites=sites, max_contacts=max_contacts, push_control=push_control
     )
     _check_right_end(request)
-    index, count = _check_share(share)
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk = {chunk}: must be at least one point")
+    _check_ways(store, share, client, lazy)
+    most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
+    if lazy:
+        return dataset.lazily(request, most)
     if store is None:
-        if count > 1:
-            raise ValueError(f"{count} processes share this sweep: give it a store they can all write to")
-        return dataset.in_memory(request, _compute_all(request, chunk or default_chunk(request), progress))
-    folder = _open_or_create(Path(store), request, chunk, resume)
-    _compute_missing(folder, index, count, progress)
-    if share is None and count > 1:
-        _wait_for_other_processes(folder)
-    return dataset.stored(folder)
+        columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
+        for region, found in _run(request, regions(request.shape, chunk_shape(request.shape, most)), client, progress):
+            for name, values in found.items():
+                columns[name][region] = values
+        return dataset.in_memory(request, columns)
+    place = Place(store)
+    resumed = place.is_store
+    if resumed and not resume:
+        raise StoreError(f"{place.url}: holds a sweep already; resume it, or give another folder")
+    if not resumed:
+        create(place, request, most, dataset.processor() if client is None else client.submit(dataset.processor).result())
+    opened = open_store(place)
+    check_same(opened, request, chunk)
+    for _, damage in _run(opened, _order(opened.regions, share, resumed), client, progress):
+        if damage:
+            warnings.warn(f"{damage}: computing it again", RuntimeWarning, stacklevel=2)
+    return opened.dataset()
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
@@ -139,15 +158,21 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
     Raises
     ------
     StoreError
-        If the folder holds no sweep, or a damaged one; of a damaged chunk, when it is read.
+        If there is no sweep, or a damaged one.
+
+    Notes
+    -----
+    ``xarray.open_zarr(store)`` opens it too, without the checks and without this package. Zarr raises a ValueError when it
+    reads a damaged chunk; the same sweep, resumed, names the damaged chunks and computes them again.
     """
-    return dataset.stored(stores.open_store(Path(store)))
+    return open_store(Place(store)).dataset()
 
 
-def default_chunk(request: Request) -> int:
-    """Points per chunk: enough that files are few, few enough that little is lost by a kill."""
+def default_chunk(request: Request, *, tasks: bool) -> int:
+    """Points per chunk: enough that files are few, few enough that little is lost by a kill; smaller for tasks in memory."""
     groups = {OUTPUTS[name].group for name in request.outputs}
-    return COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
+    chunk = COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
+    return min(chunk, max(LEAST, -(-request.size // TASKS))) if tasks else chunk
 
 
 def _check_right_end(request: Request) -> None:
@@ -158,94 +183,39 @@ def _check_right_end(request: Request) -> None:
             raise ValueError(f"output {name!r} is for a semi-infinite chain, not right = {request.right!r}")
 
 
-def _check_share(share: tuple[int, int] | None) -> tuple[int, int]:
+def _check_ways(store: Any, share: tuple[int, int] | None, client: Any, lazy: bool) -> None:
+    """Check that the ways to compute a sweep go together."""
+    if lazy and (store is not None or client is not None):
+        raise ValueError("lazy = True takes no store and no client: dask computes the dataset wherever it computes others")
     if share is None:
-        return jax.process_index(), jax.process_count()
+        return
     index, count = share
     if not 0 <= index < count:
         raise ValueError(f"share = {share}: must be (index, number of processes) with 0 <= index < number")
-    return index, count
+    if client is not None:
+        raise ValueError("share is for processes without a scheduler: leave it out with a client")
+    if store is None:
+        raise ValueError(f"{count} processes share this sweep: give it a store they can all write to")
 
 
-def _open_or_create(path: Path, request: Request, chunk: int | None, resume: bool) -> Store:
-    if not stores.exists(path):
-        stores.create(path, request, chunk or default_chunk(request))
-    elif not resume:
-        raise StoreError(f"{path}: holds a sweep already; resume it, or give another folder")
-    store = stores.open_store(path)
-    stores.check_same(store, request, chunk)
-    return store
+def _order(chunks: list[Region], share: tuple[int, int] | None, resumed: bool) -> list[Region]:
+    """Chunks of this process; shuffled where others may be at work, so that two seldom compute the same chunk."""
+    index, count = share or (0, 1)
+    mine = chunks[index::count]
+    return [mine[i] for i in np.random.default_rng().permutation(len(mine))] if resumed else mine
 
 
-def _compute_missing(store: Store, index: int, count: int, progress: bool | None) -> None:
-    """Compute the chunks of this process that are missing or damaged; one is written while the next is computed."""
-    mine = range(index, store.chunks, count)
-    _check_digits(store)
-    with _bar(sum(b - a for a, b in map(store.span, mine)), progress) as bar, ThreadPoolExecutor(1) as writer:
-        writing: Future[None] | None = None
-        for one in mine:
-            start, stop = store.span(one)
-            columns = None if _is_whole(store, one) else evaluate(store.request, start, stop)
-            if writing is not None:
-                writing.result()
-            writing = None if columns is None else writer.submit(_write, store, one, columns)
-            bar.update(stop - start)
-        if writing is not None:
-            writing.result()
-
-
-def _write(store: Store, index: int, columns: Columns) -> None:
-    store.clear_leftovers(index)
-    store.write(index, columns)
-
-
-def _is_whole(store: Store, index: int) -> bool:
-    try:
-        store.read(index)
-    except FileNotFoundError:
-        return False
-    except StoreError as error:
-        warnings.warn(f"{error}: computing it again", RuntimeWarning, stacklevel=4)
-        return False
-    return True
-
-
-def _check_digits(store: Store) -> None:
-    """Compute the first stored points again: another processor or build may round differently."""
-    for one in store.present():
-        try:
-            there = store.read(one)
-        except StoreError:
-            continue
-        start, stop = store.span(one)
-        again = evaluate(store.request, start, min(stop, start + _PROBE))
-        for name, values in again.items():
-            if values.tobytes() != there[name][: len(values)].tobytes():
-                raise StoreError(f"{store.path}: computed here, the first points of {name} have other digits than stored")
-        return
-
-
-def _wait_for_other_processes(store: Store) -> None:
-    """Wait until every chunk is there; if a process dies, jax.distributed ends the others."""
-    while len(store.present()) < store.chunks:
-        time.sleep(_PAUSE)
-
-
-def _compute_all(request: Request, chunk: int, progress: bool | None) -> Columns:
-    """Compute all points in memory."""
-    columns = {name: np.empty(request.size, OUTPUTS[name].dtype) for name in request.outputs}
-    with _bar(request.size, progress) as bar:
-        for start in range(0, request.size, chunk):
-            stop = min(start + chunk, request.size)
-            for name, values in evaluate(request, start, stop).items():
-                columns[name][start:stop] = values
-            bar.update(stop - start)
-    return columns
-
-
-def _bar(size: int, progress: bool | None) -> Any:
-    """Progress bar with the time left; by default only on a terminal."""
+def _run(work: Request | Store, chunks: list[Region], client: Any, progress: bool | None) -> Iterator[tuple[Region, Any]]:
+    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
+    if client is not None:
+        results = compute.on_cluster(client, work, chunks)
+    else:
+        results = compute.complete(work, chunks) if isinstance(work, Store) else compute.values(work, chunks)
     from tqdm.auto import tqdm
 
     disable = None if progress is None else not progress
-    return tqdm(total=size, unit=" points", unit_scale=True, disable=disable, desc="sweep")
+    size = sum(math.prod(shape_of(region)) for region in chunks)
+    with tqdm(total=size, unit=" points", unit_scale=True, disable=disable, desc="sweep") as bar:
+        for region, result in results:
+            yield region, result
+            bar.update(math.prod(shape_of(region)))

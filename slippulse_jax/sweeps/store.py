@@ -1,185 +1,258 @@
-"""A sweep on disk: request, axes, and one file per chunk.
+"""A sweep as a Zarr group: one array per output, the swept parameters as coordinates, the request in the attributes.
 
-::
-
-    manifest.json       request, digest of the request, versions, points per chunk
-    axes.npz            values of the parameters
-    chunks/000000.npz   outputs of the first points, one member each; its SHA-256 is the file's zip comment
-
-Every file is written whole or not at all, and every process writes the same bytes for a chunk. So any process may be killed
-at any moment, and every file there is counts. A chunk is a NumPy archive, readable without this package.
+Nothing but Zarr and xarray is needed to read it. A killed writer leaves whole chunks only, because Zarr's local store renames
+whole files and object stores take whole objects. The attributes of the group are written after all else when a store is made,
+and the last output of the request after the others of a chunk: so a group with attributes is a store, and a chunk whose last
+output is there is finished. Every process writes the same bytes for a chunk.
 """
 
+import dataclasses
 import functools
-import hashlib
-import io
 import json
-import struct
-from importlib.metadata import version
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import numpy as np
+import xarray as xr
+import zarr
+from fsspec.implementations.local import LocalFileSystem
+from zarr.codecs import BytesCodec, Crc32cCodec
+from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.plain import shortened
-from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request
+from slippulse_jax.plain import plain, shortened
+from slippulse_jax.sweeps.dataset import current_versions, labelled
+from slippulse_jax.sweeps.outputs import OUTPUTS
+from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
 
-FORMAT = 1
-VERSIONS = ("slippulse_jax", "jax", "jaxlib")
-"""Packages on which the digits of a result depend, beside the request and the processor."""
-
-_COMMENT = "sha256 {} of all before; request {} chunk {:06d}"
+FORMAT = 2
+COORDINATE_CHUNK = 1 << 20
+MANIFEST = "zarr.json"
 
 
 class StoreError(ValueError):
     """A store that cannot be used: of another request or version, damaged, or no store at all."""
 
 
-class Store:
-    """The folder of one sweep.
+class Place:
+    """A folder, or the address of one that fsspec knows, such as ``s3://bucket/scan.zarr``."""
 
-    Attributes
-    ----------
-    path : Path
-    request : Request
-    chunk : int
-        Points per file; the last may have fewer.
-    versions : dict
-        Of the packages that computed it.
-    """
+    def __init__(self, url: str | os.PathLike[str]) -> None:
+        self.url = os.fspath(url)
+        try:
+            self.files, self.root = fsspec.url_to_fs(self.url, use_listings_cache=False)  # others write there too
+            local = isinstance(self.files, LocalFileSystem)
+            self.zarr = LocalStore(self.root) if local else FsspecStore.from_url(self.url)
+        except (ValueError, ImportError) as error:  # no such protocol, or its package is not installed
+            raise StoreError(f"{self.url}: {error}") from None
 
-    def __init__(self, path: Path, request: Request, chunk: int, versions: dict[str, str]) -> None:
-        self.path, self.request, self.chunk, self.versions = path, request, chunk, versions
-
-    def __repr__(self) -> str:
-        return f"Store({str(self.path)!r}, {self.request.size} points in {self.chunks} chunks)"
+    def __contains__(self, key: str) -> bool:
+        return self.files.exists(f"{self.root}/{key}")
 
     @property
-    def chunks(self) -> int:
-        """Number of chunks."""
-        return -(-self.request.size // self.chunk)
+    def is_store(self) -> bool:
+        """Whether there is a Zarr group; an error if there is a store of version 0.1."""
+        if "manifest.json" in self:
+            raise StoreError(f"{self.url}: a store of slippulse_jax 0.1 (.npz files), which only that version reads")
+        return MANIFEST in self
 
-    def span(self, index: int) -> tuple[int, int]:
-        """First point of a chunk, and the first of the next."""
-        return index * self.chunk, min((index + 1) * self.chunk, self.request.size)
+    def put(self, key: str, content: bytes) -> None:
+        """Write a small file, whole or not at all."""
+        path = f"{self.root}/{key}"
+        if isinstance(self.files, LocalFileSystem):
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, content)
+        else:
+            self.files.pipe_file(path, content)
 
-    def file(self, index: int) -> Path:
-        """File of a chunk."""
-        return self.path / "chunks" / f"{index:06d}.npz"
 
-    def write(self, index: int, columns: Columns) -> None:
-        """Write one chunk, whole or not at all."""
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, **{k: v.astype(v.dtype.newbyteorder("<")) for k, v in columns.items()})
-        sealed = _sealed(content.getvalue(), self.request.digest, index)
-        try:
-            write_atomically(self.file(index), sealed)
-        except FileNotFoundError:  # another process took the temporary file for the remains of one that was killed
-            write_atomically(self.file(index), sealed)
+@dataclasses.dataclass(frozen=True)
+class Store:
+    """The stored sweep at a place, finished or not, with at most `chunk` points in each chunk."""
 
-    def read(self, index: int) -> Columns:
-        """Read one chunk.
+    place: Place
+    request: Request
+    chunk: int
+    about: dict[str, Any]
+
+    @property
+    def url(self) -> str:
+        """Address of the store."""
+        return self.place.url
+
+    @property
+    def chunk_shape(self) -> tuple[int, ...]:
+        """Points of a chunk along each dimension."""
+        return chunk_shape(self.request.shape, self.chunk)
+
+    @property
+    def regions(self) -> list[Region]:
+        """The part of the result that each chunk holds."""
+        return regions(self.request.shape, self.chunk_shape)
+
+    def key(self, region: Region, name: str) -> str:
+        """Key of a chunk of one output: its place in the store."""
+        index = (part.start // step for part, step in zip(region, self.chunk_shape, strict=True))
+        return "/".join((name, "c", *map(str, index)))
+
+    def present(self) -> list[Region]:
+        """Finished chunks, by their keys: none is read."""
+        last = self.request.outputs[-1]
+        there = {path.removeprefix(f"{self.place.root}/") for path in self.place.files.find(f"{self.place.root}/{last}/c")}
+        return [region for region in self.regions if self.key(region, last) in there]
+
+    def read(self, region: Region) -> Columns | None:
+        """Read one chunk of all outputs; None if it has not been computed.
 
         Raises
         ------
-        FileNotFoundError
-            If it has not been computed.
         StoreError
-            If it is damaged, or not the chunk it should be.
+            If it is damaged, naming the file.
         """
-        path = self.file(index)
-        start, stop = self.span(index)
-        try:
-            columns = _opened(path.read_bytes(), self.request.digest, index)
-        except FileNotFoundError:
-            raise
-        except Exception as error:  # damaged bytes fail in as many ways as there are readers
-            raise StoreError(f"{path}: damaged chunk ({error}); the same sweep, resumed, computes it again") from None
-        if set(columns) != set(self.request.outputs) or any(v.shape != (stop - start,) for v in columns.values()):
-            raise StoreError(f"{path}: holds other outputs or points than this sweep; delete it, then resume")
+        if self.key(region, self.request.outputs[-1]) not in self.place:
+            return None
+        columns: Columns = {}
+        for name in self.request.outputs:
+            key = self.key(region, name)
+            try:
+                columns[name] = np.asarray(self._arrays[name][region])
+                damage = "" if key in self.place else "it is missing"
+            except OSError:
+                raise
+            except Exception as error:  # damaged bytes fail in as many ways as there are readers
+                damage = shortened(str(error))
+            if damage:
+                raise StoreError(f"{self.url}: damaged chunk {key} ({damage})")
         return columns
 
-    def present(self) -> list[int]:
-        """Chunks whose files exist; the files are not read."""
-        names = (p.stem for p in (self.path / "chunks").glob("*.npz"))
-        return sorted(i for i in (int(name) for name in names if name.isdigit()) if i < self.chunks)
+    def write(self, region: Region, columns: Columns) -> None:
+        """Write one chunk of all outputs."""
+        if MANIFEST not in self.place:  # Zarr would make the folder anew
+            raise StoreError(f"{self.url}: the store was removed while the sweep ran")
+        for name in self.request.outputs:
+            self._arrays[name][region] = columns[name]
 
-    def clear_leftovers(self, index: int) -> None:
-        """Remove temporary files of a process that was killed while writing this chunk."""
-        for left in (self.path / "chunks").glob(f".{index:06d}.npz.*.tmp"):
-            left.unlink(missing_ok=True)
+    @functools.cached_property
+    def _arrays(self) -> dict[str, Any]:
+        with zarr.config.set({"array.write_empty_chunks": True}):  # a chunk of NaN is a result too
+            group = zarr.open_group(self.place.zarr, mode="r+")
+            return {name: group[name] for name in self.request.outputs}
 
-
-def create(path: Path, request: Request, chunk: int) -> Store:
-    """Make the folder of a new sweep; another process may have just made it."""
-    if path.exists() and not path.is_dir():
-        raise StoreError(f"{path}: is a file; a store is a folder")
-    if path.is_dir() and any(p.name not in ("chunks", "axes.npz") and not p.name.startswith(".") for p in path.iterdir()):
-        raise StoreError(f"{path}: is a folder with other things in it; give a new or empty one")
-    (path / "chunks").mkdir(parents=True, exist_ok=True)
-    axes = io.BytesIO()
-    np.savez(axes, allow_pickle=False, **request.parameters)
-    write_atomically(path / "axes.npz", axes.getvalue())
-    manifest = {
-        "format": FORMAT,
-        "request": request.describe(),
-        "digest": request.digest,
-        "versions": current_versions(),
-        "points": request.size,
-        "chunk": chunk,
-    }
-    write_atomically(path / "manifest.json", (json.dumps(manifest, indent=2, ensure_ascii=False) + "\n").encode())
-    return open_store(path)
+    def dataset(self) -> xr.Dataset:
+        """The sweep as a dataset, read on demand; its attribute ``complete`` is 1 once every chunk is there."""
+        with _damage_named(self.place):
+            found = xr.open_zarr(self.place.zarr, chunks=None, consolidated=True)[
+                [*self.request.parameters, *self.request.outputs]
+            ]
+        for output in found.data_vars.values():
+            if "flag_values" in output.attrs:
+                output.attrs["flag_values"] = np.array(output.attrs["flag_values"], output.dtype)
+        found.attrs |= {"complete": int(len(self.present()) == len(self.regions)), "store": self.url}
+        return found
 
 
-def open_store(path: Path) -> Store:
-    """Open the sweep in a folder.
+def create(place: Place, request: Request, chunk: int, computed_on: str) -> None:
+    """Make a new store; another process may have just made it.
+
+    Raises
+    ------
+    StoreError
+        If there are other things at that place, or nothing can be written there.
+    """
+    documents = _documents(request, chunk, computed_on)
+    try:
+        if place.files.isfile(place.root):
+            raise StoreError(f"{place.url}: is a file; a store is a folder")
+        there = place.files.ls(place.root, detail=False) if place.files.exists(place.root) else []
+        ours = {key.split("/")[0] for key in documents}  # a process that was killed while it made the store left some of them
+        names = {path.rstrip("/").rsplit("/", 1)[-1] for path in there}
+        others = any(name not in ours and not name.startswith(".") for name in names)
+        if (others or any(f"{name}/c" in place for name in request.outputs)) and not place.is_store:
+            raise StoreError(f"{place.url}: is a folder with other things in it; give a new or empty one")
+        for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest after all else
+            place.put(key, documents[key])
+    except OSError as error:
+        raise StoreError(f"{place.url}: no store can be made there ({error.strerror or error})") from None
+
+
+def _documents(request: Request, chunk: int, computed_on: str) -> dict[str, bytes]:
+    """Content of a store before anything is computed, by key."""
+    empty = {name: np.broadcast_to(_unknown(OUTPUTS[name].dtype), request.shape) for name in request.outputs}
+    about = {**current_versions(), "processor": computed_on, "chunk": chunk, "store_format": FORMAT}
+    template = labelled(request, empty, about)
+    made: dict[str, Any] = {}
+    group = zarr.create_group(MemoryStore(made), zarr_format=3, attributes=template.attrs)
+    for name, variable in template.variables.items():
+        is_output = name in request.outputs
+        array = group.create_array(
+            str(name),
+            shape=variable.shape,
+            chunks=chunk_shape(variable.shape, chunk if is_output else COORDINATE_CHUNK),
+            dtype=variable.dtype,
+            fill_value=_unknown(variable.dtype).item(),
+            filters=None,
+            serializer=BytesCodec(endian="little"),
+            compressors=[Crc32cCodec()],
+            dimension_names=[str(dim) for dim in variable.dims],
+            attributes=plain(variable.attrs) | ({"coordinates": " ".join(request.parameters)} if is_output else {}),
+        )
+        if not is_output:
+            array[...] = variable.values
+    with warnings.catch_warnings():  # other implementations of Zarr read the metadata of each array instead
+        warnings.filterwarnings("ignore", "Consolidated metadata")
+        zarr.consolidate_metadata(MemoryStore(made))
+    return {key: content.to_bytes() for key, content in made.items()}
+
+
+def _unknown(dtype: Any) -> np.ndarray:
+    """Value of a point that has not been computed: NaN, in whole numbers −1."""
+    return np.array(np.nan if np.dtype(dtype).kind == "f" else -1, dtype)
+
+
+def open_store(place: Place) -> Store:
+    """Open the stored sweep at a place.
 
     Raises
     ------
     StoreError
         If there is none, or one of another format.
     """
+    if not place.is_store:
+        raise StoreError(f"{place.url}: not the store of a sweep ({MANIFEST} is missing)")
+    with _damage_named(place):
+        group: Any = zarr.open_group(place.zarr, mode="r")
+        about: dict[str, Any] = group.attrs.asdict()
+        if (written := about.get("store_format")) == FORMAT:
+            described = json.loads(about["request"])
+            options = {name: described.pop(name) for name in ("parameters", "combined", "outputs")}
+            parameters = {name: np.asarray(group[name][...]) for name in PARAMETERS if name in options["parameters"]}
+            request = Request(parameters, options["combined"] == "product", tuple(options["outputs"]), **described)
+            store = Store(place, request, about["chunk"], about)
+            arrays = [(group[name], OUTPUTS[name].dtype) for name in request.outputs]
+            held = all((one.shape, one.chunks, one.dtype) == (request.shape, store.chunk_shape, dtype) for one, dtype in arrays)
+            if held and request.digest == about["request_sha256"]:
+                return store
+    if written != FORMAT:
+        raise StoreError(f"{place.url}: not a sweep, or one of format {written}; this version reads format {FORMAT}")
+    raise StoreError(f"{place.url}: request and arrays do not agree: the store was tampered with or is damaged")
+
+
+@contextmanager
+def _damage_named(place: Place) -> Iterator[None]:
     try:
-        manifest: dict[str, Any] = json.loads((path / "manifest.json").read_bytes())
-        described = manifest["request"]
-        if manifest["format"] != FORMAT:
-            raise StoreError(f"{path}: a store of format {manifest['format']}; this version reads format {FORMAT}")
-        with np.load(io.BytesIO((path / "axes.npz").read_bytes()), allow_pickle=False) as axes:
-            parameters = {name: axes[name] for name in PARAMETERS if name in axes}
-        request = Request(
-            parameters,
-            described["combined"] == "product",
-            tuple(described["outputs"]),
-            described["right"],
-            described["sites"],
-            described["max_contacts"],
-            described.get("push_control", "displacement"),
-        )
-        agrees = request.digest == manifest["digest"] and manifest["points"] == request.size
-        store = Store(path, request, manifest["chunk"], dict(manifest["versions"]))
-        if agrees and not (isinstance(store.chunk, int) and store.chunk > 0 and store.chunks >= 0):
-            raise ValueError(f"chunk = {store.chunk!r}")
-    except FileNotFoundError as missing:
-        raise StoreError(f"{path}: not the store of a sweep ({missing.filename} is missing)") from None
-    except StoreError:
-        raise
+        yield
     except Exception as error:  # damaged bytes fail in as many ways as there are readers
         what = shortened(f"{type(error).__name__}: {error}")
-        raise StoreError(f"{path}: the store of a sweep with a damaged manifest or axes ({what})") from None
-    if not agrees:
-        raise StoreError(f"{path}: request and axes do not agree: the store was tampered with or is damaged")
-    return store
-
-
-def exists(path: Path) -> bool:
-    """Whether the folder holds a sweep."""
-    return (path / "manifest.json").exists()
+        raise StoreError(f"{place.url}: the store of a sweep with a damaged manifest or axes ({what})") from None
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Check that the store is of the same request and versions.
+    """Check that the store is of the same request, chunks and versions.
 
     Raises
     ------
@@ -187,51 +260,28 @@ def check_same(store: Store, request: Request, chunk: int | None) -> None:
         Saying what differs.
     """
     if store.request.digest != request.digest:
-        old, new = store.request.describe(), request.describe()
-        differs = [
-            *(f"{key}: {old[key]!r}, now {new[key]!r}" for key in old if key != "parameters" and old[key] != new[key]),
-            *(
-                f"{name}: {_brief(store.request, name)}, now {_brief(request, name)}"
-                for name in PARAMETERS
-                if old["parameters"].get(name) != new["parameters"].get(name)
-            ),
-        ]
-        raise StoreError(f"{store.path}: holds another sweep ({'; '.join(differs)}); give it a store of its own")
+        old, new = _briefly(store.request), _briefly(request)
+        changed = (name for name in old | new if old.get(name) != new.get(name))
+        differs = "; ".join(f"{name}: {old.get(name, NOT)[0]}, now {new.get(name, NOT)[0]}" for name in changed)
+        raise StoreError(f"{store.url}: holds another sweep ({differs}); give it a store of its own")
     if chunk is not None and chunk != store.chunk:
-        raise StoreError(f"{store.path}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
-    if changed := {k: (v, store.versions.get(k)) for k, v in current_versions().items() if v != store.versions.get(k)}:
-        differs = "; ".join(f"{name} {old}, now {new}" for name, (new, old) in changed.items())
-        raise StoreError(f"{store.path}: was computed with {differs}: digits may differ. Finish it there, or start a new store")
+        raise StoreError(f"{store.url}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
+    now = current_versions()
+    if differs := "; ".join(
+        f"{name} {store.about.get(name)}, now {now[name]}" for name in now if now[name] != store.about.get(name)
+    ):
+        raise StoreError(f"{store.url}: was computed with {differs}: digits may differ. Finish it there, or start a new store")
 
 
-def current_versions() -> dict[str, str]:
-    """Versions of the packages on which the digits depend."""
-    return {name: _version(name) for name in VERSIONS}
+NOT = ("not given",)
 
 
-@functools.cache
-def _version(name: str) -> str:
-    return version(name)
-
-
-def _brief(request: Request, name: str) -> str:
-    values = request.parameters.get(name)
-    if values is None:
-        return "not given"
-    return f"{values.size} values {values[0]:g} … {values[-1]:g}" if values.ndim else f"{values:g}"
-
-
-def _sealed(archive: bytes, digest: str, index: int) -> bytes:
-    """The zip archive with its own checksum as the comment at its end."""
-    comment = _COMMENT.format(hashlib.sha256(archive).hexdigest(), digest, index).encode()
-    return archive[:-2] + struct.pack("<H", len(comment)) + comment
-
-
-def _opened(content: bytes, digest: str, index: int) -> Columns:
-    length = len(_COMMENT.format("0" * 64, digest, index))
-    archive = content[: -length - 2] + b"\0\0"
-    expected = _COMMENT.format(hashlib.sha256(archive).hexdigest(), digest, index)
-    if content[-length:] != expected.encode():
-        raise ValueError("its checksum does not fit")
-    with np.load(io.BytesIO(content), allow_pickle=False) as columns:
-        return {name: columns[name] for name in columns.files}
+def _briefly(request: Request) -> dict[str, tuple[Any, ...]]:
+    """What a request says of each of its parts in a message, and what it compares by."""
+    described = request.describe()
+    axes = described.pop("parameters")
+    brief = {
+        name: f"{values.size} values {values[0]:g} … {values[-1]:g}" if values.ndim else f"{values:g}"
+        for name, values in request.parameters.items()
+    }
+    return {name: (repr(value),) for name, value in described.items()} | {name: (brief[name], axes[name]) for name in brief}
