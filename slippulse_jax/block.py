@@ -3,7 +3,6 @@
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
 
-import dataclasses
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import equinox as eqx
@@ -13,6 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain
+from slippulse_jax.plain import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
@@ -41,18 +41,6 @@ def _whole_or_none(x: Any) -> Any:
     if (whole != np.asarray(x)).any():
         raise ValueError(f"Block.length = {x}: must be a whole number of contacts")
     return whole.astype(np.int32)
-
-
-def _call(made: eqx.Module) -> str:
-    """The call that makes it, with its numbers; what is as by default is left out."""
-    shown = []
-    for field in dataclasses.fields(made):
-        value = getattr(made, field.name)
-        if value is None or value is field.default:
-            continue
-        number = f"{value!r}" if isinstance(value, Tracer | str | eqx.Module) or np.shape(value) else f"{np.asarray(value):g}"
-        shown.append(f"{field.name}={number}")
-    return f"{type(made).__name__}({', '.join(shown)})"
 
 
 class Push(eqx.Module):
@@ -103,7 +91,7 @@ class Push(eqx.Module):
             )
 
     def __repr__(self) -> str:
-        return _call(self)
+        return in_a_line(self)
 
     @property
     def reach(self) -> tuple[Array, Array]:
@@ -227,7 +215,20 @@ class Block(eqx.Module):
         return cls(height, stiffness, poisson, push, plane, None if length is None else np.rint(lengths["length"]))
 
     def __repr__(self) -> str:
-        return _call(self)
+        return in_a_line(self)
+
+    def _repr_html_(self) -> str:
+        push = "the whole side" if self.push.height is None else short(self.push.height)
+        rows = [
+            ("height, H/λc", short(self.height)),
+            ("contact stiffness, k/K", short(self.stiffness)),
+            ("Poisson's ratio, ν", short(self.poisson)),
+            ("pushed at, over H", push if self.push.width is None else f"{push}, over {short(self.push.width)} H"),
+            ("held while an event runs", self.push.control),
+            ("length, in λc", "without end" if self.length is None else short(self.length)),
+            ("b, areal stiffness times H over the shear modulus", short(self.slider.b)),
+        ]
+        return html(f"Block (plane {self.plane})", rows)
 
     @property
     def contacts(self) -> int | None:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.plain import in_a_line
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
 
@@ -89,6 +90,9 @@ class Interface(eqx.Module):
     if TYPE_CHECKING:  # what the converters take
 
         def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None: ...
+
+    def __repr__(self) -> str:
+        return in_a_line(self)
 
     def __check_init__(self) -> None:
         _check_delay(self)

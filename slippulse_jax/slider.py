@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
+from slippulse_jax.plain import html, in_a_line, short
 from slippulse_jax.units import Numbers, as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
@@ -109,7 +110,17 @@ class Slider(eqx.Module):
         return np.broadcast_shapes(*(np.shape(x) for x in (self.height, self.stiffness, self.poisson)))
 
     def __repr__(self) -> str:
-        return eqx.tree_pformat(self, short_arrays=False)
+        return in_a_line(self)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("height, H/λc", short(self.height)),
+            ("contact stiffness, k/K", short(self.stiffness)),
+            ("Poisson's ratio, ν", short(self.poisson)),
+            ("b, areal stiffness times H over the shear modulus", short(self.b)),
+            ("slow decay length, 1/κ₂ in λc", short(self.slow_decay_length)),
+        ]
+        return html("Slider", rows)
 
     @property
     @quantity("K_L", "K", "cra03")

@@ -360,13 +360,48 @@ def test_figure(tmp_path):
     for name, measured in (("pmma_block", "measured ± σ"), ("paper_printed_value", "whole contacts")):
         result = fit(read_measurements(ROOT / f"fit_examples/{name}/lengths.csv"))
         figure = plot.fit(result)
-        left, right = figure.axes
-        assert "H" in left.get_xlabel()
+        left, right, off = figure.axes
+        assert not left.get_xlabel()  # that of the residuals below
         assert "stiffness" in right.get_xlabel()
+        assert "σ" in off.get_ylabel()
+        assert off.get_xlabel() == "height, $H$ (mm)" or name != "pmma_block"
+        title = figure.get_suptitle()
+        assert (
+            result.identifiability.value in title
+            or "(1.956 ± 0.032)e10 Pa/m\nE = 3 GPa, ν = 0.3, λc = 10 µm; 6 lengths, block A" in title
+        )
         labels = {text.get_text() for text in left.get_legend().get_texts()}
         assert {"best fit", "longer than the model allows", measured} <= labels
         assert any(label.startswith("95% band") for label in labels)
         figure.savefig(tmp_path / f"{name}.png")
+
+
+def test_a_rejected_fit_is_drawn_without_a_best_fit():
+    m = Measurements(height=[25, 50, 75], poisson=0.3, length=[15, 15, 60], length_sigma=0.1, specimen=("A", "B", "A"))
+    result = fit(m)
+    figure = plot.fit(result)
+    texts = [text.get_text() for ax in figure.axes if ax.get_legend() for text in ax.get_legend().get_texts()]
+    assert "best fit" not in texts
+    assert "closest (rejected)" in texts
+    assert {"A ± σ", "B ± σ"} <= set(texts)
+    assert figure.get_suptitle().startswith(result.identifiability.value)
+    for ax in figure.axes:  # no legend lies on the data
+        if ax.get_legend():
+            figure.draw_without_rendering()
+            assert ax.get_legend().get_window_extent().y0 >= ax.get_window_extent().y1
+
+
+def test_panels_take_the_place_of_an_axes():
+    from matplotlib.figure import Figure
+
+    result = fit(Measurements(height=[25, 50], poisson=0.3, length=[16, 40], length_sigma=0.5))
+    outer = Figure(layout="constrained")
+    first, second = outer.subplots(1, 2)
+    assert plot.fit(result, ax=first) in outer.subfigs
+    assert plot.fit_profiles(result, ax=second) in outer.subfigs
+    assert len(outer.subfigs[0].axes) == 3
+    with pytest.raises(ValueError, match="an Axes of a grid"):
+        plot.fit(result, ax=Figure().add_axes((0, 0, 1, 1)))
 
 
 @pytest.mark.parametrize("name", ["height", "length", "young", "poisson", "correlation_length"])

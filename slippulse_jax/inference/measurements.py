@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.block import Control
 from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESHOLD_SLOPE, YOUNG
-from slippulse_jax.plain import shortened
+from slippulse_jax.plain import html, short, shortened
 from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
@@ -331,6 +331,20 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.height)
+
+    def __repr__(self) -> str:
+        return f"Measurements({len(self)} of {self.source}: heights {short(self.height)} λc, lengths {short(self.length)} λc)"
+
+    def _repr_html_(self) -> str:
+        given = [name for name in ("specimen", "label") if getattr(self, name)]
+        rows = [
+            [str(self.lines[i] if self.lines else i), *(getattr(self, name)[i] for name in given)]
+            + [self.in_its_unit(i, self.height[i]), f"{self.poisson[i]:g}"]
+            + [self.in_its_unit(i, self.length[i]), "" if np.isnan(self.sigma[i]) else self.in_its_unit(i, self.sigma[i])]
+            + [self.kind[i]]
+            for i in range(len(self))
+        ]
+        return html(self.source, rows, ("line" if self.lines else "no.", *given, "height", "ν", "length", "σ", "kind"))
 
     def place(self, i: int) -> str:
         """Where measurement i came from, for messages."""

@@ -11,7 +11,8 @@ from slippulse_jax.inference.hints import of_attainable, slips
 from slippulse_jax.inference.parameters import STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import IMPROBABLE, Identifiability, gravest
+from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, Identifiability, gravest
+from slippulse_jax.plain import html
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
@@ -54,6 +55,21 @@ def report(result: "FitResult") -> str:
     if result.notes:
         lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
     return "\n".join(lines)
+
+
+def html_of(result: "FitResult") -> str:
+    """The result as a table for a notebook: values with errors and intervals, the verdict, and what was fitted."""
+    shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
+    rows = []
+    for name, value in result.values.items():
+        symbol, unit = shown.get(name, ("k/K", ""))
+        by_level = result.intervals.get(name, {})
+        ends = [" or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) for pieces in by_level.values()]
+        rows.append((symbol, value_with_error(value, result.stderrs[name]), *(ends or ["", ""]), unit))
+    heads = ("", "value", *(f"{level:.0%} interval" for level in LEVELS), "unit")
+    m = result.measurements
+    said = [result.reason, f"{_plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
+    return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in said if text))
 
 
 def _front(result: "FitResult") -> str:

@@ -22,7 +22,7 @@ from slippulse_jax.inference.model import contacts_of, crack_status
 from slippulse_jax.inference.parameters import Inputs, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
-from slippulse_jax.inference.report import notes, report
+from slippulse_jax.inference.report import html_of, notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
 from slippulse_jax.lattice.lengths import arrests
@@ -295,6 +295,9 @@ class FitResult:
     def __repr__(self) -> str:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
         return f"FitResult({self.identifiability.name}: {values}; report() says more)"
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
 
     def __str__(self) -> str:
         return self.report()

@@ -28,6 +28,7 @@ from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
+from slippulse_jax.plain import in_a_line
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
@@ -73,6 +74,9 @@ class BlockPrecursor(eqx.Module):
     stress: Float[Array, " sites"]  # when the event is over
     slip: Float[Array, " sites"]  # of the interface while it ran
     pinning: Float[Array, " sites"]
+
+    def __repr__(self) -> str:
+        return in_a_line(self, "block", "contacts_broken", "length", "load")
 
     def __str__(self) -> str:
         if isinstance(self.length, Tracer):

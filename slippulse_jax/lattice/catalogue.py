@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.chain import State
+from slippulse_jax.plain import html, short
 from slippulse_jax.status import Status
 
 if TYPE_CHECKING:
@@ -68,6 +69,28 @@ class Catalogue(NamedTuple):
     def table(self) -> dict[str, np.ndarray]:
         """Return the columns of the catalogue, without its empty rows."""
         return table(self)
+
+    def __repr__(self) -> str:
+        if np.ndim(self.number):
+            return f"Catalogue(a batch of shape {np.shape(self.number)})"
+        return f"Catalogue(number={short(self.number)}, load={short(self.load)}, length={short(self.length)})"
+
+    def _repr_html_(self) -> str:
+        if np.ndim(self.number):
+            return html(repr(self), [])
+        frame = self.to_dataframe()[["load", "kind", "site", "length", "breaks", "slip", "stress_drop"]]
+        heads = [
+            "event",
+            *(
+                name if unit == "1" or name == "kind" else f"{name} ({unit})"
+                for name, unit in ((name, COLUMNS[name][0]) for name in frame)
+            ),
+        ]
+        rows = [
+            [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
+            for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)
+        ]
+        return html("Catalogue of events", rows, heads, SeriesStatus(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the events as a pandas.DataFrame, one per row, with the class of each in words and units in ``attrs``."""

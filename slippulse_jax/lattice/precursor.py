@@ -34,6 +34,7 @@ from slippulse_jax.lattice.modes import (
     lattice_modes,
 )
 from slippulse_jax.lattice.smooth import smooth_length
+from slippulse_jax.plain import html, in_a_line, short
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
@@ -129,6 +130,19 @@ class FirstPrecursor(eqx.Module):
     def edge_stress(self) -> Float[Array, ""]:
         """Stress on contact 0 at arrest, the largest behind the front; in σ_s."""
         return self.arrest.stress[0]
+
+    def __repr__(self) -> str:
+        return in_a_line(self, "slider", "contacts_broken", "length", "load", "interface")
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("length, ℓ/λc", short(self.length)),
+            ("contacts broken", short(self.contacts_broken)),
+            ("load at nucleation, U/u_s", short(self.load)),
+            ("on", repr(self.slider)),
+        ]
+        one = not isinstance(self.status, Tracer) and np.ndim(self.status) == 0
+        return html("First precursor", rows, below=Outcome(int(self.status)).message if one else "")
 
     def __str__(self) -> str:
         if isinstance(self.length, Tracer) or self.length.ndim:

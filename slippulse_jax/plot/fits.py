@@ -1,5 +1,6 @@
 """Pictures of a fit."""
 
+import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,9 @@ from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
+from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.result import recursion_status
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plot.labels import axis_label, printed, symbol
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, dashed_where, drawn, handles_of, new_figure
 from slippulse_jax.status import Outcome
@@ -19,48 +22,80 @@ from slippulse_jax.status import Outcome
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
     from slippulse_jax.inference.parameters import Free
     from slippulse_jax.inference.result import FitResult
 
 BAND_LEVEL = 0.95
 MOST_CURVES = 6
+MARKERS = "osD^v<>P"
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
 
-def fit(result: "FitResult") -> "Figure":
-    """Draw a fit in two panels.
+def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
+    """Draw a fit: lengths against height with residuals below, and length versus stiffness or the first profile.
 
-    Lengths against height, and length versus stiffness or the first profile.
+    The title has the result, the material and the specimens. With `ax`, the panels take its place.
     """
-    with new_figure(PAGE, 3.0) as figure:
-        against_height, other = figure.subplots(1, 2)
-        fit_lengths(result, ax=against_height)
+    with new_figure(PAGE, 3.9, ax) as figure:
+        figure.suptitle("\n".join(_title(result)), x=0.01, ha="left", fontsize="medium")
+        panels = figure.subplot_mosaic([["lengths", "other"], ["residuals", "other"]], height_ratios=[4, 1])
+        fit_lengths(result, ax=panels["lengths"])
+        panels["lengths"].set_xlabel("")
+        panels["lengths"].tick_params(labelbottom=False)
+        residuals(result, along_height=True, ax=panels["residuals"])
+        panels["residuals"].set_xlim(panels["lengths"].get_xlim())
         if len(result.parameters.free) == 1 and "stiffness" in result.names[0]:
-            length_versus_stiffness(result, ax=other)
+            length_versus_stiffness(result, ax=panels["other"])
         else:
-            profile(result, result.names[0], ax=other)
+            profile(result, result.names[0], ax=panels["other"])
     return figure
 
 
-def fit_profiles(result: "FitResult") -> "Figure":
+def _title(result: "FitResult") -> Iterator[str]:
+    """The result, and what it was fitted to."""
+    shown = {one.label: one for one in result.parameters.free}
+    given = result.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED)
+    values = []
+    for name in result.names[:2]:
+        one, value = shown[name], value_with_error(result.values[name], result.stderrs[name])
+        values.append(f"{one.symbol}{name.removeprefix(one.name)} = {value} {one.unit}".rstrip())
+    more = ", …" * (len(result.names) > 2)
+    yield textwrap.fill((", ".join(values) + more) if given else result.identifiability.value, 100)
+    m = result.measurements
+    constants = [("E", m.young, 1e-9, " GPa"), ("ν", m.poisson, 1, ""), ("λc", m.correlation_length, 1e6, " µm")]
+    material = [
+        f"{name} = {_ends_of(x * unit)}{text}" for name, x, unit, text in constants if x is not None
+    ]  # fmt: skip
+    specimens = list(dict.fromkeys(m.specimen))
+    named = f", {len(specimens)} specimens" if len(specimens) > 1 else f", {specimens[0]}" if specimens else ""
+    tested = f"; chi-squared {result.deviance:.3g} for {result.testable_dof} degrees of freedom" * (result.p_value is not None)
+    yield f"{', '.join(material)}; {len(m)} length{'s' * (len(m) > 1)}{named}{tested}"
+
+
+def _ends_of(x: np.ndarray) -> str:
+    """One number, or the least and the largest."""
+    return f"{x.min():.4g}" if np.ptp(x) <= 1e-9 * np.abs(x).max() else f"{x.min():.4g} to {x.max():.4g}"
+
+
+def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
     """Draw the profile of every fitted parameter, and the residuals."""
     count = len(result.names) + 1
     columns = min(count, 3)
     rows = -(-count // columns)
-    with new_figure(PAGE * max(columns, 2) / 3, 2.4 * rows) as figure:
+    with new_figure(PAGE * max(columns, 2) / 3, 2.4 * rows, ax) as figure:
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False))
-        for name, ax in zip(result.names, panels, strict=False):
-            profile(result, name, ax=ax)
+        for name, panel in zip(result.names, panels, strict=False):
+            profile(result, name, ax=panel)
         residuals(result, ax=panels[count - 1])
-        for ax in panels[count:]:
-            ax.set_visible(False)
+        for unused in panels[count:]:
+            unused.set_visible(False)
     return figure
 
 
-def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31) -> "Figure":
+def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Axes | None" = None) -> "Figure | SubFigure":
     """Draw the confidence regions of every pair of fitted parameters.
 
     The regions are those of 68 % and 95 %.
@@ -72,23 +107,31 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31) -> "Fig
         Drawn as points.
     nodes : int
         Values of each parameter at which the others are fitted anew.
+    ax : matplotlib.axes.Axes, optional
+        Axes of a grid whose place the panels take.
     """
     names = result.names
-    with new_figure(2.4 * len(names), 2.2 * len(names)) as figure:
+    with new_figure(2.4 * len(names), 2.2 * len(names), ax) as figure:
         panels = figure.subplots(len(names), len(names), squeeze=False)
         for row, vertical in enumerate(names):
             for column, horizontal in enumerate(names):
-                ax = panels[row, column]
+                panel = panels[row, column]
                 if column > row:
-                    ax.set_visible(False)
-                elif column == row:
-                    profile(result, vertical, ax=ax)
+                    panel.set_visible(False)
+                    continue
+                if column == row:
+                    profile(result, vertical, ax=panel)
                 else:
-                    confidence_region(result, horizontal, vertical, samples, nodes=nodes, ax=ax)
+                    confidence_region(result, horizontal, vertical, samples, nodes=nodes, ax=panel)
+                    panel.set_title("")
+                if row < len(names) - 1:
+                    panel.set_xlabel("")
+                if 0 < column < row:
+                    panel.set_ylabel("")
     return figure
 
 
-def gauges(result: "FitResult") -> "Figure":
+def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
     """Draw gauge readings of slip and stress, and the fitted fields.
 
     Readings are drawn ± σ, with one colour per precursor.
@@ -102,9 +145,9 @@ def gauges(result: "FitResult") -> "Figure":
     if readings is None:
         raise ValueError("no gauges were read: give read_measurements a table of them")
     names = [name for name in READINGS if readings.there(name).any()]
-    with new_figure(PAGE * len(names) / 2, 2.8) as figure:
-        for name, ax in zip(names, np.ravel(figure.subplots(1, len(names), squeeze=False)), strict=True):
-            gauge_readings(result, name, ax=ax)
+    with new_figure(PAGE * len(names) / 2, 2.8, ax) as figure:
+        for name, panel in zip(names, np.ravel(figure.subplots(1, len(names), squeeze=False)), strict=True):
+            gauge_readings(result, name, ax=panel)
     return figure
 
 
@@ -123,6 +166,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     groups = _groups(result)
     names = _group_names(result, groups)
     top, any_again = 0.0, False
+    widest = int(np.argmax([np.ptp(at[rows]) for rows in groups]))
     for number, rows in enumerate(groups):
         color, first = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, number == 0
         one = rows[0]
@@ -139,8 +183,9 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
             ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0, label=label)
         longest = _longest(result, height, one) * y
         ax.plot(x, longest, color=c.grey, lw=0.8)
-        beyond = "longer than the model allows" if first else None
-        ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
+        if number == widest:
+            beyond = "longer than the model allows"
+            ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
         top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
     _draw_data(result, ax, scale)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
@@ -164,8 +209,10 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     color = colours(ax).vermilion
     style = {"color": color, "capsize": 2, "zorder": 3, "linestyle": "none"}
     plain = kind == "length"
-    if plain.any():
-        ax.errorbar(x[plain], y[plain], sigma[plain], fmt="o", label="measured ± σ", **style)
+    for marker, name, rows in _by_specimen(result):
+        rows = rows & plain
+        if rows.any():
+            ax.errorbar(x[rows], y[rows], sigma[rows], fmt=marker, label=f"{name} ± σ", **style)
     whole = kind == "whole"
     if whole.any():
         half = scale[whole] / 2
@@ -173,6 +220,17 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     beyond = kind == "at_least"
     if beyond.any():
         ax.plot(x[beyond], y[beyond], "^", color=color, ms=6, label="at least this long: no arrest seen")
+
+
+def _by_specimen(result: "FitResult") -> Iterator[tuple[str, str, np.ndarray]]:
+    """Marker, name and measurements of each specimen; of all together where there is one, or too many."""
+    specimen = np.array(result.measurements.specimen)
+    names = list(dict.fromkeys(specimen.tolist()))
+    if not 1 < len(names) <= len(MARKERS):
+        yield "o", "measured", np.ones(len(result.measurements), bool)
+        return
+    for marker, name in zip(MARKERS, names, strict=False):
+        yield marker, name, specimen == name
 
 
 def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -227,7 +285,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     for n, piece in enumerate(result.intervals[result.names[0]][BAND_LEVEL]):
         label = f"{BAND_LEVEL:.0%} interval" if n == 0 else None
         ax.axvspan(piece.low, piece.high, facecolor=c.grey, edgecolor=c.ink, alpha=0.35, lw=0.8, label=label)
-    ax.axvline(result.values[result.names[0]], color=c.ink, lw=1, ls=":", label="best fit")
+    ax.axvline(result.values[result.names[0]], color=c.ink, lw=1, ls=":", label=_best(result))
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
     if largest > 0:
@@ -236,8 +294,9 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
         ax.set_ylim(0, 1.1 * largest)
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
-    handles, title = handles_of(ax, again=any_again), "Length versus stiffness; bands: measured ± σ"
-    ax.legend(handles=handles, **ABOVE, ncols=3, fontsize="small", title=title, alignment="left")
+    look: dict[str, Any] = ABOVE | {"columnspacing": 0.8, "handlelength": 1.2}
+    title = "Length versus stiffness; bands: measured ± σ"
+    ax.legend(handles=handles_of(ax, again=any_again), **look, ncols=3, fontsize="small", title=title, alignment="left")
     return ax
 
 
@@ -252,19 +311,23 @@ def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float
 
 
 @drawn
-def residuals(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw (fitted − measured)/σ against the fitted length."""
+def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | None" = None) -> "Axes":
+    """Draw (fitted − measured)/σ against the fitted length, or against what `fit_lengths` has along its axis."""
     ax = axes(ax)
     c = colours(ax)
     scale, unit = _display_unit(result)
+    along, at = _abscissa(result) if along_height else ("length", result.fitted.length)
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
-    ax.plot(result.fitted.length * scale, result.residuals, "o", color=c.vermilion)
-    ax.set_xlabel(axis_label("length", unit).replace("precursor", "fitted"))
-    ax.set_ylabel("(fitted − measured)/σ")
+    for marker, _, rows in _by_specimen(result):
+        ax.plot((at * scale)[rows], result.residuals[rows], marker, color=c.vermilion)
+    label = axis_label(along, unit)
+    ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
+    ax.set_ylabel("off by, in σ" if along_height else "(fitted − measured)/σ")
     reach = max(2.5, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
-    ax.legend(loc="upper right")
+    if not along_height:
+        ax.legend(**ABOVE)
     return ax
 
 
@@ -352,7 +415,7 @@ def confidence_region(
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=c.vermilion, ms=8)
     _name(q.free[i], ax.xaxis)
     _name(q.free[j], ax.yaxis)
-    ax.set_title("68 % and 95 % regions, + best fit")
+    ax.set_title(f"68 % and 95 % regions, + {_best(result)}")
     return ax
 
 
@@ -439,7 +502,13 @@ def _group_names(result: "FitResult", groups: list[np.ndarray]) -> list[str]:
     if one.log_push is not None:
         numbers["$h/H$"] = np.exp(one.log_push)
     differ = {name: x for name, x in numbers.items() if np.ptp(x) > 1e-9 * np.abs(x).max()}
-    return [", ".join(["best fit", *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
+    return [", ".join([_best(result), *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
+
+
+def _best(result: "FitResult") -> str:
+    """What the curve of least deviance is called: no fit where the model is rejected."""
+    rejected = result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
+    return "closest (rejected)" if rejected else "best fit"
 
 
 def _longest(result: "FitResult", height: np.ndarray, row: int) -> np.ndarray:

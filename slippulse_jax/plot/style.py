@@ -18,7 +18,7 @@ from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
 
@@ -133,12 +133,22 @@ def axes(ax: "Axes | None" = None) -> "Axes":
 
 
 @contextmanager
-def new_figure(width: float, height: float) -> "Iterator[Figure]":
-    """Make a figure of several panels, unknown to pyplot, and draw it in the look; sizes in inches."""
+def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterator[Figure | SubFigure]":
+    """Make a figure of several panels, unknown to pyplot, and draw it in the look; sizes in inches.
+
+    With `ax`, an Axes of a grid as ``plt.subplots`` makes them, the panels take its place.
+    """
     from matplotlib.figure import Figure
 
-    with _in_force():
-        yield Figure(figsize=(width, height), layout="constrained")
+    if ax is None:
+        with _in_force():
+            yield Figure(figsize=(width, height), layout="constrained")
+        return
+    place, figure = ax.get_subplotspec(), ax.get_figure()
+    if place is None or figure is None:
+        raise ValueError("ax: a figure of several panels takes the place of an Axes of a grid, as plt.subplots() makes it")
+    ax.remove()
+    yield figure.add_subfigure(place)
 
 
 def drawn(function: Draw) -> Draw:

@@ -20,10 +20,11 @@ from slippulse_jax.block import OF_SIDE, Control, Push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
-from slippulse_jax.inference.design.report import report, to_dict
+from slippulse_jax.inference.design.report import BIT, label, report, scale_of, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
 from slippulse_jax.lattice.events import Event
+from slippulse_jax.plain import html
 
 MOST_EXPERIMENTS = 12
 
@@ -90,6 +91,19 @@ class Design:
 
     def __str__(self) -> str:
         return self.report()
+
+    def _repr_html_(self) -> str:
+        scale, unit = scale_of(self)
+        rows = [
+            (
+                label(self.candidates[i], self.candidates),
+                f"{self.expected_length[i, 0] * scale[i]:.4g} ± {self.expected_length[i, 1] * scale[i]:.2g} {unit}",
+                f"{self.information[i] / BIT:.3f} bit",
+                f"{self.log_stderr[i]:.3g}",
+            )
+            for i in self.ranking
+        ]
+        return html("Design, the most informative first", rows, ("candidate", "length", "information", "se of ln k"))
 
     def __repr__(self) -> str:
         return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"

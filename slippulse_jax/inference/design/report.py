@@ -43,7 +43,7 @@ def report(found: "Design") -> str:
     wide = max(len(label(c, found.candidates)) for c in found.candidates)
     apart = f" {'told apart':>11}" if several else ""
     lines.append(f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'D-optimal':>10} {'se of ln k':>11}{apart}")
-    scale, name = _scale(found)
+    scale, name = scale_of(found)
     for place, i in enumerate(found.ranking, 1):
         mean, sd = found.expected_length[i] * scale[i]
         span = f"{mean:8.4g} ± {sd:<6.2g}{name}" if np.isfinite(mean) else "never stops"
@@ -69,7 +69,7 @@ def report(found: "Design") -> str:
 def _by_root(found: "Design") -> str:
     """Length expected of the best candidate under each root."""
     k, best = found.knowledge, found.best
-    scale, name = _scale(found)
+    scale, name = scale_of(found)
     seen = []
     for root, (_, value, _) in enumerate(k.roots):
         own = (k.labels == root) & np.isfinite(found.length[:, best])
@@ -103,7 +103,8 @@ def _small(x: float) -> str:
     return f"{x:.3f}" if x >= 5e-4 else "0.001" if x > 1e-4 else "0.000"
 
 
-def _scale(found: "Design") -> tuple[np.ndarray, str]:
+def scale_of(found: "Design") -> tuple[np.ndarray, str]:
+    """Size of λc in the unit of lengths, for each candidate, and the name of the unit."""
     if found.knowledge.in_si:
         return np.array([(c.correlation_length or 0) * 1e3 for c in found.candidates]), "mm"
     return np.ones(len(found.candidates)), "λc"
