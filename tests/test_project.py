@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import documented
@@ -205,3 +206,16 @@ def test_notebook_runs_and_is_committed_with_its_output(name, client):
 
 def test_there_are_notebooks():
     assert NOTEBOOKS
+
+
+def test_release_is_one_everywhere():
+    """Version, change log and citation agree; the workflow tries the Python versions that the metadata name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text("utf-8")
+    latest, date = re.search(r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), flags=re.M).groups()
+    assert re.search(r"^version: (\S+)$", citation, flags=re.M)[1] == latest == project["version"]
+    assert re.search(r'^date-released: "(.*)"$', citation, flags=re.M)[1] == date
+    tried = re.search(r"python: \[(.*)\]", (ROOT / ".github/workflows/test.yml").read_text("utf-8"))[1]
+    named = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
+    assert re.findall(r"3\.\d+", tried) == named
+    assert project["requires-python"] == f">={named[0]}"

@@ -172,8 +172,8 @@ def posterior(
         "posterior": xarray.Dataset(columns, where, {"seed": seed}),
         "sample_stats": xarray.Dataset({"diverging": (("chain", "draw"), diverging)}, where),
     }
-    make: Any = getattr(az, "InferenceData", None)  # until ArviZ 1
-    return make(**groups) if make else xarray.DataTree.from_dict(groups)
+    before_1 = az.__version__.startswith("0.")
+    return az.InferenceData(**groups) if before_1 else xarray.DataTree.from_dict(groups)  # pyright: ignore
 
 
 def theta_of(result: "FitResult", samples: Any) -> np.ndarray:
