@@ -24,7 +24,7 @@ release = version = version_of("slippulse_jax")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "records"]
 templates_path = []
-exclude_patterns = ["_build", "tables", "figures", "pictures"]
+exclude_patterns = ["paper.md", "_build", "tables", "figures", "pictures"]
 html_math_renderer = "mathml"
 nb_execution_mode = "off"
 myst_enable_extensions = ["dollarmath", "colon_fence"]

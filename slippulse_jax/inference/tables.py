@@ -30,7 +30,8 @@ Without a column of σ the errors are taken as equal, and their size from the sc
     where the side is pushed: height of the middle of the pusher over the interface, and its own height; with the width blank,
     height of its lower end, all above being pushed. ``displacement`` (default) or ``force`` is held. `fit` then takes
     the body for a block under two-dimensional elasticity
-``specimen`` (any text), ``provenance`` (measured, printed, digitised or synthetic)
+``specimen``, ``provenance``
+    any text, which ``--each-specimen`` refers to; and one of measured, printed, digitised, synthetic
 ``label``
     a name for the precursor, by which the table of gauges refers to it (`read_gauges`)
 

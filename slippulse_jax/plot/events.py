@@ -7,7 +7,7 @@ import numpy as np
 
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, table
 from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.plot.style import axes, colours, drawn
+from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
             )
     ax.set(xlabel=axis_label("load", "u_s"), ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
-    ax.legend(frameon=False, title="event", alignment="left", loc="lower right")
+    ax.legend(**ABOVE, ncols=2, title="event", alignment="left")
     return ax
 
 
@@ -72,5 +72,5 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
         if chosen.any():
             ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=NAMES.get(kind, kind.name.lower()))
     ax.set(xlabel=DISTANCE, ylabel=axis_label("load", "u_s"))
-    ax.legend(frameon=False, title="event", alignment="left", loc="lower right", markerscale=3)
+    ax.legend(**ABOVE, ncols=2, title="event", alignment="left", markerscale=3)
     return ax

@@ -59,7 +59,8 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
         for name in NAMES
         if name in column.coords and not column[name].ndim
     ]
-    ax.set_title(", ".join(fixed), fontsize="medium")
+    above = ax.get_legend() is not None and not len(ax.lines)  # that of a map
+    ax.set_title(", ".join(fixed), fontsize="medium", pad=16 if above else None)
     return ax
 
 
@@ -96,8 +97,7 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
         shaded = again.transpose(vertical, horizontal).values
         ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["///"]).set_edgecolor("white")
         key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="///", label=AGAIN)
-        # over any colour of the map, on a page of any
-        ax.legend(handles=[key], loc="lower left", frameon=True, facecolor="white", framealpha=0.85, labelcolor="black")
+        ax.legend(handles=[key], **style.ABOVE)
     _scale(ax.set_xscale, x)
     _scale(ax.set_yscale, y)
     ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))

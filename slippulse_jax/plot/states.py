@@ -38,7 +38,7 @@ def displacements(
             ax.plot(np.asarray(state.upper)[shown], style, color=c.blue, label=f"upper $u_t${when}")
             ax.plot(np.asarray(state.layer)[shown], style, color=c.vermilion, label=f"layer $u${when}")
     ax.set(xlabel=DISTANCE, ylabel=axis_label("displacement", "u_s"))
-    ax.legend(frameon=False)
+    ax.legend(**ABOVE, ncols=3)
     return ax
 
 
@@ -64,7 +64,7 @@ def stress(
     if chain is not None:
         ax.plot(np.asarray(chain.threshold)[shown], ":", color=c.grey, label="threshold")
     ax.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
-    ax.legend(frameon=False)
+    ax.legend(**ABOVE, ncols=3)
     return ax
 
 
@@ -85,7 +85,7 @@ def front_stress(
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
     ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
     # above the Axes: inside, it would lie on the threshold or on the curve
-    ax.legend(**ABOVE, ncols=3, frameon=False)
+    ax.legend(**ABOVE, ncols=3)
     return ax
 
 
@@ -124,5 +124,5 @@ def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | Non
         ax.axvline(length, color=c.green, linestyle="--", linewidth=1, label=f"$\\ell = {length:.2f}\\,\\lambda_c$")
     ax.set_yscale("symlog", linthresh=1, linscale=0.7)
     ax.set(xlabel=DISTANCE, ylabel="derivative of $\\ell$, $\\lambda_c/\\sigma_s$")
-    ax.legend(frameon=False)
+    ax.legend(**ABOVE, ncols=3)
     return ax
