@@ -89,13 +89,23 @@ def command_line() -> str:
     return "\n".join(parts)
 
 
+COLON = "\ue000"
+
+
+def hide_colons(app: object, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """A colon in the first line of a property is one of the sentence; napoleon would take what is before it for a type."""
+    if what in ("property", "attribute"):
+        lines[:1] = [line.replace(":", COLON) for line in lines[:1]]
+
+
 def as_text(app: object, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Docstrings write |x| for an absolute value, which reStructuredText would take for a substitution."""
-    lines[:] = [line.replace("|", "\\|") for line in lines]
+    lines[:] = [line.replace("|", "\\|").replace(COLON, ":") for line in lines]
 
 
 def setup(app: object) -> None:
     """Called by Sphinx."""
     app.add_lexer("csv", TextLexer)  # pyright: ignore[reportAttributeAccessIssue]
+    app.connect("autodoc-process-docstring", hide_colons, priority=100)  # pyright: ignore[reportAttributeAccessIssue]
     app.connect("autodoc-process-docstring", as_text)  # pyright: ignore[reportAttributeAccessIssue]
     app.connect("builder-inited", gather)  # pyright: ignore[reportAttributeAccessIssue]

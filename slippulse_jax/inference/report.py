@@ -18,7 +18,8 @@ from slippulse_jax.theory import rebreaking_b
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER)
+WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
+"""Verdicts whose reason says already that there are none."""
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
 
@@ -111,14 +112,18 @@ def _values(result: "FitResult") -> list[str]:
         symbol, unit = shown.get(name, ("k/K", ""))
         rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
         narrow = _narrowest(intervals.get(name, {}))
-        for level, pieces in intervals.get(name, {}).items():
-            if not pieces and result.verdicts.get(name, verdict).identifiability in WITHOUT_INTERVALS:
-                continue
-            text = (
-                " or ".join(interval(piece, value, narrow) for piece in pieces) or "none: no value gives these lengths within σ"
-            )
+        by_level = intervals.get(name, {})
+        for level, pieces in by_level.items():
+            text = " or ".join(interval(piece, value, narrow) for piece in pieces)
             how = " (calibrated)" if result.request["intervals"] == "calibrated" else ""
-            rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text}")
+            if text or any(by_level.values()):
+                rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text or 'none'}")
+        if (
+            by_level
+            and not any(by_level.values())
+            and result.verdicts.get(name, verdict).identifiability not in WITHOUT_INTERVALS
+        ):
+            rows.append(f"  {'':{width}s} intervals  none: no value gives these lengths within σ")
         own = result.verdicts.get(name)
         if own not in (None, verdict) and own.identifiability is not Identifiability.IDENTIFIED:
             reason = f": {own.reason}" if own.reason else ""
