@@ -160,15 +160,7 @@ def test_request_of_a_hundred_million_points_is_small():
         "stiffness": np.geomspace(1e-3, 0.03, 1000),
         "poisson": np.linspace(0.1, 0.45, 100),
     }
-    request = make_request(
-        given,
-        points=False,
-        outputs=("length",),
-        right="semi-infinite",
-        sites=None,
-        max_contacts=100,
-        push_control="displacement",
-    )
+    request = make_request(given, False, ("length",), "semi-infinite", None, 100, "displacement")
     assert request.size == 10**8
     columns = request.columns((slice(987, 988), slice(653, 655), slice(30, 33)))
     np.testing.assert_array_equal(columns["poisson"], np.tile(given["poisson"][30:33], 2))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from distributed import Client, LocalCluster, Nanny, WorkerPlugin
+from distributed import Client, LocalCluster, WorkerPlugin
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
@@ -141,28 +141,28 @@ def test_worker_of_other_digits_is_refused(reference, tmp_path, client):
 def test_workers_are_killed(reference, tmp_path, kills):
     """Dask starts them anew and gives their chunks to others; nothing is computed twice but what was cut off."""
     rng = np.random.default_rng(kills)
-    with cluster(2) as found, Client(found) as client:
+    with cluster(2 if kills < 10 else 4) as found, Client(found) as client:
         found.scheduler.allowed_failures = 100  # of tasks on lost workers; 50 kills in a few seconds are no cluster's usual day
-        client.register_plugin(Counted(tmp_path / "log", 0.02 if kills < 10 else 0.3))
+        client.register_plugin(Counted(tmp_path / "log", 0.5 if kills > 10 else 0.05))
         killed = 0
         store = tmp_path / "s"
         script = sweeping(found.scheduler_address, store)
         while script.poll() is None and killed < kills:
-            target = rng.integers(0, 3)
-            before = written(store)
-            while script.poll() is None and written(store) < before + target:
+            enough = written(store) + 1
+            while script.poll() is None and written(store) < enough:
                 time.sleep(0.005)
-            workers = [nanny for nanny in found.workers.values() if isinstance(nanny, Nanny) and nanny.pid]
-            if workers and store.exists():
+            time.sleep(rng.uniform(0, 0.05))
+            workers = [nanny for nanny in found.workers.values() if nanny.pid]
+            if workers and script.poll() is None:
                 os.kill(workers[rng.integers(len(workers))].pid, signal.SIGKILL)
                 killed += 1
-            time.sleep(rng.uniform(0, 0.5))
         _, err = script.communicate(timeout=300)
         assert script.returncode == 0, err
     assert contents(store) == contents(reference)
     assert killed >= 0.8 * kills
     computed = len((tmp_path / "log").read_text().splitlines())
-    assert CHUNKS <= computed <= CHUNKS + 2 * killed + 2, "cut off, and one chunk compared per process"
+    assert CHUNKS <= computed <= CHUNKS + 2 * killed + 4, "cut off, and one chunk compared per process"
+    print(f"{killed} kills; {computed} computations of {CHUNKS} chunks")
 
 
 def sweeping(address, store):

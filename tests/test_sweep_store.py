@@ -149,7 +149,7 @@ def test_chunks_are_regular_and_large(shape, points):
     assert 2 * size > points or chunk == shape
     if np.prod(shape, dtype=int) < 1e5:
         found = np.zeros(shape, int)
-        for region in regions(shape, chunk):
+        for region in regions(shape, points):
             found[region] += 1
         assert (found == 1).all()
 
@@ -434,14 +434,14 @@ def test_what_is_not_a_store(tmp_path):
 
 def test_killed_while_the_store_was_made(reference, tmp_path, monkeypatch):
     """What is there of a store without a manifest is made again; results without one are nobody's."""
-    put, calls = stores.Place.put, iter(range(100))
+    put, calls = stores.write_atomically, iter(range(100))
 
     def killed(*arguments):
         if next(calls) == 3:
             raise KeyboardInterrupt
         put(*arguments)
 
-    monkeypatch.setattr(stores.Place, "put", killed)
+    monkeypatch.setattr(stores, "write_atomically", killed)
     with pytest.raises(KeyboardInterrupt):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
     monkeypatch.undo()

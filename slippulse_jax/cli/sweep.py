@@ -1,6 +1,7 @@
 """``slippulse sweep``."""
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,18 +96,19 @@ def command(
         raise click.UsageError("--share and --chunk go with --store")
     if share and scheduler:
         raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
-    found = _sweep(
-        store,
-        **values,
-        outputs=outputs.split(","),
-        points=points,
-        right=right,
-        sites=sites,
-        resume=resume,
-        chunk=chunk,
-        share=share,
-        client=_client(scheduler) if scheduler else None,
-    )
+    with _client(scheduler) if scheduler else nullcontext() as client:
+        found = _sweep(
+            store,
+            **values,
+            outputs=outputs.split(","),
+            points=points,
+            right=right,
+            sites=sites,
+            resume=resume,
+            chunk=chunk,
+            share=share,
+            client=client,
+        )
     _hand_over(found, out, figure, as_json, store)
 
 

@@ -18,8 +18,7 @@ from slippulse_jax.sweeps.store import Store, StoreError
 if TYPE_CHECKING:
     from distributed import Client
 
-PROBE, RETRIES = 1024, 2
-"""Points computed again to compare their digits; times that Dask tries a task again that failed."""
+PROBE, RETRIES = 1024, 2  # points computed again to compare their digits; times that Dask tries again a task that failed
 
 
 class Probe(NamedTuple):
@@ -43,23 +42,11 @@ def _probe(region: Region, columns: Columns, origin: str) -> Probe:
 
 
 def _stored_probe(store: Store) -> Probe | None:
-    origin = f"stored in {store.url}, computed on {store.about['processor']}"
-    found = ((region, _look(store, region)[0]) for region in store.present())
-    return next((_probe(region, columns, origin) for region, columns in found if columns is not None), None)
-
-
-def _look(store: Store, region: Region) -> tuple[Columns | None, str]:
-    """Values of a chunk if it is there and whole; and what is wrong with it if it is damaged."""
-    try:
-        return store.read(region), ""
-    except StoreError as error:
-        return None, str(error)
-
-
-def values(request: Request, chunks: list[Region]) -> Iterator[tuple[Region, Columns]]:
-    """Compute the values of chunks in this process."""
-    for region in chunks:
-        yield region, evaluate(request, region)
+    for region in store.present():
+        columns, _ = store.read(region)
+        if columns is not None:
+            return _probe(region, columns, f"stored in {store.url}, computed on {store.about['processor']}")
+    return None
 
 
 def complete(store: Store, chunks: list[Region]) -> Iterator[tuple[Region, str]]:
@@ -69,7 +56,7 @@ def complete(store: Store, chunks: list[Region]) -> Iterator[tuple[Region, str]]
     with ThreadPoolExecutor(1) as writer:
         writing: Future[None] | None = None
         for region in chunks:
-            there, damage = _look(store, region)
+            there, damage = store.read(region)
             columns = evaluate(store.request, region) if there is None else None
             if writing is not None:
                 writing.result()
@@ -113,7 +100,7 @@ def _task(region: Region, work: Request | Store, first: Probe | None) -> Any:
                 _checked.add(request.digest)
         if isinstance(work, Request):
             return evaluate(request, region)
-        there, damage = _look(work, region)
+        there, damage = work.read(region)
         if there is None:
             work.write(region, evaluate(request, region))
         return damage

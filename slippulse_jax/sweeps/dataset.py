@@ -13,15 +13,7 @@ import xarray as xr
 
 from slippulse_jax.bulk.threads import in_this_thread
 from slippulse_jax.sweeps.outputs import OUTPUTS, evaluate
-from slippulse_jax.sweeps.request import PARAMETERS, Columns, Request, chunk_shape, shape_of
-
-VERSIONS = ("slippulse_jax", "jax", "jaxlib")
-"""Packages on which the digits of a result depend, beside the request and the processor."""
-
-
-def in_memory(request: Request, columns: Columns) -> xr.Dataset:
-    """Label the values of a sweep."""
-    return labelled(request, columns, {**current_versions(), "complete": 1})
+from slippulse_jax.sweeps.request import PARAMETERS, Request, chunk_shape, shape_of
 
 
 def lazily(request: Request, points: int) -> xr.Dataset:
@@ -41,7 +33,7 @@ def lazily(request: Request, points: int) -> xr.Dataset:
             functools.partial(_block, part), chunks=chunk, dtype=dtype, meta=np.empty((0,) * len(chunk), dtype)
         )
         data |= {name: computed[name] for name in part.outputs}
-    return labelled(request, data, {**current_versions(), "complete": 1})
+    return labelled(request, data, complete=1)
 
 
 def _block(request: Request, block_info: Any = None) -> np.ndarray:
@@ -55,32 +47,26 @@ def _block(request: Request, block_info: Any = None) -> np.ndarray:
     return records
 
 
-def labelled(request: Request, data: dict[str, Any], about: dict[str, Any]) -> xr.Dataset:
-    """Arrays of the shape of the request as a dataset, with units, the request and `about` as attributes."""
+def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset:
+    """Arrays of the shape of the request as a dataset, with units; request, versions and `about` as attributes."""
     coords = {
         name: xr.Variable(() if not values.ndim else (name if request.product else "point"), values, _parameter(name))
         for name, values in request.parameters.items()
     }
     variables = {name: xr.Variable(request.dims, data[name], _output(name)) for name in request.outputs}
-    found = xr.Dataset(variables, coords)
-    found.attrs = {
+    attributes = {
         "title": "first precursor to sliding, slippulse_jax sweep",
         "source": "Braun & Scheibert, Tribology Letters (2014): the lattice model, and theory where an output says so",
         "request": json.dumps(request.describe()),
         "request_sha256": request.digest,
-        **about,
     }
-    return found
-
-
-def current_versions() -> dict[str, str]:
-    """Versions of the packages on which the digits depend."""
-    return {name: _version(name) for name in VERSIONS}
+    return xr.Dataset(variables, coords, attributes | current_versions() | about)
 
 
 @functools.cache
-def _version(name: str) -> str:
-    return version(name)
+def current_versions() -> dict[str, str]:
+    """Versions of the packages on which the digits of a result depend, beside the request and the processor."""
+    return {name: version(name) for name in ("slippulse_jax", "jax", "jaxlib")}
 
 
 def processor() -> str:
@@ -88,10 +74,8 @@ def processor() -> str:
     device = jax.devices()[0]
     if device.platform != "cpu":
         return device.device_kind
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:  # not Linux
-        lines = []
+    described = Path("/proc/cpuinfo")  # of Linux
+    lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 

@@ -3,10 +3,10 @@
 Rows are written as they are read, in constant memory.
 """
 
-import csv
 import io
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,36 +16,35 @@ import xarray as xr
 from slippulse_jax.files import write_atomically
 from slippulse_jax.plain import plain
 
-ROWS = 1 << 16
+ROWS = 1 << 18
 """Points read at a time."""
 
 
 def write(found: xr.Dataset, path: Path) -> None:
     """Write to ``.nc`` (with units, request and versions) or ``.csv``, whole or not at all."""
     if path.suffix == ".nc":
-        content = found.drop_encoding().to_netcdf(engine="h5netcdf")
-        write_atomically(path, bytes(content))
-        return
-    table = io.StringIO()
-    write_csv(found, table)
-    write_atomically(path, table.getvalue().encode())
+        content = bytes(found.drop_encoding().to_netcdf(engine="h5netcdf"))
+    else:
+        table = io.StringIO()
+        write_csv(found, table)
+        content = table.getvalue().encode()
+    write_atomically(path, content)
 
 
 def write_csv(found: xr.Dataset, file: TextIO) -> None:
     """Write one line per point, swept parameters and outputs; the last axis runs fastest."""
-    table = csv.writer(file, lineterminator="\n")
-    swept = [name for name in found.coords if found[name].ndim]
-    table.writerow([*swept, *found.data_vars])
-    if not found.sizes:
-        table.writerow(column.values.item() for column in found.data_vars.values())
-        return
-    dims = list(next(iter(found.data_vars.values())).dims)
-    step = max(1, ROWS // math.prod(found.sizes[dim] for dim in dims[1:]))
-    for start in range(0, found.sizes[dims[0]], step):
-        part = found.isel({dims[0]: slice(start, start + step)})
-        whole = [part[name].broadcast_like(part[next(iter(part.data_vars))]).transpose(*dims) for name in swept]
-        columns = [column.values.ravel().tolist() for column in (*whole, *part.data_vars.values())]
-        table.writerows(zip(*columns, strict=True))
+    columns = [*(name for name in found.coords if found[name].ndim), *found.data_vars]
+    for number, part in enumerate(_pieces(found)):
+        table = part.to_dataframe(dim_order=list(part.sizes)).reset_index()[columns]
+        table.to_csv(file, index=False, header=number == 0, na_rep="nan", lineterminator="\n")
+
+
+def _pieces(found: Any) -> Iterator[Any]:
+    """Parts of a dataset or variable, cut along its first dimension."""
+    found = found if found.sizes else found.expand_dims("point")
+    first, n = next(iter(found.sizes.items()))
+    step = max(1, ROWS * n // math.prod(found.sizes.values()))
+    yield from (found.isel({first: slice(start, start + step)}) for start in range(0, n, step))
 
 
 def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
@@ -81,11 +80,7 @@ def summary(found: xr.Dataset, where: str) -> str:
 def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
     """Smallest and largest finite value and number of values not finite, read piece by piece."""
     low, high, missing = math.inf, -math.inf, 0
-    pieces = [column]
-    if column.ndim:
-        step = max(1, (1 << 20) // max(1, column.size // column.shape[0]))
-        pieces = [column[start : start + step] for start in range(0, column.shape[0], step)]
-    for piece in pieces:
+    for piece in _pieces(column):
         values = piece.values
         finite = values[np.isfinite(values)]
         missing += values.size - finite.size

@@ -19,7 +19,7 @@ from slippulse_jax.lattice.rebreaking import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.sweeps.request import PUSH, SLIDER, Columns, Region, Request, shape_of
+from slippulse_jax.sweeps.request import INTERFACE, PUSH, SLIDER, Columns, Region, Request, shape_of
 
 LAYOUT = Layout(chunk=512)
 """Of the outputs that have no layout of their own."""
@@ -51,41 +51,31 @@ OUTPUTS = {
     "dlength_dstiffness": Output("derivative of length with respect to stiffness", "lambda_c", "gradient", _FRONT),
     "dlength_dpoisson": Output("derivative of length with respect to Poisson's ratio", "lambda_c", "gradient", _FRONT),
     "dlength_dprestress": Output("derivative of length with respect to prestress", "lambda_c/sigma_s", "gradient", _FRONT),
-    "dlength_dthreshold_slope": Output(
-        "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT
-    ),
+    "dlength_dthreshold_slope":
+        Output("derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
     "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ARREST_OUTCOMES),
-    "block_precursor_length": Output(
-        "length of the whole event of a block under two-dimensional elasticity", "lambda_c", "block",
-        _EXACT | {"push_height", "push_width"},
-    ),
+    "block_precursor_length": Output("length of the whole event of a block under two-dimensional elasticity", "lambda_c",
+                                     "block", _EXACT | {"push_height", "push_width"}),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
     "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
     "length_frozen": Output("length in the continuum with the upper layer frozen (Appendix)", "lambda_c", "theory"),
     "length_continuum": Output("length in the self-consistent continuum", "lambda_c", "theory"),
     "length_envelope": Output("length by a closed formula", "lambda_c", "theory"),
-    "length_macroscopic": Output(
-        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})
-    ),
+    "length_macroscopic":
+        Output("length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})),
     "runaway_prestress": Output("prestress beyond which nothing far from the edge stops a front", "sigma_s", "theory", _FRONT),
     "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", "slider"),
     "slow_decay_length": Output("decay length of the slow mode, 1/kappa_2", "lambda_c", "slider"),
-    "is_one_domino": Output(
-        "the event is one domino from the edge", "1", "front", _FRONT, "int8",
-        comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
-    ),
-    "is_continuous": Output(
-        "the continuum applies", "1", "validity", dtype="int8", comment=_FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10"
-    ),
-    "is_frozen": Output(
-        "the frozen upper layer applies", "1", "validity", dtype="int8",
-        comment=_FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
-    ),
-    "is_far_from_edge": Output(
-        "Eq. (25) applies", "1", "validity", dtype="int8", comment=_FLAG + "those of is_frozen, and kappa times this length > 3"
-    ),
+    "is_one_domino": Output("the event is one domino from the edge", "1", "front", _FRONT, "int8", comment=
+        "1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold"),
+    "is_continuous": Output("the continuum applies", "1", "validity", dtype="int8", comment=
+        _FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10"),
+    "is_frozen": Output("the frozen upper layer applies", "1", "validity", dtype="int8", comment=
+        _FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1"),
+    "is_far_from_edge": Output("Eq. (25) applies", "1", "validity", dtype="int8", comment=
+        _FLAG + "those of is_frozen, and kappa times this length > 3"),
 }  # fmt: skip
 """Every output, by name."""
 
@@ -153,7 +143,7 @@ def evaluate(request: Request, region: Region) -> Columns:
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
     """``function(slider, **options)`` on the points of one repinning delay after another: a program is compiled for each."""
     options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
-    if not request.has_interface:
+    if not INTERFACE.keys() & request.parameters:
         return function(_slider(columns), **options)
     n = len(columns["height"])
     delays = columns.get("repin_delay", np.zeros(n, np.int64))
@@ -243,33 +233,27 @@ def _theory_kernel(name: str) -> Kernel:
     return lambda lanes: (_LEVELS[name](Slider(*lanes)),)
 
 
-def _macroscopic(_: Request, columns: Columns) -> Columns:
-    (length,) = over_lanes(_macroscopic_kernel, _fields(columns, *SLIDER, "prestress"), LAYOUT)
-    return {"length_macroscopic": length}
+def _lanewise(kernel: Kernel, names: tuple[str, ...], *beyond: str) -> Callable[[Request, Columns], Columns]:
+    """The group of outputs that a kernel computes from the slider and parameters beyond it."""
+
+    def group(_: Request, columns: Columns) -> Columns:
+        return dict(zip(names, over_lanes(kernel, _fields(columns, *SLIDER, *beyond), LAYOUT), strict=True))
+
+    return group
 
 
-def _macroscopic_kernel(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
+def _macroscopic(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
     height, stiffness, poisson, prestress = lanes
     b = Slider(height, stiffness, poisson).b
     return (height * theory.macroscopic_length(b, poisson, prestress=prestress),)
 
 
-def _of_slider(_: Request, columns: Columns) -> Columns:
-    b, slow = over_lanes(_slider_kernel, _fields(columns, *SLIDER), LAYOUT)
-    return {"b": b, "slow_decay_length": slow}
-
-
-def _slider_kernel(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array]:
+def _of_slider(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array]:
     slider = Slider(*lanes)
     return slider.b, slider.slow_decay_length
 
 
-def _validity(_: Request, columns: Columns) -> Columns:
-    continuous, frozen, far = over_lanes(_validity_kernel, _fields(columns, *SLIDER), LAYOUT)
-    return {"is_continuous": continuous, "is_frozen": frozen, "is_far_from_edge": far}
-
-
-def _validity_kernel(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array, Array]:
+def _validity(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array, Array]:
     slider = Slider(*lanes)
     continuous = (slider.kappa_1 < 1 / 3) & (lanes[0] > 10)
     frozen = continuous & (slider.kappa_T**2 / slider.kappa**2 < 0.1)
@@ -284,15 +268,8 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
 
 
 _GROUPS = {
-    "length": _length,
-    "front": _front,
-    "load": _load,
-    "gradient": _gradient,
-    "exact": _exact,
-    "smooth": _smooth,
-    "block": _block,
-    "theory": _theory,
-    "macroscopic": _macroscopic,
-    "slider": _of_slider,
-    "validity": _validity,
-}
+    "length": _length, "front": _front, "load": _load, "gradient": _gradient, "exact": _exact, "smooth": _smooth,
+    "block": _block, "theory": _theory, "macroscopic": _lanewise(_macroscopic, ("length_macroscopic",), "prestress"),
+    "slider": _lanewise(_of_slider, ("b", "slow_decay_length")),
+    "validity": _lanewise(_validity, ("is_continuous", "is_frozen", "is_far_from_edge")),
+}  # fmt: skip

@@ -81,11 +81,6 @@ class Request(NamedTuple):
         """Number of points."""
         return math.prod(self.shape)
 
-    @property
-    def has_interface(self) -> bool:
-        """Whether any parameter of the interface was given."""
-        return any(name in self.parameters for name in INTERFACE)
-
     def columns(self, region: Region) -> Columns:
         """Parameters of the points of a region, the last axis running fastest."""
         shape = shape_of(region)
@@ -137,22 +132,16 @@ def chunk_shape(shape: tuple[int, ...], points: int) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-def regions(shape: tuple[int, ...], chunk: tuple[int, ...]) -> list[Region]:
-    """Cut a shape into chunks, the last axis running fastest."""
-    parts = ([slice(a, min(a + step, n)) for a in range(0, n, step)] for n, step in zip(shape, chunk, strict=True))
-    return list(itertools.product(*parts))
+def regions(shape: tuple[int, ...], points: int) -> list[Region]:
+    """Cut a shape into chunks of at most `points` points, the last axis running fastest."""
+    steps = zip(shape, chunk_shape(shape, points), strict=True)
+    return list(itertools.product(*([slice(a, min(a + step, n)) for a in range(0, n, step)] for n, step in steps)))
 
 
 def make_request(
-    given: dict[str, Any],
-    *,
-    points: bool,
-    outputs: tuple[str, ...],
-    right: RightEnd,
-    sites: int | None,
-    max_contacts: int,
+    given: dict[str, Any], points: bool, outputs: tuple[str, ...], right: RightEnd, sites: int | None, max_contacts: int,
     push_control: Control,
-) -> Request:
+) -> Request:  # fmt: skip
     """Check all parameters before anything is computed.
 
     Raises

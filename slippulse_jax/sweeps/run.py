@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
+from tqdm.auto import tqdm
 
 from slippulse_jax.block import Control
 from slippulse_jax.interface import Interface
@@ -16,7 +17,7 @@ from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.sweeps import compute, dataset
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose
-from slippulse_jax.sweeps.request import Region, Request, chunk_shape, make_request, regions, shape_of, with_interface
+from slippulse_jax.sweeps.request import Region, Request, make_request, regions, shape_of, with_interface
 from slippulse_jax.sweeps.store import Place, Store, StoreError, check_same, create, open_store
 
 if TYPE_CHECKING:
@@ -30,31 +31,15 @@ TASKS, LEAST = 256, 1 << 12
 
 
 def sweep(
-    *,
-    height: ArrayLike,
-    stiffness: ArrayLike,
-    poisson: ArrayLike,
-    prestress: ArrayLike | None = None,
-    threshold_slope: ArrayLike | None = None,
-    repin_delay: ArrayLike | None = None,
-    width: ArrayLike | None = None,
-    push_height: ArrayLike | None = None,
-    push_width: ArrayLike | None = None,
-    push_control: Control = "displacement",
-    interface: Interface | None = None,
-    points: bool = False,
+    *, height: ArrayLike, stiffness: ArrayLike, poisson: ArrayLike,
+    prestress: ArrayLike | None = None, threshold_slope: ArrayLike | None = None, repin_delay: ArrayLike | None = None,
+    width: ArrayLike | None = None, push_height: ArrayLike | None = None, push_width: ArrayLike | None = None,
+    push_control: Control = "displacement", interface: Interface | None = None, points: bool = False,
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
-    right: RightEnd = "semi-infinite",
-    sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
-    store: str | os.PathLike[str] | None = None,
-    resume: bool = True,
-    chunk: int | None = None,
-    share: tuple[int, int] | None = None,
-    client: "Client | None" = None,
-    lazy: bool = False,
-    progress: bool | None = None,
-) -> xr.Dataset:
+    right: RightEnd = "semi-infinite", sites: int | None = None, max_contacts: int = DEFAULT_MAX_CONTACTS,
+    store: str | os.PathLike[str] | None = None, resume: bool = True, chunk: int | None = None,
+    share: tuple[int, int] | None = None, client: "Client | None" = None, lazy: bool = False, progress: bool | None = None,
+) -> xr.Dataset:  # fmt: skip
     """Compute first precursors over ranges of parameters, as a labelled dataset.
 
     Parameters
@@ -118,22 +103,17 @@ def sweep(
     }  # fmt: skip
     given = with_interface(given, interface)
     chosen = choose(outputs, {name for name, values in given.items() if values is not None})
-    request = make_request(
-        given, points=points, outputs=chosen, right=right, sites=sites, max_contacts=max_contacts, push_control=push_control
-    )
-    _check_right_end(request)
-    if chunk is not None and chunk < 1:
-        raise ValueError(f"chunk = {chunk}: must be at least one point")
-    _check_ways(store, share, client, lazy)
+    request = make_request(given, points, chosen, right, sites, max_contacts, push_control)
+    _check_options(request, store, chunk, share, client, lazy)
     most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
     if lazy:
         return dataset.lazily(request, most)
     if store is None:
         columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
-        for region, found in _run(request, regions(request.shape, chunk_shape(request.shape, most)), client, progress):
+        for region, found in _run(request, regions(request.shape, most), client, progress):
             for name, values in found.items():
                 columns[name][region] = values
-        return dataset.in_memory(request, columns)
+        return dataset.labelled(request, columns, complete=1)
     place = Place(store)
     resumed = place.is_store
     if resumed and not resume:
@@ -142,28 +122,26 @@ def sweep(
         create(place, request, most, dataset.processor() if client is None else client.submit(dataset.processor).result())
     opened = open_store(place)
     check_same(opened, request, chunk)
-    for _, damage in _run(opened, _order(opened.regions, share, resumed), client, progress):
+    chunks = opened.regions[share[0] :: share[1]] if share else opened.regions
+    if resumed:  # another process may be at work: two seldom compute the same chunk
+        np.random.default_rng().shuffle(chunks)
+    for _, damage in _run(opened, chunks, client, progress):
         if damage:
             warnings.warn(f"{damage}: computing it again", RuntimeWarning, stacklevel=2)
     return opened.dataset()
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a stored sweep, finished or not, as a labelled dataset.
+    """Open a stored sweep, finished or not, as a labelled dataset whose values are read on demand.
 
-    Its values are read on demand.
-
-    Points not yet computed are NaN (−1 in whole numbers), and the attribute ``complete`` is 0 then.
+    Points not yet computed are NaN (−1 in whole numbers), and the attribute ``complete`` is 0 then. ``xarray.open_zarr`` opens
+    it too, without the checks and without this package.
 
     Raises
     ------
     StoreError
-        If there is no sweep, or a damaged one.
-
-    Notes
-    -----
-    ``xarray.open_zarr(store)`` opens it too, without the checks and without this package. Zarr raises a ValueError when it
-    reads a damaged chunk; the same sweep, resumed, names the damaged chunks and computes them again.
+        If there is no sweep, or a damaged one. A damaged chunk is an error of Zarr's when it is read; the same sweep, resumed,
+        names it and computes it again.
     """
     return open_store(Place(store)).dataset()
 
@@ -175,47 +153,34 @@ def default_chunk(request: Request, *, tasks: bool) -> int:
     return min(chunk, max(LEAST, -(-request.size // TASKS))) if tasks else chunk
 
 
-def _check_right_end(request: Request) -> None:
-    if request.right == "semi-infinite":
-        return
+def _check_options(request: Request, store: Any, chunk: int | None, share: Any, client: Any, lazy: bool) -> None:
+    """Check that the outputs suit the chain, and that the ways to compute them go together."""
     for name in request.outputs:
-        if OUTPUTS[name].group not in ("length", "front", "load", "gradient"):
+        if request.right != "semi-infinite" and OUTPUTS[name].group not in ("length", "front", "load", "gradient"):
             raise ValueError(f"output {name!r} is for a semi-infinite chain, not right = {request.right!r}")
-
-
-def _check_ways(store: Any, share: tuple[int, int] | None, client: Any, lazy: bool) -> None:
-    """Check that the ways to compute a sweep go together."""
+    if chunk is not None and chunk < 1:
+        raise ValueError(f"chunk = {chunk}: must be at least one point")
     if lazy and (store is not None or client is not None):
         raise ValueError("lazy = True takes no store and no client: dask computes the dataset wherever it computes others")
-    if share is None:
-        return
-    index, count = share
-    if not 0 <= index < count:
+    if share is not None and not 0 <= share[0] < share[1]:
         raise ValueError(f"share = {share}: must be (index, number of processes) with 0 <= index < number")
-    if client is not None:
+    if share is not None and client is not None:
         raise ValueError("share is for processes without a scheduler: leave it out with a client")
-    if store is None:
-        raise ValueError(f"{count} processes share this sweep: give it a store they can all write to")
-
-
-def _order(chunks: list[Region], share: tuple[int, int] | None, resumed: bool) -> list[Region]:
-    """Chunks of this process; shuffled where others may be at work, so that two seldom compute the same chunk."""
-    index, count = share or (0, 1)
-    mine = chunks[index::count]
-    return [mine[i] for i in np.random.default_rng().permutation(len(mine))] if resumed else mine
+    if share is not None and store is None:
+        raise ValueError(f"{share[1]} processes share this sweep: give it a store they can all write to")
 
 
 def _run(work: Request | Store, chunks: list[Region], client: Any, progress: bool | None) -> Iterator[tuple[Region, Any]]:
     """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
     if client is not None:
         results = compute.on_cluster(client, work, chunks)
+    elif isinstance(work, Store):
+        results = compute.complete(work, chunks)
     else:
-        results = compute.complete(work, chunks) if isinstance(work, Store) else compute.values(work, chunks)
-    from tqdm.auto import tqdm
-
-    disable = None if progress is None else not progress
+        results = ((region, compute.evaluate(work, region)) for region in chunks)
     size = sum(math.prod(shape_of(region)) for region in chunks)
-    with tqdm(total=size, unit=" points", unit_scale=True, disable=disable, desc="sweep") as bar:
+    hidden = None if progress is None else not progress
+    with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
         for region, result in results:
             yield region, result
             bar.update(math.prod(shape_of(region)))

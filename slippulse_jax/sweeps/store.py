@@ -6,7 +6,6 @@ and the last output of the request after the others of a chunk: so a group with 
 output is there is finished. Every process writes the same bytes for a chunk.
 """
 
-import dataclasses
 import functools
 import json
 import os
@@ -61,39 +60,18 @@ class Place:
             raise StoreError(f"{self.url}: a store of slippulse_jax 0.1 (.npz files), which only that version reads")
         return MANIFEST in self
 
-    def put(self, key: str, content: bytes) -> None:
-        """Write a small file, whole or not at all."""
-        path = f"{self.root}/{key}"
-        if isinstance(self.files, LocalFileSystem):
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, content)
-        else:
-            self.files.pipe_file(path, content)
 
-
-@dataclasses.dataclass(frozen=True)
 class Store:
-    """The stored sweep at a place, finished or not, with at most `chunk` points in each chunk."""
+    """The stored sweep at a place, finished or not, with at most `chunk` points in each chunk; `about` are its attributes."""
 
-    place: Place
-    request: Request
-    chunk: int
-    about: dict[str, Any]
-
-    @property
-    def url(self) -> str:
-        """Address of the store."""
-        return self.place.url
-
-    @property
-    def chunk_shape(self) -> tuple[int, ...]:
-        """Points of a chunk along each dimension."""
-        return chunk_shape(self.request.shape, self.chunk)
+    def __init__(self, place: Place, request: Request, chunk: int, about: dict[str, Any]) -> None:
+        self.place, self.request, self.chunk, self.about = place, request, chunk, about
+        self.url, self.chunk_shape = place.url, chunk_shape(request.shape, chunk)
 
     @property
     def regions(self) -> list[Region]:
         """The part of the result that each chunk holds."""
-        return regions(self.request.shape, self.chunk_shape)
+        return regions(self.request.shape, self.chunk)
 
     def key(self, region: Region, name: str) -> str:
         """Key of a chunk of one output: its place in the store."""
@@ -106,19 +84,13 @@ class Store:
         there = {path.removeprefix(f"{self.place.root}/") for path in self.place.files.find(f"{self.place.root}/{last}/c")}
         return [region for region in self.regions if self.key(region, last) in there]
 
-    def read(self, region: Region) -> Columns | None:
-        """Read one chunk of all outputs; None if it has not been computed.
-
-        Raises
-        ------
-        StoreError
-            If it is damaged, naming the file.
-        """
-        if self.key(region, self.request.outputs[-1]) not in self.place:
-            return None
+    def read(self, region: Region) -> tuple[Columns | None, str]:
+        """Values of a chunk of all outputs if it is there and whole; and what is wrong with it if it is damaged."""
+        keys = {name: self.key(region, name) for name in self.request.outputs}
+        if keys[self.request.outputs[-1]] not in self.place:
+            return None, ""
         columns: Columns = {}
-        for name in self.request.outputs:
-            key = self.key(region, name)
+        for name, key in keys.items():
             try:
                 columns[name] = np.asarray(self._arrays[name][region])
                 damage = "" if key in self.place else "it is missing"
@@ -127,8 +99,8 @@ class Store:
             except Exception as error:  # damaged bytes fail in as many ways as there are readers
                 damage = shortened(str(error))
             if damage:
-                raise StoreError(f"{self.url}: damaged chunk {key} ({damage})")
-        return columns
+                return None, f"{self.url}: damaged chunk {key} ({damage})"
+        return columns, ""
 
     def write(self, region: Region, columns: Columns) -> None:
         """Write one chunk of all outputs."""
@@ -139,16 +111,16 @@ class Store:
 
     @functools.cached_property
     def _arrays(self) -> dict[str, Any]:
-        with zarr.config.set({"array.write_empty_chunks": True}):  # a chunk of NaN is a result too
-            group = zarr.open_group(self.place.zarr, mode="r+")
-            return {name: group[name] for name in self.request.outputs}
+        group: Any = zarr.open_group(self.place.zarr, mode="r+")
+        found = ((name, group[name]) for name in self.request.outputs)
+        config: Any = {"write_empty_chunks": True}  # a chunk of NaN is a result too
+        return {name: zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for name, one in found}
 
     def dataset(self) -> xr.Dataset:
         """The sweep as a dataset, read on demand; its attribute ``complete`` is 1 once every chunk is there."""
         with _damage_named(self.place):
-            found = xr.open_zarr(self.place.zarr, chunks=None, consolidated=True)[
-                [*self.request.parameters, *self.request.outputs]
-            ]
+            found = xr.open_zarr(self.place.zarr, chunks=None, consolidated=True)
+            found = found[[*self.request.parameters, *self.request.outputs]]
         for output in found.data_vars.values():
             if "flag_values" in output.attrs:
                 output.attrs["flag_values"] = np.array(output.attrs["flag_values"], output.dtype)
@@ -157,13 +129,7 @@ class Store:
 
 
 def create(place: Place, request: Request, chunk: int, computed_on: str) -> None:
-    """Make a new store; another process may have just made it.
-
-    Raises
-    ------
-    StoreError
-        If there are other things at that place, or nothing can be written there.
-    """
+    """Make a new store where there is nothing else; another process may have just made it."""
     documents = _documents(request, chunk, computed_on)
     try:
         if place.files.isfile(place.root):
@@ -175,7 +141,12 @@ def create(place: Place, request: Request, chunk: int, computed_on: str) -> None
         if (others or any(f"{name}/c" in place for name in request.outputs)) and not place.is_store:
             raise StoreError(f"{place.url}: is a folder with other things in it; give a new or empty one")
         for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest after all else
-            place.put(key, documents[key])
+            path = f"{place.root}/{key}"
+            if isinstance(place.files, LocalFileSystem):
+                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, documents[key])
+            else:
+                place.files.pipe_file(path, documents[key])
     except OSError as error:
         raise StoreError(f"{place.url}: no store can be made there ({error.strerror or error})") from None
 
@@ -183,8 +154,7 @@ def create(place: Place, request: Request, chunk: int, computed_on: str) -> None
 def _documents(request: Request, chunk: int, computed_on: str) -> dict[str, bytes]:
     """Content of a store before anything is computed, by key."""
     empty = {name: np.broadcast_to(_unknown(OUTPUTS[name].dtype), request.shape) for name in request.outputs}
-    about = {**current_versions(), "processor": computed_on, "chunk": chunk, "store_format": FORMAT}
-    template = labelled(request, empty, about)
+    template = labelled(request, empty, processor=computed_on, chunk=chunk, store_format=FORMAT)
     made: dict[str, Any] = {}
     group = zarr.create_group(MemoryStore(made), zarr_format=3, attributes=template.attrs)
     for name, variable in template.variables.items():
@@ -215,13 +185,7 @@ def _unknown(dtype: Any) -> np.ndarray:
 
 
 def open_store(place: Place) -> Store:
-    """Open the stored sweep at a place.
-
-    Raises
-    ------
-    StoreError
-        If there is none, or one of another format.
-    """
+    """Open the stored sweep at a place; a `StoreError` says what is there instead."""
     if not place.is_store:
         raise StoreError(f"{place.url}: not the store of a sweep ({MANIFEST} is missing)")
     with _damage_named(place):
@@ -252,13 +216,7 @@ def _damage_named(place: Place) -> Iterator[None]:
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Check that the store is of the same request, chunks and versions.
-
-    Raises
-    ------
-    StoreError
-        Saying what differs.
-    """
+    """Check that the store is of the same request, chunks and versions; a `StoreError` says what differs."""
     if store.request.digest != request.digest:
         old, new = _briefly(store.request), _briefly(request)
         changed = (name for name in old | new if old.get(name) != new.get(name))
