@@ -333,7 +333,9 @@ class Measurements:
         return len(self.height)
 
     def __repr__(self) -> str:
-        return f"Measurements({len(self)} of {self.source}: heights {short(self.height)} λc, lengths {short(self.length)} λc)"
+        size, unit = self.unit
+        heights, lengths = (f"{short(x * size)} {unit}" for x in (self.height, self.length))
+        return f"Measurements({len(self)} of {self.source}: heights {heights}, lengths {lengths})"
 
     def _repr_html_(self) -> str:
         given = [name for name in ("specimen", "label") if getattr(self, name)]
@@ -350,12 +352,18 @@ class Measurements:
         """Where measurement i came from, for messages."""
         return f"{self.source}, line {self.lines[i]}" if self.lines else f"{self.source}, measurement {i}"
 
+    @property
+    def unit(self) -> tuple[np.ndarray, str]:
+        """Size of λc in the unit of the table's lengths, (n,), and that unit: mm where arrays were given in metres."""
+        if self.correlation_length is None:
+            return np.ones(len(self)), "λc"
+        unit = self.columns.get("length", "length_mm").rpartition("_")[2]
+        return self.correlation_length / UNITS_OF_LENGTH[unit], unit
+
     def in_its_unit(self, i: int, length: float) -> str:
         """A length along the interface, in λc, in the unit of the table: ``14.03 mm``."""
-        if self.correlation_length is None:
-            return f"{length:.5g} λc"
-        unit = self.columns.get("length", "length_mm").rpartition("_")[2]
-        return f"{length * self.correlation_length[i] / UNITS_OF_LENGTH[unit]:.5g} {unit}"
+        size, unit = self.unit
+        return f"{length * size[i]:.5g} {unit}"
 
     @property
     def in_si(self) -> bool:
