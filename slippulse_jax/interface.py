@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
-from slippulse_jax.plain import in_a_line
+from slippulse_jax.shown import in_a_line
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
 

@@ -1,17 +1,7 @@
-"""Objects as they are shown: in a line, as a table in a notebook, as plain values for JSON; messages short enough to read."""
+"""Results as plain Python values, for JSON, and messages of a length to be read."""
 
-import dataclasses
 import math
-from collections.abc import Iterable, Sequence
-from html import escape
 from typing import Any
-
-import numpy as np
-
-SHOWN = 6
-"""Largest array shown with all its numbers; of others size and range."""
-MOST_ROWS = 20
-"""Rows of a table that are shown."""
 
 
 def shortened(message: str) -> str:
@@ -28,43 +18,3 @@ def plain(content: Any) -> Any:
     if hasattr(content, "tolist"):  # an array, or a number of NumPy's
         return plain(content.tolist())
     return None if isinstance(content, float) and not math.isfinite(content) else content
-
-
-def short(x: Any) -> str:
-    """A number, a small array, or size and range of a larger one; anything else as its repr.
-
-    Examples
-    --------
-    >>> short(0.030000001), short(np.array([10.0, 25.0])), short(np.arange(9.0).reshape(3, 3))
-    ('0.03', '[10, 25]', '<3×3 from 0 to 8>')
-    """
-    try:
-        array = np.asarray(x)
-    except Exception:  # a value that JAX traces has no number
-        return repr(x)
-    if array.dtype.kind not in "biuf":
-        return repr(x)
-    if array.ndim == 0:
-        return f"{array:g}"
-    if array.size <= SHOWN:
-        text = np.array2string(array, separator=", ", max_line_width=10000, formatter={"float": "{:g}".format})
-        return " ".join(text.split()).replace("[ ", "[")
-    return f"<{'×'.join(map(str, array.shape))} from {np.nanmin(array):g} to {np.nanmax(array):g}>"
-
-
-def in_a_line(made: Any, *names: str) -> str:
-    """The call that makes a dataclass, with its numbers, or some of its fields; what is as by default is left out."""
-    fields = [field for field in dataclasses.fields(made) if not names or field.name in names]
-    values = ((field.name, getattr(made, field.name), field.default) for field in fields)
-    shown = [f"{name}={short(value)}" for name, value, default in values if value is not None and value is not default]
-    return f"{type(made).__name__}({', '.join(shown)})"
-
-
-def html(title: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = (), below: str = "") -> str:
-    """A table for a notebook, which scrolls where it is wider than the page; rows beyond `MOST_ROWS` are counted."""
-    rows = list(rows)
-    lines = [f"<tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>"] * bool(heads)
-    lines += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows[:MOST_ROWS]]
-    more = f"<tr><td>… {len(rows) - MOST_ROWS} more</td></tr>" * (len(rows) > MOST_ROWS)
-    after = f"<div>{escape(below)}</div>" * bool(below)
-    return f'<div style="overflow-x: auto"><b>{escape(title)}</b><table>{"".join(lines)}{more}</table>{after}</div>'

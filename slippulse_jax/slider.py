@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
-from slippulse_jax.plain import html, in_a_line, short
+from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.units import Numbers, as_float, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float

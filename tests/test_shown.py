@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.plain import html, short
+from slippulse_jax.shown import html, short
 
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
 

@@ -12,7 +12,7 @@ from slippulse_jax.inference.parameters import STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, Identifiability, gravest
-from slippulse_jax.plain import html
+from slippulse_jax.shown import html
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:

@@ -28,8 +28,8 @@ from slippulse_jax.lattice.front import event_length, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
-from slippulse_jax.plain import in_a_line
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.chain import State
-from slippulse_jax.plain import html, short
+from slippulse_jax.shown import html, short
 from slippulse_jax.status import Status
 
 if TYPE_CHECKING:

@@ -34,8 +34,8 @@ from slippulse_jax.lattice.modes import (
     lattice_modes,
 )
 from slippulse_jax.lattice.smooth import smooth_length
-from slippulse_jax.plain import html, in_a_line, short
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
+from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers

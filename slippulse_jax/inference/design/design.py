@@ -24,7 +24,7 @@ from slippulse_jax.inference.design.report import BIT, label, report, scale_of, 
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
 from slippulse_jax.lattice.events import Event
-from slippulse_jax.plain import html
+from slippulse_jax.shown import html
 
 MOST_EXPERIMENTS = 12
 
