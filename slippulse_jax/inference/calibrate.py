@@ -146,8 +146,8 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
     # where the scan left values of the other, and how far apart their predictions are
     for x, on_ridge in zip(node, ridge[:, other], strict=True):
         there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
-        limits = zip(cells.low[there, other], cells.high[there, other], strict=True)
-        found.append(np.unique(np.concatenate([[on_ridge], *(np.linspace(a, b, 5) for a, b in limits)])))
+        # a cell is all but linear: its two ends say how long it is
+        found.append(np.unique(np.concatenate([[on_ridge], cells.low[there, other], cells.high[there, other]])))
     steps = _steps(_residuals(problem, _points(node, found, j)))
     starts = np.cumsum([0] + [len(y) for y in found])
     for i, y in enumerate(found):
@@ -175,10 +175,11 @@ def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, n
     """Rise of D at the true value above its minimum over all, and which value has that minimum, in each simulation."""
     # single precision: the table is coarser by far
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
-    # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere
-    deviance = np.einsum("gn,gn->g", off, off)[:, None] - 2 * off @ noise.T
-    least = deviance.argmin(axis=0)
-    return deviance[table.column == true].min(axis=0) - deviance[least, np.arange(len(noise))], table.column[least]
+    # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
+    there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1)
+    deviance = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1) @ there.T
+    least = deviance.argmin(axis=1)
+    return deviance[:, table.column == true].min(axis=1) - deviance[np.arange(len(noise)), least], table.column[least]
 
 
 def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
