@@ -7,7 +7,7 @@ import pytest
 from chains import batch, both_chains
 from jax.tree_util import Partial
 from oracles.dense_chain import end_stiffness
-from scipy.optimize import fsolve
+from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import Chain, Springs, State, chain, eliminate, endless, respond
@@ -364,6 +364,32 @@ def test_no_number_is_called_solved_that_is_none():
             assert one.residual[0] < 1e-8 or one.status[0] != EquilibriumStatus.SOLVED
             solved += whole
     assert 20 < solved < 80
+
+
+@pytest.mark.parametrize("law", [lambda z: z + 200 * z**5, lambda z: jnp.expm1(8 * z) / 8], ids=["quintic", "exponential"])
+def test_newton_on_laws_that_stiffen(law):
+    """Whole steps of Newton's method overshoot by ever more there; a third program finds the equilibrium from forces alone."""
+    c = chain(FIG2, sites=3, law=law, right="free")
+    found = equilibrium(c, c.relaxed(10.0))
+    assert found.status == EquilibriumStatus.SOLVED
+
+    def forces(x):
+        upper, layer = np.array([10.0, *x[:2]]), x[2:]
+        bonds = [k * np.diff(u) for k, u in ((np.asarray(c.upper), upper), (np.asarray(c.layer), layer))]
+        across = np.asarray(c.across) * (layer - upper)
+        along = [np.append(f, 0) - np.append(0, f) for f in bonds]
+        return np.concatenate([(along[0] + across)[1:], along[1] - across - np.asarray(c.contact_force(layer))])
+
+    expected = root(forces, np.zeros(5), method="lm", options={"xtol": 1e-14, "ftol": 1e-14}).x
+    np.testing.assert_allclose(np.concatenate([found.upper[1:], found.layer]), expected, rtol=1e-8)
+
+
+def test_an_equilibrium_between_two_sides_of_a_small_jump_is_none():
+    """The stress on contact 0 jumps by 2e-7 where it would have to balance: far above rounding, however small."""
+    plain = chain(FIG2, sites=5)
+    stretch = equilibrium(plain, plain.relaxed(0.7)).layer[0]
+    c = chain(FIG2, sites=5, law=lambda z: z + jnp.where(z > stretch, 1e-7, -1e-7) * (jnp.arange(5) == 0))
+    assert equilibrium(c, c.relaxed(0.7)).status == EquilibriumStatus.NOT_CONVERGED
 
 
 def test_newton_that_cannot_converge_says_so():

@@ -13,9 +13,10 @@ from problems import REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
+from slippulse_jax.lattice.exact import exact_front_stress, exact_length
+from slippulse_jax.lattice.front import Front, advance, front_stress, straight_line, stress_ahead
 from slippulse_jax.lattice.lengths import arrests
-from slippulse_jax.lattice.modes import Ends
+from slippulse_jax.lattice.modes import Ends, lattice_modes
 from slippulse_jax.lattice.precursor import FrontNotArrested, arrest
 from slippulse_jax.status import Outcome
 
@@ -180,6 +181,19 @@ def test_float32(float32):
         jax.grad(lambda height: precursor_length(Slider(height, 0.03, 0.3)))(2000.0)
     exact = arrests(Slider(1e5, 1 / 2.6e5, 0.3)).length
     assert abs(float(tall) / float(exact) - 1) < 1e-3
+
+
+def test_a_million_breaks_leave_the_digits():
+    """Of multiplying by r as it is rounded, instead of taking 1 − r away, 5e-11 would be left of the stress and 1e-4 of ℓ."""
+    slider = Slider(1e6, 1e-6, 0.3)
+    length = float(precursor_length(slider))
+    assert length == pytest.approx(923071.94796, abs=1e-5)
+    assert length == pytest.approx(float(exact_length(slider)), abs=1e-6)
+    sites = np.linspace(1, int(length), 50).astype(int)
+    stress = np.asarray(front_stress(lattice_modes(slider), int(length) + 1))[sites]
+    np.testing.assert_allclose(
+        stress, jax.vmap(lambda s: exact_front_stress(slider, s))(sites.astype(float)), rtol=0, atol=1e-12
+    )
 
 
 def test_float32_on_soft_interfaces(float32):
