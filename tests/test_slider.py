@@ -161,5 +161,5 @@ def test_wrong_objects_are_named(bad):
     if bad != "x":  # the path of a table
         calls += [lambda: sp.fit(bad)]
     for call in calls:
-        with pytest.raises(TypeError, match=r"(slider|interface|chain|state|measurements) (is|= )|path chain"):
+        with pytest.raises(TypeError, match=r"(slider|interface|chain|body|state|measurements) (is|= )|path chain"):
             call()
