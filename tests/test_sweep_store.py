@@ -270,13 +270,14 @@ def test_folder_that_vanishes(tmp_path, monkeypatch):
 
     def removing(*arguments):
         if next(calls) == 30:
-            shutil.rmtree(tmp_path / "s")
+            (tmp_path / "s").rename(tmp_path / "elsewhere")
         return evaluate(*arguments)
 
     monkeypatch.setattr(compute, "evaluate", removing)
     with pytest.raises(StoreError, match="the store was removed while the sweep ran"):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
-    assert not (tmp_path / "s").exists()
+    assert not (tmp_path / "s" / "zarr.json").exists()
+    assert sp.open_sweep(tmp_path / "elsewhere").attrs["complete"] == 0
 
 
 def damage(path, at):

@@ -29,9 +29,7 @@ from slippulse_jax.sweeps.dataset import current_versions, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
 
-FORMAT = 2
-COORDINATE_CHUNK = 1 << 20
-MANIFEST = "zarr.json"
+FORMAT, MANIFEST, COORDINATE_CHUNK = 2, "zarr.json", 1 << 20
 
 
 class StoreError(ValueError):
@@ -104,10 +102,12 @@ class Store:
 
     def write(self, region: Region, columns: Columns) -> None:
         """Write one chunk of all outputs."""
-        if MANIFEST not in self.place:  # Zarr would make the folder anew
-            raise StoreError(f"{self.url}: the store was removed while the sweep ran")
-        for name in self.request.outputs:
-            self._arrays[name][region] = columns[name]
+        try:
+            self.place.files.info(f"{self.place.root}/{MANIFEST}")  # Zarr would make a folder that is gone anew
+            for name in self.request.outputs:
+                self._arrays[name][region] = columns[name]
+        except FileNotFoundError:
+            raise StoreError(f"{self.url}: the store was removed while the sweep ran") from None
 
     @functools.cached_property
     def _arrays(self) -> dict[str, Any]:
