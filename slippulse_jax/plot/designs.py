@@ -12,13 +12,13 @@ from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figu
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
     from slippulse_jax.inference.design.design import Design
     from slippulse_jax.inference.design.knowledge import Knowledge
 
 
-def design_figure(found: "Design", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
+def design_figure(found: "Design", *, ax: "Axes | None" = None) -> "Figure":
     """Draw `design` and `design_lengths` side by side."""
     with new_figure(PAGE, 1.2 + max(1.8, 0.3 * len(found.candidates)), ax) as figure:
         left, right = figure.subplots(1, 2)

@@ -22,7 +22,7 @@ from slippulse_jax.status import Outcome
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
     from slippulse_jax.inference.parameters import Free
     from slippulse_jax.inference.result import FitResult
@@ -34,7 +34,7 @@ GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
 
-def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
+def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """Draw a fit: lengths against height with residuals below, and length versus stiffness or the first profile.
 
     The title has the result, the material and the specimens. With `ax`, the panels take its place.
@@ -80,7 +80,7 @@ def _ends_of(x: np.ndarray) -> str:
     return f"{x.min():.4g}" if np.ptp(x) <= 1e-9 * np.abs(x).max() else f"{x.min():.4g} to {x.max():.4g}"
 
 
-def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
+def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """Draw the profile of every fitted parameter, and the residuals."""
     count = len(result.names) + 1
     columns = min(count, 3)
@@ -95,7 +95,7 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | 
     return figure
 
 
-def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Axes | None" = None) -> "Figure | SubFigure":
+def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Axes | None" = None) -> "Figure":
     """Draw the confidence regions of every pair of fitted parameters.
 
     The regions are those of 68 % and 95 %.
@@ -131,7 +131,7 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Ax
     return figure
 
 
-def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure | SubFigure":
+def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """Draw gauge readings of slip and stress, and the fitted fields.
 
     Readings are drawn ± σ, with one colour per precursor.

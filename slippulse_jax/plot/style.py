@@ -9,7 +9,7 @@ so a picture suits the page, whoever made the Axes.
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
 
@@ -133,10 +133,10 @@ def axes(ax: "Axes | None" = None) -> "Axes":
 
 
 @contextmanager
-def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterator[Figure | SubFigure]":
+def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterator[Figure]":
     """Make a figure of several panels, unknown to pyplot, and draw it in the look; sizes in inches.
 
-    With `ax`, an Axes of a grid as ``plt.subplots`` makes them, the panels take its place.
+    With `ax`, an Axes of a grid as ``plt.subplots`` makes them, the panels take its place, on a `SubFigure`.
     """
     from matplotlib.figure import Figure
 
@@ -148,7 +148,7 @@ def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterat
     if place is None or figure is None:
         raise ValueError("ax: a figure of several panels takes the place of an Axes of a grid, as plt.subplots() makes it")
     ax.remove()
-    yield figure.add_subfigure(place)
+    yield cast("Figure", figure.add_subfigure(place))
 
 
 def drawn(function: Draw) -> Draw:
