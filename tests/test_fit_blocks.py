@@ -282,8 +282,8 @@ def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
     length = np.array([float(sp.precursor_length(one)) for one in block])
     m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=[100, 140, 200])
-    lengths, stiffness, _ = sp.plot.fit(sp.fit(m)).axes
-    assert lengths.get_xlabel() == r"height of the push, $h/\lambda_c$"
+    lengths, stiffness, residuals = sp.plot.fit(sp.fit(m)).axes
+    assert residuals.get_xlabel() == r"height of the push, $h/\lambda_c$"
     assert sum("best fit" in text.get_text() for text in lengths.get_legend().get_texts()) == 1
     assert [text.get_text() for text in stiffness.get_legend().get_texts()][:3] == [
         rf"$h/\lambda_c$ = {h}" for h in (100, 140, 200)

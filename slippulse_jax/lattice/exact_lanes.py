@@ -183,8 +183,8 @@ def _effort(lanes: Lanes) -> np.ndarray:
     1/2 may be more than that of run-away, where the search is another.
     """
     height, stiffness, poisson, prestress = (np.asarray(x, np.float32) for x in lanes[:4])
-    transverse = 1 / (2 * (1 + poisson) * height)
     with np.errstate(all="ignore"):
+        transverse = 1 / (2 * (1 + poisson) * height)
         b = stiffness / transverse
         rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 256 + 16384 + 32768 * (prestress > 0.5)
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
