@@ -1,4 +1,4 @@
-"""How objects are shown: in a line, and as a table in a notebook."""
+"""Lines and tables that show objects, the tables in notebooks."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence

@@ -588,8 +588,8 @@ def test_a_series_on_an_interface_and_of_a_batch():
     ("body", "given", "message"),
     [
         (sp.Block(5.0, 0.1, 0.3), {}, "has no end: give sites"),
-        (sp.Block(5.0, 0.1, 0.3, length=20), {"sites": 10}, "sites = 10: .*at least the contacts"),
-        (sp.Block(5.0, 0.1, 0.3, length=9000), {}, "sites = None: .* from 2 to 8192"),
+        (sp.Block(5.0, 0.1, 0.3, length=20), {"sites": 10}, "sites = 10: a block of 20 contacts needs all of them"),
+        (sp.Block(5.0, 0.1, 0.3, length=9000), {}, "sites = 9000: .* from 2 to 8192"),
         (sp.Block(5.0, 0.1, 0.3), {"sites": 1e4}, "sites = 10000.0: of a block a whole number"),
         (sp.Block(5.0, 0.1, 0.3, sp.Push(0.4, 0.2, "force")), {"sites": 30}, "push.control = 'force'"),
         (sp.Block(5.0, 0.1, 0.3), {"sites": 30, "interface": sp.Interface(repin_delay=2)}, "give the delay to series"),

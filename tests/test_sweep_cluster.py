@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from distributed import Client, LocalCluster, WorkerPlugin
+from stores import contents, reference_of, written
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
@@ -24,22 +25,7 @@ OUTPUTS = "outputs=('length', 'length_envelope')"
 REQUEST = eval(f"dict({GRID}, {OUTPUTS})", {"np": np, "dict": dict})
 CHUNK, CHUNKS = 100, 80  # of 15 × 4 points
 
-
-def contents(store):
-    files = (path for path in sorted(store.rglob("*")) if path.is_file() and path.suffix != ".partial")
-    return {path.relative_to(store).as_posix(): path.read_bytes() for path in files}
-
-
-def written(store):
-    """Number of finished chunks."""
-    return sum(1 for path in (store / "length_envelope/c").rglob("*") if path.is_file() and path.suffix != ".partial")
-
-
-@pytest.fixture(scope="module")
-def reference(tmp_path_factory):
-    store = tmp_path_factory.mktemp("sweep") / "reference"
-    sp.sweep(**REQUEST, store=store, chunk=CHUNK)
-    return store
+reference = reference_of(REQUEST, CHUNK)
 
 
 class Counted(WorkerPlugin):
@@ -148,8 +134,8 @@ def test_workers_are_killed(reference, tmp_path, kills):
         store = tmp_path / "s"
         script = sweeping(found.scheduler_address, store)
         while script.poll() is None and killed < kills:
-            enough = written(store) + 1
-            while script.poll() is None and written(store) < enough:
+            enough = written(store, "length_envelope") + 1
+            while script.poll() is None and written(store, "length_envelope") < enough:
                 time.sleep(0.005)
             time.sleep(rng.uniform(0, 0.05))
             workers = [nanny for nanny in found.workers.values() if nanny.pid]
@@ -182,11 +168,11 @@ def test_client_is_killed_and_the_sweep_resumed(reference, tmp_path, client, two
     store = tmp_path / "s"
     client.register_plugin(Counted(tmp_path / "log", 0.05), name="counted")
     with sweeping(two_workers.scheduler_address, store) as script:
-        while script.poll() is None and written(store) < 10:
+        while script.poll() is None and written(store, "length_envelope") < 10:
             time.sleep(0.005)
         script.kill()
         script.communicate()
-    assert written(store) < CHUNKS, "killed while it ran"
+    assert written(store, "length_envelope") < CHUNKS, "killed while it ran"
     sp.sweep(**REQUEST, store=store, client=client)
     assert contents(store) == contents(reference)
     assert len((tmp_path / "log").read_text().splitlines()) <= CHUNKS + 4

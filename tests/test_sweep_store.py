@@ -15,6 +15,7 @@ import fsspec
 import numpy as np
 import pytest
 import xarray as xr
+from stores import contents, reference_of, written
 
 import slippulse_jax as sp
 from slippulse_jax.sweeps import compute
@@ -30,23 +31,7 @@ CHUNK = 5  # 10 chunks of 2 × 2 for each height, so 300
 CHUNKS = 300
 FIRST = "length/c/0/0/0"
 
-
-def contents(store):
-    """Bytes of every file of a store but those that a killed writer left unfinished."""
-    files = (path for path in sorted(Path(store).rglob("*")) if path.is_file() and path.suffix != ".partial")
-    return {path.relative_to(store).as_posix(): path.read_bytes() for path in files}
-
-
-def written(store):
-    """Number of finished chunks."""
-    return sum(key.startswith("length/c/") for key in contents(store)) if Path(store).exists() else 0
-
-
-@pytest.fixture(scope="module")
-def reference(tmp_path_factory):
-    store = tmp_path_factory.mktemp("sweep") / "reference"
-    sp.sweep(**REQUEST, store=store, chunk=CHUNK)
-    return store
+reference = reference_of(REQUEST, CHUNK)
 
 
 def test_store_reads_back_as_the_sweep_in_memory(reference):

@@ -160,11 +160,11 @@ def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
 
 def straight_lengths(inputs: Inputs, event: Event = "domino") -> np.ndarray:
     """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
-    slider, interface, ends = contacts_of(inputs)
+    slider, interface, ends = recursion_inputs(inputs)
     return bulk.lengths(slider, interface, ends=ends, event="full" if event == "full" else "domino")
 
 
-def contacts_of(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
+def recursion_inputs(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
     """Sliders, interfaces and ends for the recursion."""
     slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
     relaxed = not (inputs.prestress.any() or inputs.threshold_slope.any())

@@ -18,7 +18,7 @@ from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstate
 from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
-from slippulse_jax.inference.model import contacts_of, crack_status
+from slippulse_jax.inference.model import crack_status, recursion_inputs
 from slippulse_jax.inference.parameters import Inputs, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
@@ -428,5 +428,5 @@ def recursion_status(inputs: Inputs) -> np.ndarray:
     if inputs.log_push is not None:
         return np.where(block_lengths(inputs)[0] > 0, Outcome.ARRESTED, Outcome.NO_DOMINO)
     distinct, own = np.unique(inputs.table(), axis=0, return_inverse=True)
-    slider, interface, ends = contacts_of(Inputs.from_table(inputs.names, distinct))
+    slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
     return np.asarray(arrests(slider, interface, ends=ends).status)[own.ravel()]

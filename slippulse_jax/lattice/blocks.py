@@ -267,10 +267,7 @@ def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[
     """
     block = given[0]
     if sites is not None:
-        if not isinstance(sites, int) or not 2 <= sites <= MOST:
-            raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
-        if sites < (block.contacts or 0):
-            raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
+        check_sites(block, sites)
         return event_on(given, sites)
     known = _known(given)
     contacts = known[0].contacts
@@ -285,6 +282,14 @@ def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[
     raise ValueError(  # under a wide smooth rule for ever
         f"{block} or its event reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
     )
+
+
+def check_sites(block: Block, sites: Numbers | None) -> None:
+    """Check the number of contacts to resolve: it must fit into memory, and a block that ends needs all of its own."""
+    if not isinstance(sites, int) or not 2 <= sites <= MOST:
+        raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
+    if sites < (block.contacts or 0):
+        raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
 
 
 def _known(given: Any) -> Any:

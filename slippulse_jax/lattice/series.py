@@ -182,11 +182,8 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
     if sites is None and block.contacts is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     warn_single_precision(block)
-    found = blocks.MOST + 1 if sites is None and (block.contacts or 0) > blocks.MOST else sites or block.contacts
-    if not isinstance(found, int) or not 2 <= found <= blocks.MOST or found < (block.contacts or 0):
-        raise ValueError(
-            f"sites = {sites}: of a block a whole number from 2 to {blocks.MOST}, at least the contacts of one that ends"
-        )
+    found = block.contacts if sites is None else sites
+    blocks.check_sites(block, found)
     return block.contacts or found
 
 
@@ -248,7 +245,7 @@ def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> Body:
 
     return Body(
         response=resp,
-        contacts=contacts_of(chain.contact, chain.threshold, chain.stiffness, resp),
+        contacts=tabulated(chain.contact, chain.threshold, chain.stiffness, resp),
         prestress=into_blocks(prestress, resp.near.shape[1]),
         valid=all_numbers(chain, chain.relaxed()) & ~resp.right.floating & holds,
         sites=chain.sites,
@@ -294,7 +291,7 @@ def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, sprin
 
     return Body(
         response=resp,
-        contacts=contacts_of(jnp.where(there, k, 0), threshold, k, resp),
+        contacts=tabulated(jnp.where(there, k, 0), threshold, k, resp),
         prestress=prestress[None],
         valid=valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
         sites=sites,
@@ -354,7 +351,7 @@ class Contacts(NamedTuple):
     edge_stiffness: Float[Array, ""]  # force on the edge per load
 
 
-def contacts_of(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Array, resp: Response) -> Contacts:
+def tabulated(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Array, resp: Response) -> Contacts:
     """Tabulate the effect of loading and breaking each contact."""
     size = resp.near.shape[1]
     q = into_blocks(contact, size)

@@ -51,32 +51,51 @@ OUTPUTS = {
     "dlength_dstiffness": Output("derivative of length with respect to stiffness", "lambda_c", "gradient", _FRONT),
     "dlength_dpoisson": Output("derivative of length with respect to Poisson's ratio", "lambda_c", "gradient", _FRONT),
     "dlength_dprestress": Output("derivative of length with respect to prestress", "lambda_c/sigma_s", "gradient", _FRONT),
-    "dlength_dthreshold_slope":
-        Output("derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT),
+    "dlength_dthreshold_slope": Output(
+        "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT
+    ),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
     "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ARREST_OUTCOMES),
-    "block_precursor_length": Output("length of the whole event of a block under two-dimensional elasticity", "lambda_c",
-                                     "block", _EXACT | {"push_height", "push_width"}),
+    "block_precursor_length": Output(
+        "length of the whole event of a block under two-dimensional elasticity",
+        "lambda_c",
+        "block",
+        _EXACT | {"push_height", "push_width"},
+    ),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
     "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
     "length_frozen": Output("length in the continuum with the upper layer frozen (Appendix)", "lambda_c", "theory"),
     "length_continuum": Output("length in the self-consistent continuum", "lambda_c", "theory"),
     "length_envelope": Output("length by a closed formula", "lambda_c", "theory"),
-    "length_macroscopic":
-        Output("length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})),
+    "length_macroscopic": Output(
+        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})
+    ),
     "runaway_prestress": Output("prestress beyond which nothing far from the edge stops a front", "sigma_s", "theory", _FRONT),
     "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", "slider"),
     "slow_decay_length": Output("decay length of the slow mode, 1/kappa_2", "lambda_c", "slider"),
-    "is_one_domino": Output("the event is one domino from the edge", "1", "front", _FRONT, "int8", comment=
-        "1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold"),
-    "is_continuous": Output("the continuum applies", "1", "validity", dtype="int8", comment=
-        _FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10"),
-    "is_frozen": Output("the frozen upper layer applies", "1", "validity", dtype="int8", comment=
-        _FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1"),
-    "is_far_from_edge": Output("Eq. (25) applies", "1", "validity", dtype="int8", comment=
-        _FLAG + "those of is_frozen, and kappa times this length > 3"),
-}  # fmt: skip
+    "is_one_domino": Output(
+        "the event is one domino from the edge",
+        "1",
+        "front",
+        _FRONT,
+        "int8",
+        comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
+    ),
+    "is_continuous": Output(
+        "the continuum applies", "1", "validity", dtype="int8", comment=_FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10"
+    ),
+    "is_frozen": Output(
+        "the frozen upper layer applies",
+        "1",
+        "validity",
+        dtype="int8",
+        comment=_FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
+    ),
+    "is_far_from_edge": Output(
+        "Eq. (25) applies", "1", "validity", dtype="int8", comment=_FLAG + "those of is_frozen, and kappa times this length > 3"
+    ),
+}
 """Every output, by name."""
 
 SETS = {
@@ -268,8 +287,15 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
 
 
 _GROUPS = {
-    "length": _length, "front": _front, "load": _load, "gradient": _gradient, "exact": _exact, "smooth": _smooth,
-    "block": _block, "theory": _theory, "macroscopic": _lanewise(_macroscopic, ("length_macroscopic",), "prestress"),
+    "length": _length,
+    "front": _front,
+    "load": _load,
+    "gradient": _gradient,
+    "exact": _exact,
+    "smooth": _smooth,
+    "block": _block,
+    "theory": _theory,
+    "macroscopic": _lanewise(_macroscopic, ("length_macroscopic",), "prestress"),
     "slider": _lanewise(_of_slider, ("b", "slow_decay_length")),
     "validity": _lanewise(_validity, ("is_continuous", "is_frozen", "is_far_from_edge")),
-}  # fmt: skip
+}

@@ -139,9 +139,14 @@ def regions(shape: tuple[int, ...], points: int) -> list[Region]:
 
 
 def make_request(
-    given: dict[str, Any], points: bool, outputs: tuple[str, ...], right: RightEnd, sites: int | None, max_contacts: int,
+    given: dict[str, Any],
+    points: bool,
+    outputs: tuple[str, ...],
+    right: RightEnd,
+    sites: int | None,
+    max_contacts: int,
     push_control: Control,
-) -> Request:  # fmt: skip
+) -> Request:
     """Check all parameters before anything is computed.
 
     Raises

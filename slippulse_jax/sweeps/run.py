@@ -31,15 +31,31 @@ TASKS, LEAST = 256, 1 << 12
 
 
 def sweep(
-    *, height: ArrayLike, stiffness: ArrayLike, poisson: ArrayLike,
-    prestress: ArrayLike | None = None, threshold_slope: ArrayLike | None = None, repin_delay: ArrayLike | None = None,
-    width: ArrayLike | None = None, push_height: ArrayLike | None = None, push_width: ArrayLike | None = None,
-    push_control: Control = "displacement", interface: Interface | None = None, points: bool = False,
+    *,
+    height: ArrayLike,
+    stiffness: ArrayLike,
+    poisson: ArrayLike,
+    prestress: ArrayLike | None = None,
+    threshold_slope: ArrayLike | None = None,
+    repin_delay: ArrayLike | None = None,
+    width: ArrayLike | None = None,
+    push_height: ArrayLike | None = None,
+    push_width: ArrayLike | None = None,
+    push_control: Control = "displacement",
+    interface: Interface | None = None,
+    points: bool = False,
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
-    right: RightEnd = "semi-infinite", sites: int | None = None, max_contacts: int = DEFAULT_MAX_CONTACTS,
-    store: str | os.PathLike[str] | None = None, resume: bool = True, chunk: int | None = None,
-    share: tuple[int, int] | None = None, client: "Client | None" = None, lazy: bool = False, progress: bool | None = None,
-) -> xr.Dataset:  # fmt: skip
+    right: RightEnd = "semi-infinite",
+    sites: int | None = None,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = True,
+    chunk: int | None = None,
+    share: tuple[int, int] | None = None,
+    client: "Client | None" = None,
+    lazy: bool = False,
+    progress: bool | None = None,
+) -> xr.Dataset:
     """Compute first precursors over ranges of parameters, as a labelled dataset.
 
     Parameters
@@ -97,10 +113,16 @@ def sweep(
     The bits of a point depend on its own parameters alone: not on chunks, resuming, processes or number of devices.
     """
     given: dict[str, Any] = {
-        "height": height, "stiffness": stiffness, "poisson": poisson, "prestress": prestress,
-        "threshold_slope": threshold_slope, "repin_delay": repin_delay, "width": width,
-        "push_height": push_height, "push_width": push_width,
-    }  # fmt: skip
+        "height": height,
+        "stiffness": stiffness,
+        "poisson": poisson,
+        "prestress": prestress,
+        "threshold_slope": threshold_slope,
+        "repin_delay": repin_delay,
+        "width": width,
+        "push_height": push_height,
+        "push_width": push_width,
+    }
     given = with_interface(given, interface)
     chosen = choose(outputs, {name for name, values in given.items() if values is not None})
     request = make_request(given, points, chosen, right, sites, max_contacts, push_control)
