@@ -102,6 +102,14 @@ def test_only_what_is_needed_is_computed_lazily(reference, client, monkeypatch):
     assert {request.outputs for request, _ in regions} == {("length",)}, "and no output that is not wanted"
 
 
+def test_a_fit_is_a_task_too(client):
+    """It comes back from a worker as it is computed here."""
+    heights = np.array([60.0, 100.0, 200.0])
+    lengths = np.asarray(sp.exact_lengths(sp.Slider(heights, 0.1, 0.3)))
+    table = sp.Measurements(height=heights, poisson=0.3, length=lengths, length_sigma=0.02 * lengths)
+    assert str(client.submit(sp.fit, table).result()) == str(sp.fit(table))
+
+
 def test_worker_of_other_digits_is_refused(reference, tmp_path, client):
     """The first chunk is computed by one worker and reproduced by the other."""
     spoil = "import os, numpy as np; from slippulse_jax.sweeps import compute; good = compute.evaluate"
