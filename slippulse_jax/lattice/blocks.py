@@ -267,8 +267,7 @@ def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[
     """
     block = given[0]
     if sites is not None:
-        check_sites(block, sites)
-        return event_on(given, sites)
+        return event_on(given, checked_sites(block, sites))
     known = _known(given)
     contacts = known[0].contacts
     if contacts is not None and contacts <= MOST:
@@ -284,12 +283,13 @@ def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[
     )
 
 
-def check_sites(block: Block, sites: Numbers | None) -> None:
-    """Check the number of contacts to resolve: it must fit into memory, and a block that ends needs all of its own."""
+def checked_sites(block: Block, sites: Numbers | None) -> int:
+    """Number of contacts to resolve, which must fit into memory; a block that ends needs all of its own."""
     if not isinstance(sites, int) or not 2 <= sites <= MOST:
         raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST}")
     if sites < (block.contacts or 0):
         raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
+    return sites
 
 
 def _known(given: Any) -> Any:

@@ -182,8 +182,7 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
     if sites is None and block.contacts is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     warn_single_precision(block)
-    found = block.contacts if sites is None else sites
-    blocks.check_sites(block, found)
+    found = blocks.checked_sites(block, block.contacts if sites is None else sites)
     return block.contacts or found
 
 
