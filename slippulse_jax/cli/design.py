@@ -83,7 +83,7 @@ def command(
         known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
         kind = "whole" if whole else "length"
         found = design(known, **candidates, push_control=push_control, kind=kind, experiments=experiments, seed=seed)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         refuse(error)
     if as_json:
         print_json(found.to_dict())

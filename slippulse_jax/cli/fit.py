@@ -113,7 +113,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         if options["posterior"]:
             drawn = result.posterior(samples=options["posterior"], seed=result.request["seed"])
             more["posterior"] = Posterior(drawn)
-    except (ValueError, ModuleNotFoundError) as error:
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         refuse(error)
     if options["as_json"]:
         print_json(result.to_dict() | {name: one.to_dict() for name, one in more.items()})

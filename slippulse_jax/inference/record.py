@@ -139,8 +139,10 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Raises
     ------
+    OSError
+        If there is no such file, or it cannot be opened.
     ValueError
-        If the file is not one, or was written by a version whose record is another.
+        If it is no such record, or was written by a version whose record is another.
     """
     name, content = os.fspath(path), read_request_file(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
@@ -221,8 +223,10 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Raises
     ------
+    OSError
+        If there is no such file, or it cannot be opened.
     ValueError
-        If the file cannot be read or is neither.
+        If it is neither.
     """
     content = read_request_file(path)
     content = content.get("request", content)
@@ -237,8 +241,6 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     name = os.fspath(path)
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"{name}: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{name}: not UTF-8 text") from None
     try:

@@ -333,8 +333,10 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
 
     Raises
     ------
+    OSError
+        If there is no such file, or it cannot be opened.
     ValueError
-        If the file cannot be read, or has another schema.
+        If it is no fit, or has another schema.
     """
     content = read_record(path)
     measurements, request, found = measurements_of_record(content), from_request(content["request"]), content["search"]

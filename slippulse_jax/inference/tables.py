@@ -116,6 +116,8 @@ _UNITS = {
     "n",
 }
 """Units by which an unknown column counts as a misnamed quantity: refused, not kept as a remark."""
+_ERROR = re.compile(r"_(error|err|std|sd|stderr|uncertainty)(?=_|$)", flags=re.IGNORECASE)
+"""Other words for a standard error."""
 _TEXT = ("specimen", "provenance", "kind", "label", "push_control")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
@@ -141,9 +143,11 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
 
     Raises
     ------
+    OSError
+        If there is no such file, or it cannot be opened.
     MeasurementError
-        If the file cannot be read, a column is missing or there twice, or a value is missing, not a number, or outside its
-        domain: the message names file, line and column.
+        If a column is missing or there twice, or a value is missing, not a number, or outside its domain: the message names
+        file, line and column.
     """
     lengths = _parse(rows(read_text(path), os.fspath(path)), os.fspath(path))
     return lengths if gauges is None else replace(lengths, gauges=read_gauges(gauges, lengths.label))
@@ -245,7 +249,9 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
     if missing:
         wanted = [column for column, meaning in known.items() if meaning.required]
         expected = f"the columns {', '.join(wanted)}" if only_si or only_plain else _FORMS
-        raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
+        if missing == ["correlation_length_um"]:
+            expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (documentation: No λc?)"
+        raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(given)}; expected {expected}")
     for column in header:
         partner = _value_column(column)
         if column in known and partner in known and partner not in header:
@@ -266,6 +272,10 @@ def _refuse_other_units(header: list[str], where: str) -> None:
     """A known quantity in a unit that is not read, or without one, must not pass for a column of remarks."""
     meant = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
     for column in [column for column in header if column not in {*_SI, *_PLAIN, *_BOTH}]:
+        sigma = _ERROR.sub("_sigma", column)
+        known = _ALIASES.get(sigma, (sigma,))[0]
+        if sigma != column and known not in header and known in {*_SI, *_PLAIN, *_BOTH}:
+            raise MeasurementError(f"{where}, column {column}: did you mean {sigma}?")
         for stem, known in meant.items():
             if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
                 plain = known.removesuffix("_mm")
@@ -342,17 +352,16 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
     Raises
     ------
+    OSError
+        If there is no such file, or it cannot be opened.
     MeasurementError
-        If it cannot be read or is not UTF-8 text.
+        If it is not UTF-8 text.
     """
-    name = os.fspath(path)
+    name, content = os.fspath(path), Path(path).read_bytes()
+    if content.startswith(b"PK\x03\x04"):
+        raise MeasurementError(f"{name}: an Excel workbook, or another zip file: save it as CSV UTF-8")
     try:
-        content = Path(path).read_bytes()
-        if content.startswith(b"PK\x03\x04"):
-            raise MeasurementError(f"{name}: an Excel workbook, or another zip file: save it as CSV UTF-8")
         text = content.decode("utf-8-sig")
-    except OSError as error:
-        raise MeasurementError(f"{name}: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
         raise MeasurementError(f"{name}: not UTF-8 text (byte {error.start}); save it as CSV UTF-8") from None
     if "\0" in text:
@@ -379,8 +388,25 @@ def rows(text: str, name: str) -> list[tuple[int, list[str]]]:
             line = reader.line_num + 1
     except csv.Error as error:
         raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
-    if delimiter == "," or any(_DECIMAL["."].fullmatch(cell) for _, cells in found for cell in cells):
-        return found
+    return found if delimiter == "," else _with_points(found, name)
+
+
+def _with_points(found: list[tuple[int, list[str]]], name: str) -> list[tuple[int, list[str]]]:
+    """The lines with decimal points for decimal commas; refuses both in one table, where 1,234 may be a thousand."""
+    header = [cell.strip() for cell in found[0][1]] if found else []
+    numbers = {
+        mark: [(line, cell.strip()) for line, cells in found for column, cell in zip(header, cells, strict=False)
+               if column not in _TEXT and form.fullmatch(cell)]
+        for mark, form in _DECIMAL.items()
+    }  # fmt: skip
+    if all(numbers.values()):
+        odd, usual = sorted(numbers.values(), key=len)
+        kinds = ("point", "comma") if odd is numbers["."] else ("comma", "point")
+        (line, cell), (other, example) = odd[0], usual[0]
+        raise MeasurementError(
+            f"{name}, line {line}: {cell!r} has a decimal {kinds[0]}, and {example!r} in line {other} a {kinds[1]}: write all "
+            f"numbers with one of them"
+        )
     with_comma = _DECIMAL[","].fullmatch
     return [(line, [cell.replace(",", ".") if with_comma(cell) else cell for cell in cells]) for line, cells in found]
 
@@ -396,7 +422,8 @@ def number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        hint = "; write a decimal point" if text.count(",") == 1 and text.replace(",", "").isdigit() else ""
+        hint = "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
+        hint *= _DECIMAL[","].fullmatch(text) is not None
         raise MeasurementError(f"{where}: {text!r} is not a number{hint}") from None
 
 
