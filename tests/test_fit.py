@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
@@ -47,7 +48,7 @@ def test_both_roots_of_one_length(height):
     for root in result.roots:
         assert abs(float(exact(height, root.values["stiffness"])) - target) < 1e-6
         assert any(piece.low < root.values["stiffness"] < piece.high for piece in result.intervals["stiffness"][0.6827])
-    assert "values that fit" in result.report()
+    assert "values that fit (not excluded at 95 %; --bounds LOW HIGH keeps one" in result.report()
 
 
 def test_two_close_roots_either_side_of_the_peak():
@@ -436,6 +437,22 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     assert whole > 4 * result.stderrs["areal_stiffness"]
     assert "Taken as exact, with an error that is usual" in result.report()
     assert set(result.to_dict()["budget"]) == set(result.budget)
+
+
+def test_errors_of_specimens_in_the_report():
+    """Inputs with an error are called by symbol and specimen, k/K says why it is two, lengths are in the table's unit."""
+    table = pd.DataFrame({"specimen": ["A", "A", "B"], "height_cm": [2.4, 2.4, 6.0], "length_cm": [1.42, 1.38, 4.78]})
+    table = table.assign(length_sigma_cm=0.1, poisson=0.37, correlation_length_um=10.0, young_GPa=3.3, young_sigma_GPa=0.2)
+    result = fit(table)
+    said = result.report()
+    assert "fitted beside, for each specimen on its own:\n    E (A): stated (3.30 ± 0.20)e9 Pa, fitted 3." in said
+    assert "correlations above 0.5:\n    C(k/λc², E (B)) = +0." in said
+    assert "e-05, one for each specimen\n" in said
+    assert "(k/K up to 1)" in said
+    assert "H/cm  measured/cm" in said
+    assert {"height_cm", "length_fitted_cm"} <= set(result.to_dataframe())
+    # what is not said is named, with what it would add
+    assert f"± {0.1 * result.budget['length'].slope['areal_stiffness']:.0%} to k/λc²: provenance = measured" in said
 
 
 def test_soft_lengths_rise_with_stiffness():

@@ -253,11 +253,12 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def to_dataframe(result: "FitResult") -> "pd.DataFrame":
-    """Measurements beside the model as a pandas.DataFrame, one per row; lengths in mm, or in λc where they were given so."""
+    """Measurements beside the model as a pandas.DataFrame, one per row; lengths in the unit of the table."""
     import pandas as pd
 
     m = result.measurements
-    scale, unit = (np.ones(len(m)), "") if m.correlation_length is None else (m.correlation_length * 1e3, "_mm")
+    scale, unit = m.unit
+    unit = f"_{unit}" * m.in_si
     text = {"line": m.lines, "label": m.label, "specimen": m.specimen, "kind": m.kind}
     lengths = {
         "height": m.height,

@@ -8,7 +8,7 @@ import numpy as np
 
 from slippulse_jax.inference.budget import total
 from slippulse_jax.inference.hints import of_attainable, slips
-from slippulse_jax.inference.parameters import STIFFNESSES
+from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, Identifiability, gravest
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
 """Verdicts whose reason says already that there are none."""
+CORRELATED, MOST_CORRELATIONS = 0.5, 5
+"""Correlation from which on one is shown, and how many are."""
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
 
@@ -129,13 +131,19 @@ def _values(result: "FitResult") -> list[str]:
             reason = f": {own.reason}" if own.reason else ""
             rows.append(f"  {'':{width}s} {own.identifiability.value}{reason}")
     if "stiffness" not in result.values:
-        ratio = result.parameters.ratio(result.theta)
-        each = any("stiffness[" in name for name in result.names)
-        why = "one for each specimen" if each else "as λc and E differ between measurements"
-        rows.append(f"  {'k/K':{width}s} {ratio.min():.4g} to {ratio.max():.4g}, {why}")
+        rows.append(f"  {'k/K':{width}s} {_ratios(result)}")
     if any(result.stderrs[name] is None for name in result.names):
         rows.append("  standard error unavailable, for the reason above; the value is the one of highest likelihood")
     return rows
+
+
+def _ratios(result: "FitResult") -> str:
+    """k/K of all measurements, and why it is not one number."""
+    ratio, m = result.parameters.ratio(result.theta), result.measurements
+    low, high = f"{ratio.min():.4g}", f"{ratio.max():.4g}"
+    differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
+    why = "as λc and E differ between measurements" if differ else "one for each specimen"
+    return low if low == high else f"{low} to {high}, {why}"
 
 
 def _narrowest(by_level: dict[float, list[Interval]]) -> float:
@@ -148,6 +156,16 @@ def _symbol(label: str, symbol: str) -> str:
     return symbol + label[label.index("[") :] if "[" in label else symbol
 
 
+def _shown(result: "FitResult") -> dict[str, str]:
+    """What each fitted parameter is called, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is one value."""
+    long = {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
+    short = dict(long)
+    for one in result.parameters.free:
+        specimen = one.label.partition("[")[2].rpartition(", ")[0]
+        short[one.label] = one.symbol + f" ({specimen})" * bool(specimen) if one.nuisance else long[one.label]
+    return {label: name if list(short.values()).count(name) == 1 else long[label] for label, name in short.items()}
+
+
 def _inputs(result: "FitResult") -> list[str]:
     """Fitted values of inputs with an error of their own, and their pulls."""
     pulls = [
@@ -157,34 +175,36 @@ def _inputs(result: "FitResult") -> list[str]:
     ]
     if not pulls:
         return []
-    rows = ["  what has an error of its own, fitted beside:"]
+    priors = [(one.name, one.prior_mean, one.prior_sigma) for one, _, _ in pulls if one.name != "arrest"]
+    each = ", for each specimen on its own" * (len(set(priors)) < len(priors))
+    rows, shown = [f"  what has an error of its own, fitted beside{each}:"], _shown(result)
     for one, t, pull in pulls:
         stated = value_with_error(
             float(one.value(one.prior_mean)), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
         )
         fitted = format_number(float(one.value(t)), 5)
-        rows.append(f"    {one.label}: stated {stated} {one.unit}".rstrip() + f", fitted {fitted} ({pull:+.2f} σ)")
+        rows.append(f"    {shown[one.label]}: stated {stated} {one.unit}".rstrip() + f", fitted {fitted} ({pull:+.2f} σ)")
     return rows
 
 
 def _correlations(result: "FitResult") -> list[str]:
+    """The strongest with a parameter that was asked for; `FitResult.correlations` has all."""
+    shown, asked = _shown(result), set(result.names)
     strong = sorted(result.correlations.items(), key=lambda item: -abs(item[1]))
-    rows = [f"    C({a}, {b}) = {value:+.3f}" for (a, b), value in strong if abs(value) >= 0.1]
-    if rows:
-        rows = ["  correlations (0.1 and above):", *rows]
-    if result.problem.p > 1:
-        rows += ["  determined, best first (of the logarithms of positive parameters):"]
-        for one in result.directions[:6]:
-            size = "not at all" if math.isinf(one.stderr) else f"to ± {one.stderr:.2g}"
-            rows.append(f"    {one.text}  {size}")
-    return rows
+    rows = [
+        f"    C({shown[a]}, {shown[b]}) = {value:+.3f}"
+        for (a, b), value in strong
+        if abs(value) > CORRELATED and asked & {a, b}
+    ]
+    return [f"  correlations above {CORRELATED:g}:", *rows[:MOST_CORRELATIONS]] if rows else []
 
 
 def _roots(result: "FitResult") -> list[str]:
     if len(result.roots) < 2:
         return []
     several = len(result.names) > 1
-    rows = [f"  {'points' if several else 'values'} that fit (not excluded at 95 %):"]
+    keep = "points" if several else "values"
+    rows = [f"  {keep} that fit (not excluded at 95 %; --bounds LOW HIGH keeps one, and the report then has its errors):"]
     units = {one.label: one.unit for one in result.parameters.free}
     for root in result.roots:
         again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
@@ -217,7 +237,7 @@ def _quality(result: "FitResult") -> str:
 def _regime(result: "FitResult") -> str:
     """b, against where contacts break again, and the length of the block over that of the slow decay."""
     at, m = result.regime, result.measurements
-    scale, unit = (1.0, "λc") if m.correlation_length is None else (m.correlation_length * 1e3, "mm")
+    scale, unit = m.unit
     decay = at.slow_decay_length * scale
     if result.parameters.body == "block":
         return (
@@ -240,22 +260,18 @@ def _range(x: np.ndarray) -> str:
 def _scatter(result: "FitResult") -> str:
     """The standard error of a length that the scatter gives; fitted as equal in λc."""
     m, size = result.measurements, float(np.sqrt(result.variance_factor))
-    if m.correlation_length is None or np.ptp(m.correlation_length) > 0:
-        return f"σ = {size:.3g} λc"
-    return f"σ = {size * float(m.correlation_length[0]) * 1e3:.3g} mm"
+    scale, unit = m.unit
+    return f"σ = {size:.3g} λc" if np.ptp(scale) > 0 else f"σ = {size * float(scale[0]):.3g} {unit}"
 
 
 def _table(result: "FitResult") -> list[str]:
     m, fitted = result.measurements, result.fitted
-    if m.correlation_length is not None:
-        scale, unit, height_unit = m.correlation_length * 1e3, "mm", "mm"
-    else:
-        scale, unit, height_unit = np.ones(len(m)), "λc", "λc"
+    scale, unit = m.unit
     whole = np.where(fitted.contacts_broken > 0, fitted.contacts_broken, np.inf) * scale
     heads = [
         "line" if m.lines else "no.",
         *(["specimen"] if m.specimen else []),
-        f"H/{height_unit}",
+        f"H/{unit}",
         f"measured/{unit}",
         f"fitted/{unit}",
         f"whole contacts/{unit}",
@@ -358,7 +374,7 @@ def _unstated(result: "FitResult") -> list[str]:
         "block_length": "a block that ends at 4/κ₂",
         "machine_stiffness": "a machine ten times as stiff as the block",
     }
-    rows = []
+    rows = list(_of_measuring(result))
     for name, moved in result.unstated_ends.items():
         free = {one: result.parameters.free[result.parameters.index(one)] for one in moved}
         changes = [
@@ -370,18 +386,34 @@ def _unstated(result: "FitResult") -> list[str]:
     return ["", "Not stated, and not in any error above", *rows] if rows else []
 
 
+def _of_measuring(result: "FitResult") -> Iterator[str]:
+    """What lengths share that were measured, where the table does not say whether they were."""
+    m, moved = result.measurements, result.budget.get("length")
+    if moved is None or any(m.provenance) or result.scaled:
+        return
+    adds = []
+    for name, slope in moved.slope.items():
+        one = result.parameters.free[result.parameters.index(name)]
+        adds.append(f"± {abs(slope) * MODEL_ERROR:{'.0%' if one.log else '.2g'}} to {_symbol(name, one.symbol)}")
+    yield (
+        f"  measured lengths share an offset and a model factor of 1 ± {MODEL_ERROR:g}, which alone would add "
+        f"{', '.join(adds)}: provenance = measured has both fitted"
+    )
+
+
 def _unstated_push(result: "FitResult") -> list[str]:
     """What the same lengths mean for a block, by where its side is pushed."""
     found = result.unstated_push
     if not found:
         return []
-    unit = "_mm" * result.measurements.in_si
-    means = ", ".join(
-        f"above {at} H {'no stiffness gives them' if math.isnan(ratio) else f'{ratio:.2g}'}" for at, ratio in found.items()
+    unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
+    means = "; ".join(
+        f"from {at} H up: {'none gives these lengths' if math.isnan(ratio) else f'{ratio:.2g} times this'}"
+        for at, ratio in found.items()
     )
     return [
         "",
-        f"Stiffness of a real block over the slider's, by where its side is pushed: {means}.",
+        f"Stiffness of a real block, pushed on its side {means}.",
         f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block.",
     ]
 
@@ -446,6 +478,8 @@ def _probability(p_value: float) -> str:
 
 def _searched(result: "FitResult") -> list[str]:
     rows = []
+    stated = np.array([one.prior_mean if one.nuisance else one.high for one in result.parameters.free])
+    stiffest = result.parameters.ratio(stated).max()
     for one in result.parameters.free:
         if one.nuisance:
             continue
@@ -454,7 +488,7 @@ def _searched(result: "FitResult") -> list[str]:
         if math.isfinite(one.prior_sigma):
             mean = float(one.value(one.prior_mean))
             prior = f"; prior {value_with_error(mean, one.prior_sigma * (mean if one.log else 1))}"
-        top = f" (k/K up to {result.parameters.ratio(result.parameters.high).max():.3g})" if "areal" in one.name else ""
+        top = f" (k/K up to {stiffest:.3g})" if "areal" in one.name else ""
         rows.append(f"  range   {_symbol(one.label, one.symbol)} from {low} to {high} {one.unit}".rstrip() + top + prior)
     return rows
 

@@ -307,7 +307,7 @@ class FitResult:
         return to_dict(self)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the measurements beside the model as a pandas.DataFrame, one per row, in mm or λc as they were given."""
+        """Return the measurements beside the model as a pandas.DataFrame, one per row, in the unit of the table."""
         return to_dataframe(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
