@@ -285,7 +285,8 @@ def test_scatter_beyond_sigma_is_remarked_and_measured():
     assert result.p_value == pytest.approx(np.exp(-4), rel=1e-3)  # χ² of 8 for two degrees of freedom
     assert any("2 times as large" in note for note in result.notes)
     free = fit(Measurements(**data))
-    assert f"σ = {np.sqrt(free.deviance / 2):.3g} λc" in free.report()
+    scatter = np.sqrt(((free.fitted.length - data["length"]) ** 2).sum() / 2)
+    assert f"σ = {scatter:.3g} λc" in free.report()
 
 
 def test_specimens_with_tied_roots_lie_on_one_side():
@@ -324,7 +325,7 @@ def test_refused_requests():
         "name no specimens": {"free": (Parameter("stiffness", each="specimen"),)},
         "model_factor: needs a prior": {"free": ("stiffness", "model_factor")},
         "nothing is fitted": {"free": (Parameter("stiffness", value=0.03),)},
-        "bounds mean ν": {"free": ("stiffness", Parameter("poisson", bounds=(0.1, 0.7)))},
+        "range searched for poisson means ν": {"free": ("stiffness", Parameter("poisson", bounds=(0.1, 0.7)))},
         "loss = 'l1'": {"loss": "l1"},
         "method = 'newton'": {"method": "newton"},
         "sigma = 'none'": {"sigma": "none"},
@@ -340,6 +341,8 @@ def test_refused_requests():
         fit(m, bounds=(1.0, 0.1))
     with pytest.raises(ValueError, match="max_steps = 0"):
         fit(m, max_steps=0)
+    with pytest.raises(ValueError, match=r"prior = \(3.3e\+09, 0.06\) of young: the deviation is 2e-11 of the mean"):
+        Parameter("young", prior=(3.3e9, 0.06))
 
 
 @pytest.mark.parametrize(

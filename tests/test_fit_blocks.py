@@ -168,6 +168,16 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     assert "semi-infinite slider" in slider.stdout
 
 
+def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
+    """Two blocks far below the longest lengths, each with a modulus of its own: the curvature is that of the interpolation."""
+    height, sigma = np.repeat([2400.0, 6000], 4), np.repeat([40.0, 150], 4)
+    known = {"correlation_length": 1e-5, "young": 3.3e9, "young_sigma": 2e8, "specimen": ("A",) * 4 + ("B",) * 4}
+    push = {"push_height": height / 4, "length": [1420.0, 1440, 1410, 1380, 4780, 4700, 4860, 5040], "length_sigma": sigma}
+    result = sp.fit(sp.Measurements(height=height, poisson=0.37, **known, **push))
+    assert (result.fitted.length < 0.9 * result.attainable).all()
+    assert result.identifiability is Identifiability.IDENTIFIED
+
+
 def test_what_follows_a_fit_of_a_block(study, fitted):
     """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
     compared = sp.pulse_or_crack(study[1], simulations=20)

@@ -293,6 +293,42 @@ def test_force_at_nucleation_is_what_the_contacts_carry():
     assert displacements(inputs).value[0] == pytest.approx(1 / load[0], rel=1e-9)
 
 
+@pytest.mark.parametrize("young_sigma", [None, 2e8])
+def test_errors_from_the_scatter_keep_those_of_inputs(young_sigma):
+    """Only the ratios of σ count; a stated error of E adds in quadrature, as k/E is what the lengths determine."""
+    rng = np.random.default_rng(7)
+    height = np.repeat([2000.0, 3500, 5000, 8000], 2)
+    length = model(height, 7.5e-5) * (1 + 0.03 * rng.standard_normal(8))
+
+    def fitted(size, young_sigma):
+        known = {"correlation_length": 1e-5, "young": 3.3e9, "young_sigma": young_sigma}
+        m = Measurements(height=height, poisson=0.3, length=length, length_sigma=size and size * length, **known)
+        return fit(m, sigma="relative")
+
+    exact = fitted(0.03, None)
+    for size in (0.003, 0.03, 0.3, None):
+        result = fitted(size, young_sigma)
+        assert result.identifiability is Identifiability.IDENTIFIED
+        if size is None:  # of equal size, which is another fit
+            exact = fitted(None, None)
+        value, error = exact.values["areal_stiffness"], exact.stderrs["areal_stiffness"]
+        assert result.values["areal_stiffness"] == pytest.approx(value, rel=1e-6)
+        assert result.stderrs["areal_stiffness"] == pytest.approx(np.hypot(error, value * (young_sigma or 0) / 3.3e9), rel=1e-3)
+        assert np.mean((result.residuals) ** 2) * 8 / 7 == pytest.approx(1, rel=1e-6)
+
+
+@pytest.mark.parametrize("loss", ["normal", "huber", "student"])
+def test_scatter_of_many_lengths_is_that_of_their_errors(loss):
+    """The size is right for errors as the loss supposes: of 400 lengths to within four standard errors."""
+    rng = np.random.default_rng(11)
+    errors = rng.standard_t(4, 400) if loss == "student" else rng.standard_normal(400)
+    height = np.geomspace(20, 200, 400)
+    length = model(height, 0.004)
+    m = Measurements(height=height, poisson=0.3, length=length * (1 + 0.02 * errors), length_sigma=0.01 * length)
+    result = fit(m, sigma="relative", loss=loss)
+    assert result.scatter == pytest.approx(2, rel=4 * (0.05 if loss == "student" else 0.04))
+
+
 def test_scaled_errors():
     """σ doubled, all of them: same value, same error when only their ratios are believed; half with σ given."""
     rng = np.random.default_rng(3)

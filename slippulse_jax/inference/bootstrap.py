@@ -149,7 +149,7 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
     values, weights = {}, {}
     for block in problem.blocks:
         mu = problem.predict(result.theta, block.observable)[0]
-        sigma = block.data.sigma * np.sqrt(result.variance_factor)
+        sigma = block.data.sigma
         if q.discrepancy is not None:
             own = np.exp(result.theta[q.discrepancy]) * block.data.value[0]
             sigma = np.where(block.data.has_discrepancy, np.hypot(sigma, own), sigma)

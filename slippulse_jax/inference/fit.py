@@ -29,7 +29,8 @@ from slippulse_jax.inference.parameters import (
     parameter_set,
 )
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
-from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of
+from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of, stated_sigma
+from slippulse_jax.inference.scatter import Scatter, scatter_about
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
@@ -142,7 +143,7 @@ def fit(
     named = {one.name for one in wanted}
     wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]
     parameters = parameter_set(measurements, wanted, event, body)
-    errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
+    errors = stated_sigma(measurements)
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(measurements, problem, scaled)
     request = {
@@ -161,14 +162,17 @@ def fit(
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
+    scatter = None
     if counts and counts.pieces:
         explored = _of_counts(problem, counts)
     else:
         with _progress(problem) as shown:
-            explored = _explore(shown, method, max_steps, seed)
+            if scaled:
+                problem, scatter, explored = _explore_scaled(shown, measurements, method, max_steps, seed)
+            else:
+                explored = _explore(shown, method, max_steps, seed)
     minima, curves, best, deviance, unconverged, cells = explored
-    rise = _rise(problem, deviance, scaled)
-    variance = deviance / (problem.count - problem.p) if scaled else 1.0
+    rise = _rise(problem, scatter)
     near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
     limits = {level: deviance + rise(level) for level in LEVELS}
@@ -177,7 +181,7 @@ def fit(
         pieces = {0: dict.fromkeys(LEVELS, counts.pieces)}
     dof = _testable(problem, scaled)
     longest, longest_at = attainable(parameters, best)
-    evidence = Evidence(problem, near, best, deviance, dof, rise, longest)
+    evidence = Evidence(problem, near, best, deviance, dof, rise, longest, scatter and scatter.closest)
     # counts at odds are named; how deep the search came into that misfit says nothing
     lost = [] if counts else [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
     verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
@@ -191,8 +195,6 @@ def fit(
     verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
     verdicts = {j: _one_front(problem, verdicts[j], pieces[j][LEVELS[-1]], curves[j]) for j in asked}
     pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
-    if any(one.identifiability is Identifiability.NO_SCATTER for one in verdicts.values()):
-        variance = np.nan
     names = parameters.names
     return FitResult(
         measurements=measurements,
@@ -200,11 +202,12 @@ def fit(
         request=request,
         theta=best,
         deviance=deviance,
-        roots=[root_of(problem, one, variance) for one in near],
+        roots=[root_of(problem, one) for one in near],
         curves={names[j]: curves[j] for j in asked},
         intervals=_in_units(problem, best, {names[j]: pieces[j] for j in asked}),
         verdicts={names[j]: verdicts[j] for j in asked},
         rise=rise,
+        scatter=scatter and scatter.factor,
         testable_dof=dof,
         unconverged=lost,
         attainable=longest,
@@ -269,10 +272,10 @@ def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
         raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
 
 
-def _rise(problem: Problem, deviance: float, scaled: bool) -> Rise:
+def _rise(problem: Problem, scatter: Scatter | None) -> Rise:
     dof = problem.count - problem.p
-    if scaled:
-        return Rise(problem.loss.rise * max(deviance, 1e-30) / dof, dof)
+    if scatter is not None:
+        return Rise(problem.loss.rise, scatter.dof)
     if problem.parameters.discrepancy is not None and dof >= 0:
         return Rise(problem.loss.rise, dof + 1, problem.count)
     return Rise(problem.loss.rise)
@@ -436,6 +439,20 @@ def _simulated(verdict: Verdict, covered: tuple[float, float]) -> Verdict:
         f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them in "
         f"{covered[1]:.0%}; use the intervals",
     )
+
+
+def _explore_scaled(
+    problem: Problem, m: Measurements, method: str, max_steps: int, seed: int
+) -> tuple[Problem, Scatter, Explored]:
+    """Search with σ of the size that the scatter asks for, about the best fit there is."""
+    theta, rounds = first_look(problem, seed), 0
+    while True:
+        scatter = scatter_about(problem, theta, of_lengths=m.length_sigma is None)
+        explored = _explore(scatter.problem, method, max_steps, seed)
+        rounds += 1
+        if explored.deviance >= scatter.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
+            return dataclasses.replace(scatter.problem, tick=None), scatter, explored
+        theta = explored.best
 
 
 def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explored:

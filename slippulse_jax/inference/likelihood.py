@@ -20,7 +20,7 @@ import numpy as np
 from jax.scipy import special
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.special import ndtr
+from scipy.special import digamma, ndtr
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
@@ -75,6 +75,17 @@ class Loss:
             slope, variance = _huber_moments()
             return slope**2 / variance
         return (STUDENT_DOF + 1) / (STUDENT_DOF + 3) if self.name == "student" else 1.0
+
+    @property
+    def expected(self) -> float:
+        """Mean deviance of one datum whose errors are as the loss supposes."""
+        if self.name == "huber":
+            c = HUBER_AT
+            density = float(np.exp(-(c**2) / 2) / np.sqrt(2 * np.pi))
+            return 2 * float(ndtr(c)) - 1 + 2 * c * density - 2 * c**2 * (1 - float(ndtr(c)))
+        if self.name == "student":
+            return (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))
+        return 1.0
 
     @property
     def rise(self) -> float:
@@ -496,6 +507,15 @@ class Problem:
         rows.append(np.diag(np.sqrt(self.prior_weight)))
         jacobian = np.concatenate(rows)
         return jacobian.T @ jacobian, jacobian
+
+    def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
+        """The same problem with σ of all data, or of lengths alone, `factor` times as large."""
+
+        def scaled(block: Block) -> Block:
+            return block._replace(data=block.data._replace(sigma=factor * block.data.sigma))
+
+        kept = self.blocks[1:] if of_lengths else tuple(scaled(block) for block in self.blocks[1:])
+        return dataclasses.replace(self, blocks=(scaled(self.blocks[0]), *kept))
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
         """The same problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""

@@ -32,6 +32,8 @@ are no measure of finer ones."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0
 """Standard deviations of a prior that are searched where no bounds are given."""
+HELD = 1e-6
+"""Deviation of a prior, over the mean, below which it was given in another unit."""
 
 
 class Inputs(NamedTuple):
@@ -131,8 +133,8 @@ class Parameter:
     bounds : (float, float), optional
         Range searched, in the unit of the parameter.
     prior : (float, float), optional
-        Mean and standard deviation of an independent Gaussian prior; for a positive parameter, of its logarithm, with the
-        relative deviation.
+        Mean and standard deviation of an independent Gaussian prior, both in the unit of the parameter, as (3.3e9, 2e8) for
+        "young" in Pa. Of a positive parameter it is the logarithm that is normal, with the deviation over the mean.
     each : {"specimen"}, optional
         One value per specimen instead of one that all share.
     value : float, optional
@@ -164,6 +166,11 @@ class Parameter:
             mean, sigma = self.prior
             if not (np.isfinite(mean) and np.isfinite(sigma) and sigma > 0 and (mean > 0 or not positive)):
                 raise ValueError(f"prior = ({mean:g}, {sigma:g}) of {self.name}: a mean{' > 0' * positive} and a deviation > 0")
+            if positive and sigma < HELD * mean:
+                raise ValueError(
+                    f"prior = ({mean:g}, {sigma:g}) of {self.name}: the deviation is {sigma / mean:.1g} of the mean; give it "
+                    "in the unit of the mean, or hold the parameter by `value`"
+                )
         if self.nuisance and self.prior is None:
             raise ValueError(f"parameter {self.name}: nuisance = True, but no prior says what its error is")
         if self.value is not None and not (np.isfinite(self.value) and (self.value > 0 or not positive)):
@@ -660,7 +667,11 @@ def _check_domain(parameters: ParameterSet) -> None:
         low, high, symbol, requirement = limits[name]
         if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
             shown = [np.exp(x) if name.startswith("log") else x for x in reach]
-            raise ValueError(f"bounds mean {symbol} from {shown[0]:g} to {shown[1]:g} for some measurement: {requirement}")
+            moving = " and ".join(one.label for one, by in zip(parameters.free, slope.any(axis=0), strict=True) if by)
+            raise ValueError(
+                f"the range searched for {moving} means {symbol} from {shown[0]:g} to {shown[1]:g} for some measurement: "
+                f"{requirement}; give other bounds or another prior"
+            )
 
 
 def stiffness_name(m: Measurements) -> str:

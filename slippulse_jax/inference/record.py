@@ -3,7 +3,6 @@
 import dataclasses
 import hashlib
 import json
-import math
 import os
 import platform
 import tomllib
@@ -62,7 +61,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "chi2": result.deviance,
         "dof": result.dof,
         "p_value": result.p_value,
-        "sigma_scaled_by": math.sqrt(result.variance_factor) if result.scaled else None,
+        "sigma_scaled_by": result.scatter,
         "measurements": [_measurement(result, i) for i in range(len(result.measurements))],
         "further": [
             {"observable": one.observable, "place": place, "measured": value, "sigma": sigma, "fitted": fitted}
@@ -264,7 +263,7 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
         "height": m.height,
         "push_height": m.push_height,
         "length": m.length,
-        "length_sigma": m.sigma * np.sqrt(result.variance_factor),
+        "length_sigma": result.sigma,
         "length_fitted": result.fitted.length,
         "length_attainable": result.attainable,
     }

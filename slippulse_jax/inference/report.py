@@ -212,7 +212,7 @@ def _roots(result: "FitResult") -> list[str]:
             (f"{name} = " if several else "") + f"{value_with_error(value, root.stderrs[name])} {units[name]}".rstrip()
             for name, value in root.values.items()
         )
-        rise = max(0.0, root.deviance - result.deviance) / result.variance_factor
+        rise = max(0.0, root.deviance - result.deviance)
         rows.append(f"    {named}  (chi-squared + {rise:.2f}{again})")
     return rows
 
@@ -259,7 +259,7 @@ def _range(x: np.ndarray) -> str:
 
 def _scatter(result: "FitResult") -> str:
     """The standard error of a length that the scatter gives; fitted as equal in λc."""
-    m, size = result.measurements, float(np.sqrt(result.variance_factor))
+    m, size = result.measurements, result.scatter or 1.0
     scale, unit = m.unit
     return f"σ = {size:.3g} λc" if np.ptp(scale) > 0 else f"σ = {size * float(scale[0]):.3g} {unit}"
 
@@ -302,7 +302,7 @@ def _further(result: "FitResult") -> list[str]:
         return []
     rows = ["", "Measured beside the lengths"]
     for one in result.further:
-        off = one.residuals / np.sqrt(result.variance_factor)
+        off = one.residuals
         worst = int(np.argmax(np.abs(off)))
         rows.append(
             f"  {one.observable:12s} {_plural(len(off), 'datum').replace('datums', 'data')}, chi-squared {(off**2).sum():.3g}; "
@@ -568,8 +568,7 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
     if result.measurements.length_sigma is None:
         yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
     elif result.scaled:
-        factor = np.sqrt(result.variance_factor)
-        yield f"the stated σ are taken as relative, and scaled by {factor:.3g} to the scatter about the fit"
+        yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
     if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
         factor = np.sqrt(result.deviance / (result.testable_dof or 1))
         yield (

@@ -104,6 +104,7 @@ class FitResult:
     intervals: dict[str, dict[float, list[Interval]]]  # by parameter and confidence level, in units
     verdicts: dict[str, Verdict]  # by parameter
     rise: Rise
+    scatter: float | None  # factor on the stated σ, or on 1 λc, by which they match the scatter; None where σ are as stated
     testable_dof: int | None  # degrees of freedom where χ² tests the model
     unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
@@ -152,17 +153,18 @@ class FitResult:
     def covariance(self) -> np.ndarray | None:
         """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
         one = describe(self.problem, self.theta, self.deviance)
-        return None if one.singular.any() else one.covariance * self.variance_factor
-
-    @property
-    def variance_factor(self) -> float:
-        """Factor on σ²: one, or taken from the scatter where only the ratios of the errors are used."""
-        return self.deviance / self.dof if self.scaled else 1.0
+        return None if one.singular.any() else one.covariance
 
     @property
     def scaled(self) -> bool:
         """Whether the size of the errors was taken from the scatter."""
-        return self.rise.dof is not None and self.rise.fitted_variance is None
+        return self.scatter is not None
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard error of each length in λc, as stated or of the size taken from the scatter; shape (n,)."""
+        m = self.measurements
+        return stated_sigma(m) * (self.scatter or 1.0)
 
     @property
     def stderrs(self) -> dict[str, float | None]:
@@ -280,8 +282,7 @@ class FitResult:
         kind = np.array(m.kind)
         off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
         off = np.where(kind == "at_least", np.minimum(off, 0), off)
-        sigma = np.ones(len(m)) if m.length_sigma is None else np.where(m.length_sigma > 0, m.length_sigma, 1)
-        return off / (sigma * np.sqrt(self.variance_factor))
+        return off / np.where(self.sigma > 0, self.sigma, 1)
 
     @property
     def notes(self) -> list[str]:
@@ -341,9 +342,13 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     content = read_record(path)
     measurements, request, found = measurements_of_record(content), from_request(content["request"]), content["search"]
     parameters = parameter_set(measurements, request["free"], request["event"], request["body"])
-    errors = np.ones(len(measurements)) if measurements.length_sigma is None else measurements.sigma
+    sigma, scatter = stated_sigma(measurements), content["sigma_scaled_by"]
     between = found["between_contacts"] and np.array(found["between_contacts"], dtype=float)
-    sigma = errors if between is None else np.hypot(errors, between)
+    problem = make_problem(
+        measurements, parameters, Loss(request["loss"]), sigma if between is None else np.hypot(sigma, between)
+    )
+    if scatter is not None:
+        problem = problem.with_sigma(scatter, of_lengths=measurements.length_sigma is None)
 
     def finite_or_inf(x: Any) -> np.ndarray:
         return np.nan_to_num(np.array(x, dtype=float), nan=np.inf)
@@ -356,7 +361,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
 
     return FitResult(
         measurements=measurements,
-        problem=make_problem(measurements, parameters, Loss(request["loss"]), sigma),
+        problem=problem,
         request=request,
         theta=np.array(found["theta"]),
         deviance=content["chi2"],
@@ -371,6 +376,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
             for name, one in content["verdicts"].items()
         },
         rise=Rise(**found["rise"]),
+        scatter=scatter,
         testable_dof=found["testable_dof"],
         unconverged=found["unconverged"],
         attainable=finite_or_inf([one["attainable"] for one in content["measurements"]]),
@@ -380,14 +386,19 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     )
 
 
-def root_of(problem: Problem, one: Minimum, variance_factor: float) -> Root:
+def stated_sigma(m: Measurements) -> np.ndarray:
+    """Standard error of each length in λc as it is stated; 1 where none is."""
+    return np.ones(len(m)) if m.length_sigma is None else m.sigma
+
+
+def root_of(problem: Problem, one: Minimum) -> Root:
     """Convert a minimum over θ to the units of the parameters."""
     q = problem.parameters
     values = {p.label: float(p.value(t)) for p, t in zip(q.free, one.theta, strict=True) if not p.nuisance}
     errors: dict[str, float | None] = dict.fromkeys(values)
     for j, p in enumerate(q.free):
         if not (p.nuisance or one.singular[j]):
-            spread = float(np.sqrt(one.covariance[j, j] * variance_factor))
+            spread = float(np.sqrt(one.covariance[j, j]))
             errors[p.label] = spread * (values[p.label] if p.log else 1.0)
     return Root(values, errors, one.theta, one.deviance, one.covariance, q.inputs_at(one.theta))
 

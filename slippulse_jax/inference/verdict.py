@@ -15,8 +15,6 @@ from slippulse_jax.inference.search import Minimum
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
 """Probability of χ² under which model and σ together are said not to describe the data."""
-UNMEASURABLE = 1e-4
-"""Scatter of lengths, relative to them, under which it says nothing of the error of measuring."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
 PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
 
@@ -63,6 +61,7 @@ class Evidence:
     dof: int | None  # where χ² can be judged
     rise: Rise
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
+    closest: float | None = None  # distance of the lengths from the fit, relative to them, where that is no scatter
 
 
 def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) -> Verdict:
@@ -121,15 +120,11 @@ def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
 
 
 def _no_scatter(j: int, e: Evidence, _: dict) -> Verdict | None:
-    if e.rise.dof is None or e.rise.fitted_variance is not None:
-        return None
-    data = e.problem.blocks[0].data
-    closest = float(np.sqrt(e.deviance / e.rise.dof) * np.max(data.sigma / data.value[0]))
-    if closest >= UNMEASURABLE:
+    if e.closest is None:
         return None
     return Verdict(
         Identifiability.NO_SCATTER,
-        f"the lengths lie within {closest:.1g} of themselves of the fit, closer than anyone measures: they were computed, or "
+        f"the lengths lie within {e.closest:.1g} of themselves of the fit, closer than anyone measures: they were computed, or "
         "copied; give σ (column length_sigma or length_sigma_mm)",
     )
 
@@ -141,8 +136,11 @@ def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
 
 
 def _above_maximum(e: Evidence) -> bool:
-    # gauges determine stiffness where the length does not; and what bends there is the step from contact to contact
-    return bool(e.roots) and e.roots[0].share < 0.5 and not e.problem.gauged
+    # gauges determine stiffness where the length does not; and what bends there is the step from contact to contact.
+    # Interpolated lengths bend in steps too, so one of them must be near its longest
+    if not e.roots or e.roots[0].share >= 0.5 or e.problem.gauged:
+        return False
+    return bool((e.problem.predict(e.roots[0].theta)[0] > PLATEAU * e.attainable).any())
 
 
 def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:

@@ -205,7 +205,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     m, kind = result.measurements, np.array(result.measurements.kind)
     x, y = _abscissa(result)[1] * scale, m.length * scale
-    sigma = np.where(np.isnan(m.sigma), np.sqrt(result.variance_factor), m.sigma * np.sqrt(result.variance_factor)) * scale
+    sigma = result.sigma * scale
     color = colours(ax).vermilion
     style = {"color": color, "capsize": 2, "zorder": 3, "linestyle": "none"}
     plain = kind == "length"
@@ -303,7 +303,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
     """ℓ/H measured at one height, all its measurements together, less and plus a standard error."""
     m = result.measurements
-    sigma = np.where(m.sigma[rows] > 0, m.sigma[rows], 0.5) * np.sqrt(result.variance_factor)
+    sigma = np.where(result.sigma[rows] > 0, result.sigma[rows], 0.5)
     weight = 1 / sigma**2
     middle = np.where(np.array(m.kind)[rows] == "whole", m.length[rows] - 0.5, m.length[rows])
     mean, error = (weight * middle).sum() / weight.sum(), weight.sum() ** -0.5
@@ -531,12 +531,13 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
         raise ValueError("no gauges were read: give read_measurements a table of them")
     scale, label = GAUGE_UNITS[name]
     there = readings.there(name)
+    (data,) = (block.data for block in result.problem.blocks if block.observable == name)
     for color, row in zip(colours(ax).data * 9, dict.fromkeys(readings.row[there].tolist()), strict=False):
         own = there & (readings.row == row)
         x = np.linspace(0, 1.08 * max(readings.position[own].max(), _arrest(result, row)), GAUGE_POINTS)
         title = result.measurements.label[row] if result.measurements.label else result.measurements.place(row)
         ax.plot(x * 1e3, _field(result, row, name, x) * scale, color=color, label=title)
-        sigma = getattr(readings, f"{name}_sigma")[own] * np.sqrt(result.variance_factor)
+        sigma = data.sigma[own[there]]
         value = getattr(readings, name)[own]
         ax.errorbar(readings.position[own] * 1e3, value * scale, sigma * scale, fmt="o", capsize=2, color=color)
     ax.set_xlim(left=0)

@@ -1,0 +1,71 @@
+"""Size of σ from the scatter of the data about the fit, where only the ratios of σ are known.
+
+The deviance of the data is then what it should be, on average, of as many of them as the fit does not use up. Errors of inputs
+keep the size that is stated for them: a parameter that its prior determines uses up none of the data.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slippulse_jax.inference.likelihood import Problem, terms
+from slippulse_jax.inference.optimise import minimise
+
+UNMEASURABLE = 1e-4
+"""Scatter of lengths, relative to them, under which it says nothing of the error of measuring."""
+TURNS, SETTLED = 100, 1e-10
+"""Most turns of fit and size, and the relative change of the size at which they end."""
+
+
+class Scatter(NamedTuple):
+    """Size of σ by the scatter."""
+
+    factor: float  # on the stated σ, or on 1 λc
+    dof: float  # data that the fit does not use up
+    problem: Problem  # with σ of that size
+    deviance: float
+    closest: float | None = None  # distance of the lengths from the fit, relative to them, where that is no scatter
+
+
+def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> Scatter:
+    """Scale σ to the scatter about the fit that is nearest to θ.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the σ stated.
+    theta : array, shape (p,)
+    of_lengths : bool
+        Scale the errors of lengths alone, instead of those of all data.
+    """
+    q, factor, turns = problem.parameters, 1.0, 0
+    widest = float(np.max(problem.blocks[0].data.sigma / problem.blocks[0].data.value[0]))
+    while True:
+        sized = problem.with_sigma(factor, of_lengths=of_lengths)
+        end = minimise(sized, theta[None], q.low, q.high)
+        theta, total = end.theta[0], 2 * float(end.value[0])
+        deviance, dof = _left_over(sized, theta, of_lengths)
+        if not np.isfinite(deviance):  # the front never stops: there is no fit
+            return Scatter(factor, dof, sized, total)
+        change = np.sqrt(deviance / dof / problem.loss.expected) if dof > 1e-6 else 0.0
+        if factor * change * widest < UNMEASURABLE:
+            least = UNMEASURABLE / widest
+            return Scatter(least, dof, problem.with_sigma(least, of_lengths=of_lengths), total, factor * change * widest)
+        turns += 1
+        if abs(change - 1) < SETTLED or turns == TURNS:
+            return Scatter(factor, dof, sized, total)
+        factor *= float(change)
+
+
+def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
+    """Deviance of the data whose σ are scaled, and how many of them the fit does not use up."""
+    blocks = problem.blocks[:1] if of_lengths else problem.blocks
+    deviance, count = 0.0, sum(len(block.rows) for block in blocks)
+    for block in blocks:
+        mu = problem.predict(theta, block.observable)
+        deviance += 2 * float(terms(mu, block.data, np.zeros(1, int), problem.loss, None).value.sum())
+    reach = problem.parameters.high - problem.parameters.low
+    jacobian = problem.information(theta)[1] * reach
+    own = jacobian[:count]  # the lengths come first, priors last
+    used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
+    return deviance, count - float(used)
