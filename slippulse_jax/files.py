@@ -1,8 +1,20 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and reading of those that are not too large."""
 
 import os
 import secrets
 from pathlib import Path
+
+
+def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
+    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a ValueError names another, of which no more is read."""
+    parts, size = [], 0
+    with open(path, "rb") as file:
+        while part := file.read(2**16):
+            parts.append(part)
+            size += len(part)
+            if size > largest:
+                raise ValueError(f"{os.fspath(path)}: larger than {largest >> 20} MiB, the most that is read")
+    return b"".join(parts)
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:

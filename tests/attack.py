@@ -22,6 +22,8 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
+from slippulse_jax.inference.record import from_request, read_request
+from slippulse_jax.inference.tables import read_gauges
 from slippulse_jax.lattice.exact_lanes import exact_fronts
 from slippulse_jax.lattice.front import runaway_prestress
 from slippulse_jax.lattice.lengths import arrests
@@ -136,37 +138,100 @@ def blocks(rng: np.random.Generator, count: int) -> Found:
     return Found(count, refused, fell)
 
 
-def tables(rng: np.random.Generator, count: int) -> Found:
-    """Damaged copies of the worked fits' tables: read in full, or a `ValueError` of one line that begins with the file."""
+def damaged(rng: np.random.Generator, content: bytes) -> bytes:
+    """A file with up to three places overwritten, cut off, cut out or inserted."""
+    inserted = [
+        b",",
+        b"nan",
+        b"-",
+        b"1e999",
+        b"\x00",
+        b"\xff",
+        b"\n",
+        b'"',
+        b";",
+        b"9" * 400,
+        b"\xe2\x88\x92",
+        b"[",
+        b"}",
+        b"=",
+    ]
+    changed = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        at, kind = int(rng.integers(len(changed) + 1)), rng.integers(5)
+        if kind == 0:
+            changed[at : at + 1] = rng.bytes(1)
+        elif kind == 1:
+            del changed[at:]
+        elif kind == 2:
+            del changed[at : at + int(rng.integers(1, 30))]
+        else:
+            changed[at:at] = inserted[rng.integers(len(inserted))]
+    return bytes(changed)
+
+
+def _read(
+    rng: np.random.Generator, count: int, originals: list[bytes], read: Callable[[Path], bool], begins: str = ""
+) -> Found:
+    """Damaged copies of files, which `read` takes and finds in order, or refuses by a `ValueError` of one line."""
     fell, refused = [], 0
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "t.csv"
+        path = Path(folder) / "file"
         for _ in range(count):
-            content = bytearray(TABLES[rng.integers(len(TABLES))].read_bytes())
-            for _ in range(rng.integers(1, 4)):
-                at, kind = int(rng.integers(len(content) + 1)), rng.integers(5)
-                inserted = [b",", b"nan", b"-", b"1e999", b"\x00", b"\xff", b"\n", b'"', b";", b"9" * 400, b"\xe2\x88\x92"]
-                if kind == 0:
-                    content[at : at + 1] = rng.bytes(1)
-                elif kind == 1:
-                    del content[at:]
-                elif kind == 2:
-                    del content[at : at + int(rng.integers(1, 30))]
-                else:
-                    content[at:at] = inserted[rng.integers(len(inserted))]
+            content = damaged(rng, originals[rng.integers(len(originals))])
             path.write_bytes(content)
             try:
-                m = sp.read_measurements(path)
-                if not (np.isfinite(m.height).all() and (m.height > 1).all() and np.isfinite(m.length).all()):
-                    fell.append(f"read without a word: {bytes(content)!r}")
+                if not read(path):
+                    fell.append(f"read without a word: {content!r}")
             except ValueError as error:
                 refused += 1
                 text = str(error)
-                if not text.startswith(str(path)) or "\n" in text or len(text) > 1000:
+                if not text.startswith((str(path), *begins)) or "\n" in text or len(text) > 2100:
                     fell.append(f"message {text[:200]!r}")
             except Exception as error:  # noqa: BLE001 - what should not be
-                fell.append(f"{type(error).__name__}: {error} of {bytes(content)!r}"[:500])
+                fell.append(f"{type(error).__name__}: {error} of {content!r}"[:500])
     return Found(count, refused, fell)
+
+
+def tables(rng: np.random.Generator, count: int) -> Found:
+    """Damaged copies of the worked fits' tables: read in full, or a `ValueError` of one line that begins with the file."""
+
+    def read(path: Path) -> bool:
+        m = sp.read_measurements(path)
+        return bool(np.isfinite(m.height).all() and (m.height > 1).all() and np.isfinite(m.length).all())
+
+    return _read(rng, count, [path.read_bytes() for path in TABLES], read)
+
+
+GAUGES = b"""# gauges along the interface
+label,position_mm,slip_um,slip_sigma_um,stress_MPa,stress_sigma_MPa
+A,5,1.5,0.1,,
+A,12.5,0.8,0.1,0.31,0.02
+B,5,1.25,0.1,,
+"""
+
+
+def gauges(rng: np.random.Generator, count: int) -> Found:
+    """Damaged copies of a table of gauges: read in full, or a `ValueError` of one line that begins with the file."""
+
+    def read(path: Path) -> bool:
+        found = read_gauges(path, ["A", "B"])
+        return bool(np.isfinite(found.position).all() and len(found.row) > 0)
+
+    return _read(rng, count, [GAUGES], read)
+
+
+REQUESTS = [
+    b'# a request\nloss = "huber"\nseed = 3\n\n[parameters.stiffness]\nbounds = [0.001, 0.5]\n\n[parameters.poisson]\nprior = [0.3, 0.02]\n',
+    b'{"request": {"loss": "normal", "parameters": {"stiffness": {"each": "specimen"}, "prestress": {"prior": [0.0, 0.1]}}}}',
+]
+
+
+def requests(rng: np.random.Generator, count: int) -> Found:
+    """Damaged copies of requests: understood, or a `ValueError` of one line that begins with the file or names what is wrong in the request."""
+    return _read(
+        rng, count, REQUESTS, lambda path: bool(from_request(read_request(path))), ("request", "parameter", "prior", "bounds")
+    )
 
 
 def stores(rng: np.random.Generator, count: int) -> Found:
@@ -240,6 +305,8 @@ CAMPAIGNS: dict[str, tuple[Callable[[np.random.Generator, int], Found], int]] = 
     "tables": (tables, 5000),
     "stores": (stores, 300),
     "command lines": (command_lines, 500),
+    "gauges": (gauges, 5000),
+    "requests": (requests, 5000),
 }
 """Campaigns by name, and their usual number of attempts."""
 

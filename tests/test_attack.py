@@ -4,7 +4,7 @@ import attack
 import pytest
 
 SAMPLE = {
-    "lengths": 2000, "beside run-away": 600, "single precision": 200, "blocks": 5, "tables": 150, "stores": 6, "command lines": 15,
+    "lengths": 2000, "beside run-away": 600, "single precision": 200, "blocks": 5, "tables": 150, "gauges": 150, "requests": 300, "stores": 6, "command lines": 15,
 }  # fmt: skip
 
 

@@ -74,9 +74,7 @@ def slippulse(cache: bool) -> None:
 def main() -> None:
     """Run the command line and exit with its status."""
     leave_when_interrupted()
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # Latin-1 has no λ
-            stream.reconfigure(errors="replace")
+    _print_in_any_encoding()
     try:
         slippulse.main(standalone_mode=False)
         if sys.stdout is not None:
@@ -99,6 +97,17 @@ def main() -> None:
     except OSError as error:
         click.echo(f"Error: {error}", err=True)
         sys.exit(FAILURE)
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not str(error).startswith("RESOURCE_EXHAUSTED"):  # XLA's word for it
+            raise
+        click.echo(f"Error: not enough memory ({error}); a sweep with --store needs it for a few chunks only", err=True)
+        sys.exit(FAILURE)
+
+
+def _print_in_any_encoding() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # Latin-1 has no λ
+            stream.reconfigure(errors="replace")
 
 
 if __name__ == "__main__":

@@ -24,6 +24,10 @@ class Incomplete(click.ClickException):
     exit_code = 4
 
 
+MOST_VALUES = 10_000_000
+"""Values of one range."""
+
+
 class Values(click.ParamType):
     """A number, a list ``a,b,c``, or a range ``first:last:count``, with ``:log`` for even steps of the logarithm."""
 
@@ -39,6 +43,8 @@ class Values(click.ParamType):
                 numbers = [float(x) for x in parts[0].split(",")]
                 return np.array(numbers[0] if len(numbers) == 1 else numbers)
             first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+            if count > MOST_VALUES:
+                self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
             if count < 1 or parts[3:] not in ([], ["log"]) or (parts[3:] and min(first, last) <= 0):
                 raise ValueError
         except (ValueError, IndexError):

@@ -8,15 +8,15 @@ import platform
 import tomllib
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.files import read_whole
 from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.plain import plain
+from slippulse_jax.plain import plain, shortened
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
@@ -200,15 +200,14 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
     parameters = request.pop("parameters", {"stiffness": {}})
     unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body"}
     if unknown:
-        raise ValueError(f"request: {', '.join(sorted(unknown))} not understood")
+        raise ValueError(shortened(f"request: {', '.join(sorted(unknown))} not understood"))
     free = []
     for name, settings in parameters.items():
         known = {field.name for field in dataclasses.fields(Parameter)} - {"name"}
         strange = set(settings) - known
         if strange:
-            raise ValueError(
-                f"request, parameter {name}: {', '.join(sorted(strange))} not understood; {', '.join(sorted(known))} are"
-            )
+            wrong = shortened(f"request, parameter {name}: {', '.join(sorted(strange))} not understood")
+            raise ValueError(f"{wrong}; {', '.join(sorted(known))} are")
         pairs: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()}
         for key in ("bounds", "prior"):
             if key in pairs and not (isinstance(pairs[key], tuple) and len(pairs[key]) == 2):
@@ -235,16 +234,35 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
+LARGEST = 64 * 2**20
+"""Bytes of the largest request or saved fit that is read."""
+
+LONGEST, DEEPEST = 2000, 64
+"""Characters and dots on one line of TOML: what a dotted key takes to be read grows as the square of its parts."""
+
+
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML or JSON file."""
+    """Read a TOML or JSON file.
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or larger than `LARGEST`.
+    """
     name = os.fspath(path)
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_whole(path, LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{name}: not UTF-8 text") from None
+    in_json = text.lstrip().startswith("{")
+    for number, line in enumerate(() if in_json else text.splitlines(), start=1):
+        if len(line) > LONGEST:
+            raise ValueError(f"{name}, line {number}: longer than {LONGEST} characters")
+        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
+            raise ValueError(f"{name}, line {number}: nested too deeply")
     try:
-        content = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+        content = json.loads(text) if in_json else tomllib.loads(text)
+    except ValueError as error:  # of either format, or a number of too many digits
         raise ValueError(f"{name}: {error}") from None
     except RecursionError:
         raise ValueError(f"{name}: nested too deeply") from None

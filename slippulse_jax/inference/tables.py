@@ -43,19 +43,22 @@ Columns are separated by commas, semicolons or tabs; between semicolons and tabs
 """
 
 import csv
-import io
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from slippulse_jax.files import read_whole
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, Gauges, MeasurementError, Measurements, check_domain
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS, split_unit
+
+LARGEST = 16 * 2**20
+"""Bytes of the largest table that is read: some 300 000 measurements."""
 
 
 class _Column(NamedTuple):
@@ -169,7 +172,7 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
         ]
         for row, blank in zip(table.itertuples(index=False, name=None), missing.itertuples(index=False, name=None), strict=True)
     ]
-    return _parse(list(enumerate([[str(column) for column in table.columns], *cells], start=1)), name)
+    return _parse(enumerate([[str(column) for column in table.columns], *cells], start=1), name)
 
 
 def measurements_of(given: Any) -> Measurements:
@@ -183,17 +186,18 @@ def measurements_of(given: Any) -> Measurements:
     raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")
 
 
-def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
-    if not table_rows:
+def _parse(table_rows: Iterable[tuple[int, list[str]]], name: str) -> Measurements:
+    table_rows = iter(table_rows)
+    header_line, header = next(table_rows, (1, []))
+    if not header:
         raise MeasurementError(f"{name}: empty: expected a header line with {_FORMS}")
-    header_line, header = table_rows[0]
     header = [cell.strip() for cell in header]
     columns = _known_columns(header, f"{name}, line {header_line}")
-    if len(table_rows) == 1:
-        raise MeasurementError(f"{name}: a header and no measurements")
     table: dict[str, list[float]] = {column.quantity: [] for column in columns.values() if column.quantity != "block_width"}
     texts: dict[str, list[str]] = {column: [] for column in header if column not in columns}
-    for line, cells in table_rows[1:]:
+    lines = []
+    for line, cells in table_rows:
+        lines.append(line)
         where = f"{name}, line {line}"
         if len(cells) != len(header):
             raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
@@ -204,6 +208,8 @@ def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
             raise MeasurementError(f"{where}, column provenance: {row['provenance']!r}: one of {', '.join(PROVENANCES)}")
         for column, cells_so_far in texts.items():
             cells_so_far.append(row[column])
+    if not lines:
+        raise MeasurementError(f"{name}: a header and no measurements")
     quantities: dict[str, Any] = {quantity: np.array(values) for quantity, values in table.items()}
     return Measurements(
         **quantities,
@@ -212,7 +218,7 @@ def _parse(table_rows: list[tuple[int, list[str]]], name: str) -> Measurements:
         provenance=tuple(texts.pop("provenance", ())),
         label=tuple(texts.pop("label", ())),
         push_control=tuple(text or "displacement" for text in texts.pop("push_control", ())),
-        lines=tuple(line for line, _ in table_rows[1:]),
+        lines=tuple(lines),
         source=name,
         other=texts,
         columns={column.quantity: name for name, column in columns.items()},
@@ -223,11 +229,12 @@ def _in_usual_units(given: list[str], where: str) -> list[str]:
     """The columns in the units of `_SI`; refuses one that is there twice, or in two units."""
     usual = [_ALIASES.get(column, (column,))[0] for column in given]
     for column, count in Counter(usual).items():
+        if count == 1:
+            continue
         twice = [own for own, known in zip(given, usual, strict=True) if known == column]
         if len(set(twice)) > 1:
             raise MeasurementError(f"{where}, columns {' and '.join(twice)}: one quantity in two units")
-        if count > 1:
-            raise MeasurementError(f"{where}, column {column or '(no name)'}: there {count} times")
+        raise MeasurementError(f"{where}, column {column or '(no name)'}: there {count} times")
     return usual
 
 
@@ -355,9 +362,13 @@ def read_text(path: str | os.PathLike[str]) -> str:
     OSError
         If there is no such file, or it cannot be opened.
     MeasurementError
-        If it is not UTF-8 text.
+        If it is larger than `LARGEST` or not UTF-8 text.
     """
-    name, content = os.fspath(path), Path(path).read_bytes()
+    name = os.fspath(path)
+    try:
+        content = read_whole(path, LARGEST)
+    except ValueError as error:  # too large
+        raise MeasurementError(str(error)) from None
     if content.startswith(b"PK\x03\x04"):
         raise MeasurementError(f"{name}: an Excel workbook, or another zip file: save it as CSV UTF-8")
     try:
@@ -369,46 +380,64 @@ def read_text(path: str | os.PathLike[str]) -> str:
     return text
 
 
-def rows(text: str, name: str) -> list[tuple[int, list[str]]]:
-    """Line number and cells of every line that is neither blank nor a comment."""
-    # a quoted cell may run over several lines: comments are blanked, not removed, so that line numbers stay true
-    lines = ["" if line.lstrip().startswith("#") else line for line in text.splitlines()]
-    delimiter = ""
-    if lines and (said := lines[0].strip().strip('"').lower()).startswith("sep="):  # as Excel writes it
-        delimiter, lines[0] = said.removeprefix("sep=") or "\t", ""
-    kept = "\n".join(lines)
+def rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of every line that is neither blank nor a comment, one after another: few are held at a time."""
+    said = next(_lines(text), "").strip().strip('"').lower()
+    separated = said.startswith("sep=")  # as Excel writes it
+    delimiter = said.removeprefix("sep=") or "\t" if separated else ""
     if len(delimiter) != 1:
-        delimiter = max(",;\t", key=next((line for line in lines if line.strip()), "").count)
-    found, line = [], 1
-    reader = csv.reader(io.StringIO(kept), delimiter=delimiter, strict=True)
+        delimiter = max(",;\t", key=next((line for line in _kept(text, separated) if line.strip()), "").count)
+    found = partial(_cells, text, separated, delimiter, name)
+    if delimiter == "," or _mark(found(), name) == ".":
+        return found()
+    with_comma = _DECIMAL[","].fullmatch
+    return ((line, [cell.replace(",", ".") if with_comma(cell) else cell for cell in cells]) for line, cells in found())
+
+
+def _cells(text: str, separated: bool, delimiter: str, name: str) -> Iterator[tuple[int, list[str]]]:
+    reader, line = csv.reader(_kept(text, separated), delimiter=delimiter, strict=True), 1
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
-                found.append((line, cells))
+                yield line, cells
             line = reader.line_num + 1
     except csv.Error as error:
         raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
-    return found if delimiter == "," else _with_points(found, name)
 
 
-def _with_points(found: list[tuple[int, list[str]]], name: str) -> list[tuple[int, list[str]]]:
-    """The lines with decimal points for decimal commas; refuses both in one table, where 1,234 may be a thousand."""
-    header = [cell.strip() for cell in found[0][1]] if found else []
-    numbers = {
-        mark: [(line, cell.strip()) for line, cells in found for column, cell in zip(header, cells, strict=False)
-               if column not in _TEXT and form.fullmatch(cell)]
-        for mark, form in _DECIMAL.items()
-    }  # fmt: skip
-    if all(numbers.values()):
-        odd, usual = sorted(numbers.values(), key=len)
-        kinds = ("point", "comma") if odd is numbers["."] else ("comma", "point")
-        (line, cell), (other, example) = odd[0], usual[0]
+def _mark(found: Iterator[tuple[int, list[str]]], name: str) -> str:
+    """The decimal mark of all numbers; refuses both in one table, where 1,234 may be a thousand."""
+    header = [cell.strip() for cell in next(found, (1, []))[1]]
+    count, first = Counter(), {}
+    for line, cells in found:
+        for column, cell in zip(header, cells, strict=False):
+            for mark, form in _DECIMAL.items():
+                if column not in _TEXT and form.fullmatch(cell):
+                    count[mark] += 1
+                    first.setdefault(mark, (line, cell.strip()))
+    if len(count) == 2:
+        odd, usual = sorted(_DECIMAL, key=count.__getitem__)
+        words = {".": "point", ",": "comma"}
+        (line, cell), (other, example) = first[odd], first[usual]
         raise MeasurementError(
-            f"{name}, line {line}: {cell!r} has a decimal {kinds[0]}, and {example!r} in line {other} a {kinds[1]}: write all "
-            f"numbers with one of them"
+            f"{name}, line {line}: {cell!r} has a decimal {words[odd]}, and {example!r} in line {other} a {words[usual]}: "
+            f"write all numbers with one of them"
         )
-    with_comma = _DECIMAL[","].fullmatch
-    return [(line, [cell.replace(",", ".") if with_comma(cell) else cell for cell in cells]) for line, cells in found]
+    return next(iter(count), ".")
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Lines without their ends."""
+    return (found[1] for found in re.finditer(r"([^\r\n]*)(?:\r\n?|\n|\Z)", text))
+
+
+def _kept(text: str, separated: bool) -> Iterator[str]:
+    """Lines of which comments, and a first one that names the separator, are blanked.
+
+    They are not left out: a quoted cell may run over several lines, and line numbers stay true.
+    """
+    for number, line in enumerate(_lines(text)):
+        yield "\n" if line.lstrip().startswith("#") or (separated and number == 0) else line + "\n"
 
 
 _DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*[{mark}]\d+(e[+-]?\d+)?\s*", flags=re.IGNORECASE) for mark in ".,"}
@@ -446,10 +475,10 @@ def labelled_table(
         Naming file, line and column; a blank cell in a `required` column is one that is missing.
     """
     name = os.fspath(path)
-    table = rows(read_text(path), name)
-    if len(table) < 2:
+    body = rows(read_text(path), name)
+    line, header = next(body, (1, []))
+    if not header:
         raise MeasurementError(f"{name}: a header line and at least one more are needed")
-    (line, header), *body = table
     header = [cell.strip() for cell in header]
     known, needed = {"label", *names}, {"label", *required}
     if not needed <= set(header) <= known or len(set(header)) < len(header):
@@ -459,25 +488,24 @@ def labelled_table(
             f"{name}, line {line}: columns {', '.join(header)}; expected label, {', '.join(required)}{more}, each once"
         )
     columns: dict[str, list[float]] = {column: [] for column in header if column != "label"}
-    row = []
+    count, place = Counter(labels), {label: row for row, label in enumerate(labels)}
+    row, lines = [], []
     for line, cells in body:
         where = f"{name}, line {line}"
         if len(cells) != len(header):
             raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
         by_name = dict(zip(header, (cell.strip() for cell in cells), strict=True))
-        row.append(_row_of(by_name["label"], labels, where))
+        label = by_name["label"]
+        if count[label] != 1:
+            found = f"{count[label]} measurements have" if count[label] else "no measurement has"
+            raise MeasurementError(f"{where}, column label: {found} the label {label!r}; each needs its own, in a column label")
+        row.append(place[label])
+        lines.append(line)
         for column, values in columns.items():
             blank = not by_name[column] and column not in required
             values.append(np.nan if blank else number(by_name[column], f"{where}, column {column}"))
+    if not row:
+        raise MeasurementError(f"{name}: a header line and at least one more are needed")
     meanings = ((split_unit(column), values) for column, values in columns.items())
     quantities = {quantity: np.array(values) * unit for (quantity, unit), values in meanings}
-    return LabelledTable(np.array(row), quantities, tuple(line for line, _ in body))
-
-
-def _row_of(label: str, labels: Sequence[str], where: str) -> int:
-    """Which measurement is labelled so."""
-    count = list(labels).count(label)
-    if count != 1:
-        found = "no measurement has" if count == 0 else f"{count} measurements have"
-        raise MeasurementError(f"{where}, column label: {found} the label {label!r}; each needs its own, in a column label")
-    return list(labels).index(label)
+    return LabelledTable(np.array(row), quantities, tuple(lines))
