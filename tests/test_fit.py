@@ -454,6 +454,12 @@ def test_errors_of_specimens_in_the_report():
     assert "(k/K up to 1)" in said
     assert "H/cm  measured/cm" in said
     assert {"height_cm", "length_fitted_cm"} <= set(result.to_dataframe())
+    ax = plot.fit_lengths(result)
+    (curve,) = [line for line in ax.lines if line.get_label() == "best fit"]
+    assert min(curve.get_xdata()) < 2.4 < 6 < max(curve.get_xdata())
+    points = {drawn.get_label(): drawn[0] for drawn in ax.containers}
+    assert len({points[f"{name} ± σ"].get_color() for name in "AB"}) == 2
+    assert len(set(points["A ± σ"].get_xdata())) == 2  # repeats do not lie on each other
     # what is not said is named, with what it would add
     assert f"± {0.1 * result.budget['length'].slope['areal_stiffness']:.0%} to k/λc²: provenance = measured" in said
 

@@ -40,6 +40,9 @@ def test_specimens_of_different_stiffness():
     each = sp.fit(m, [sp.Parameter("stiffness", each="specimen")], intervals="profile")
     assert each.values["stiffness[A]"] == pytest.approx(0.008, rel=0.2)
     assert each.next_steps == []
+    ax = sp.plot.fit_lengths(each)
+    curves = [line for line in ax.lines if str(line.get_label()).startswith("best fit")]
+    assert [curve.get_color() for curve in curves] == [drawn[0].get_color() for drawn in ax.containers]
 
 
 def test_one_outlier():

@@ -87,8 +87,9 @@ def prints_unicode() -> bool:
 
 def refuse(error: Exception) -> NoReturn:
     """Exit with status 2 and the message of an error about the input, or of a file that cannot be read."""
-    of_file = isinstance(error, OSError) and error.filename is not None
-    raise BadInput(f"{error.filename}: {error.strerror}" if of_file else shortened(str(error))) from None
+    if isinstance(error, OSError) and error.filename is not None:
+        raise BadInput(f"{error.filename}: {error.strerror}") from None
+    raise BadInput(shortened(str(error))) from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:

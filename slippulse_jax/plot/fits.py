@@ -16,7 +16,7 @@ from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.result import recursion_status
 from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plot.labels import axis_label, printed, symbol
-from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, dashed_where, drawn, handles_of, new_figure
+from slippulse_jax.plot.style import ABOVE, PAGE, Colours, axes, colours, dashed_where, drawn, handles_of, new_figure
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
@@ -158,41 +158,47 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     Against the height of the push where one block was pushed at several. With its 95 % band, and the longest lengths possible.
     The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on.
     """
+    from matplotlib.patches import Patch
+
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
-    scale, unit = _display_unit(result)
+    scale, unit = m.unit
     along, at = _abscissa(result)
-    groups = _groups(result)
-    names = _group_names(result, groups)
-    top, any_again = 0.0, False
-    widest = int(np.argmax([np.ptp(at[rows]) for rows in groups]))
+    groups, names = _groups(result), _group_names(result)
+    far, few = at * scale, len(groups) <= MOST_CURVES
+    top, any_again, tallest, narrow = 0.0, False, (0.0, far, far), True
     for number, rows in enumerate(groups):
-        color, first = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, number == 0
-        one = rows[0]
-        height = np.linspace(at[rows].min() * 0.85, at[rows].max() * 1.15, 41)
-        if along == "push_height":
-            height = height[(height > 0.05 * m.height[one]) & (height < 0.9 * m.height[one])]
+        color, one = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, rows[0]
+        near = far if few else far[rows]
+        height = np.linspace(near.min() * 0.85, near.max() * 1.15, 41) / scale[one]
+        allowed = (0.05 * m.height[one], 0.9 * m.height[one]) if along == "push_height" else (1.01, np.inf)
+        height = height[(height > allowed[0]) & (height < allowed[1])]
         x, y = height * scale[one], scale[one]
-        again = _breaks_again(result, _inputs_at(result, result.theta, one, height))
+        again = _breaks_again(result, _inputs_at(result, result.theta, rows, height))
         any_again |= bool(again.any())
-        dashed_where(ax, x, _lengths_at(result, result.theta, one, height) * y, again, color=color, label=names[number])
-        for i, (low, high) in enumerate(_bands(result, one, height)):
-            thin = " (thinner than the line)" if np.max(high - low) * y < 0.012 * float(m.length.max() * y) else ""
-            label = f"{BAND_LEVEL:.0%} band{thin}" if first and i == 0 else None
-            ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0, label=label)
-        longest = _longest(result, height, one) * y
+        dashed_where(ax, x, _lengths_at(result, result.theta, rows, height) * y, again, color=color, label=names[number])
+        for low, high in _bands(result, rows, height):
+            ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0)
+            narrow &= bool(np.max(high - low) * y < 0.012 * float(m.length.max() * y))
+        longest = _longest(result, height, rows) * y
         ax.plot(x, longest, color=c.grey, lw=0.8)
-        if number == widest:
-            beyond = "longer than the model allows"
-            ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=beyond)
+        tallest = max(tallest, (float(longest.max()), x, longest), key=lambda found: found[0])
         top = max(top, 1.12 * float(longest.max()), 1.05 * float((m.length[rows] * scale[rows]).max()))
+    _, x, longest = tallest
+    beyond = ax.fill_between(
+        x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label="longer than the model allows"
+    )
+    label = f"{BAND_LEVEL:.0%} band" + " (thinner than the line)" * narrow
+    band = Patch(color=c.blue if len(groups) == 1 else c.ink, alpha=0.25, lw=0, label=label)
     _draw_data(result, ax, scale)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
+    curves = handles_of(ax, again=any_again)
+    curves.insert(curves.index(beyond), band)
     ax.legend(
-        handles=handles_of(ax, again=any_again),
+        handles=curves,
         **ABOVE,
         ncols=2,
         fontsize="small",
@@ -204,49 +210,64 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     m, kind = result.measurements, np.array(result.measurements.kind)
-    x, y = _abscissa(result)[1] * scale, m.length * scale
+    x, y = _apart(_abscissa(result)[1] * scale), m.length * scale
     sigma = result.sigma * scale
-    color = colours(ax).vermilion
-    style = {"color": color, "capsize": 2, "zorder": 3, "linestyle": "none"}
-    plain = kind == "length"
-    for marker, name, rows in _by_specimen(result):
-        rows = rows & plain
-        if rows.any():
-            ax.errorbar(x[rows], y[rows], sigma[rows], fmt=marker, label=f"{name} ± σ", **style)
-    whole = kind == "whole"
-    if whole.any():
-        half = scale[whole] / 2
-        ax.errorbar(x[whole], y[whole] - half, half + sigma[whole], fmt="none", elinewidth=3, label="whole contacts", **style)
-    beyond = kind == "at_least"
-    if beyond.any():
-        ax.plot(x[beyond], y[beyond], "^", color=color, ms=6, label="at least this long: no arrest seen")
+    style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none"}
+    labelled = set()
+    for marker, color, name, rows in _series(result, colours(ax)):
+        plain, whole, beyond = (rows & (kind == one) for one in ("length", "whole", "at_least"))
+
+        def once(text: str) -> str | None:
+            new = text not in labelled
+            labelled.add(text)
+            return text if new else None
+
+        if plain.any():
+            ax.errorbar(x[plain], y[plain], sigma[plain], fmt=marker, color=color, label=once(f"{name} ± σ"), **style)
+        if whole.any():
+            half, label = scale[whole] / 2, once("whole contacts")
+            ends = y[whole] - half, half + sigma[whole]
+            ax.errorbar(x[whole], *ends, fmt="none", elinewidth=3, color=color, label=label, **style)
+        if beyond.any():
+            ax.plot(x[beyond], y[beyond], "^", color=color, ms=6, label=once("at least this long: no arrest seen"))
 
 
-def _by_specimen(result: "FitResult") -> Iterator[tuple[str, str, np.ndarray]]:
-    """Marker, name and measurements of each specimen; of all together where there is one, or too many."""
-    specimen = np.array(result.measurements.specimen)
+def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Marker, colour, name and measurements of each specimen on each curve; the colour is the curve's if there are several."""
+    m, groups = result.measurements, _groups(result)
+    specimen = np.array(m.specimen or ("",) * len(m))
     names = list(dict.fromkeys(specimen.tolist()))
-    if not 1 < len(names) <= len(MARKERS):
-        yield "o", "measured", np.ones(len(result.measurements), bool)
-        return
-    for marker, name in zip(MARKERS, names, strict=False):
-        yield marker, name, specimen == name
+    named = 1 < len(names) <= len(MARKERS)
+    for number, group in enumerate(groups):
+        for i, name in enumerate(names if named else [""]):
+            rows = np.isin(np.arange(len(m)), group) & ((specimen == name) | (not named))
+            color = c.data[number % len(c.data)] if len(groups) > 1 else c.data[1 + i % (len(c.data) - 1)]
+            if rows.any():
+                yield MARKERS[i], color, name if named else "measured", rows
 
 
-def _bands(result: "FitResult", one: int, height: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _apart(x: np.ndarray) -> np.ndarray:
+    """Places along an axis, those that lie on each other a little apart."""
+    value, which, count = np.unique(x, return_inverse=True, return_counts=True)
+    order = np.array([int((which[:i] == which[i]).sum()) for i in range(len(x))])
+    step = (np.ptp(value) or 0.3 * np.abs(value).max()) * np.minimum(0.012, 0.05 / np.maximum(count - 1, 1))
+    return x + (order - (count[which] - 1) / 2) * step[which]
+
+
+def _bands(result: "FitResult", rows: np.ndarray, height: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the band of fitted lengths: over the intervals of one parameter, by error propagation for several."""
     if result.problem.p == 1:
         free = result.parameters.free[0]
         for piece in result.intervals[result.names[0]][BAND_LEVEL]:
             theta = np.linspace(free.theta(piece.low), free.theta(piece.high), 25)
-            family = _lengths_over(result, theta[:, None], one, height)
+            family = _lengths_over(result, theta[:, None], rows, height)
             yield family.min(axis=0), family.max(axis=0)
         return
     if result.covariance is None:
         return
-    middle = _lengths_at(result, result.theta, one, height)
+    middle = _lengths_at(result, result.theta, rows, height)
     step = 1e-3 * np.sqrt(np.diag(result.covariance))
-    up, down = (_lengths_over(result, result.theta + side * np.diag(step), one, height) for side in (1, -1))
+    up, down = (_lengths_over(result, result.theta + side * np.diag(step), rows, height) for side in (1, -1))
     slope = (up - down) / (2 * step[:, None])
     half = float(ndtri((1 + BAND_LEVEL) / 2)) * np.sqrt(np.einsum("pn,pq,qn->n", slope, result.covariance, slope))
     yield np.maximum(middle - half, 0), middle + half
@@ -263,7 +284,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     ax = axes(ax)
     c = colours(ax)
     m, q = result.measurements, result.parameters
-    scale, unit = _display_unit(result)
+    scale, unit = m.unit
     theta = np.linspace(q.low[0], q.high[0], 301)
     stiffness = np.exp(theta)
     along, at = _abscissa(result)
@@ -295,7 +316,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
     look: dict[str, Any] = ABOVE | {"columnspacing": 0.8, "handlelength": 1.2}
-    title = "Length versus stiffness; bands: measured ± σ"
+    title = "Bands: measured ± σ"
     ax.legend(handles=handles_of(ax, again=any_again), **look, ncols=3, fontsize="small", title=title, alignment="left")
     return ax
 
@@ -315,12 +336,13 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     """Draw (fitted − measured)/σ against the fitted length, or against what `fit_lengths` has along its axis."""
     ax = axes(ax)
     c = colours(ax)
-    scale, unit = _display_unit(result)
+    scale, unit = result.measurements.unit
     along, at = _abscissa(result) if along_height else ("length", result.fitted.length)
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
-    for marker, _, rows in _by_specimen(result):
-        ax.plot((at * scale)[rows], result.residuals[rows], marker, color=c.vermilion)
+    x = _apart(at * scale) if along_height else at * scale
+    for marker, color, _, rows in _series(result, c):
+        ax.plot(x[rows], result.residuals[rows], marker, color=color)
     label = axis_label(along, unit)
     ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
     ax.set_ylabel("off by, in σ" if along_height else "(fitted − measured)/σ")
@@ -439,13 +461,6 @@ def _name(one: "Free", axis: "Axis") -> None:
     axis.set_label_text(axis_label(one.name, unit) + specimen)
 
 
-def _display_unit(result: "FitResult") -> tuple[np.ndarray, str]:
-    m = result.measurements
-    if m.correlation_length is None:
-        return np.ones(len(m)), "λc"
-    return m.correlation_length * 1e3, "mm"
-
-
 def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
     """What lengths are drawn against, in stated λc: height of the block, or of the push where one block has several."""
     m = result.measurements
@@ -454,27 +469,30 @@ def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
     return "height", m.height
 
 
-def _inputs_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> Inputs:
-    """Inputs of the model for a measurement like that of `row`, at other heights; shape (…, heights) for θ of (…, p)."""
+def _inputs_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.ndarray) -> Inputs:
+    """Inputs of the model for measurements like those of `rows`, their mean, at other heights; (…, heights) for θ of (…, p)."""
     along, at = _abscissa(result)
-    at_row = result.parameters.inputs_at(theta).take((..., row, None))
+    each = result.parameters.inputs_at(theta)
     name = {"height": "log_height", "push_height": "log_push"}[along]
-    one = at_row._replace(**{name: getattr(at_row, name) + np.log(height / at[row])})
+    each = each._replace(**{name: getattr(each, name) - np.log(at)})
+    mean = Inputs(*(None if x is None else x[..., np.atleast_1d(rows)].mean(axis=-1, keepdims=True) for x in each))
+    one = mean._replace(**{name: getattr(mean, name) + np.log(height)})
     shape = np.broadcast_shapes(one.log_height.shape, np.shape(height))
     return Inputs(*(None if x is None else np.broadcast_to(x, shape) for x in one))
 
 
-def _lengths_at(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
+def _lengths_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.ndarray) -> np.ndarray:
     """Predicted lengths in stated λc."""
-    return _lengths_over(result, theta[None], row, height)[0]
+    return _lengths_over(result, theta[None], rows, height)[0]
 
 
-def _lengths_over(result: "FitResult", theta: np.ndarray, row: int, height: np.ndarray) -> np.ndarray:
+def _lengths_over(result: "FitResult", theta: np.ndarray, rows: Any, height: np.ndarray) -> np.ndarray:
     """Predicted lengths at many θ, (t, p), in one batch; shape (t, heights)."""
     q = result.parameters
-    inputs = _inputs_at(result, theta, row, height)
+    inputs = _inputs_at(result, theta, rows, height)
     length = lengths(inputs.ravel(), event=q.event).value.reshape(len(theta), -1)
-    return length * np.exp(q.scales["length"](theta)[:, row, None]) + q.offset(theta)[:, row, None]
+    log_scale, offset = (x(theta)[:, np.atleast_1d(rows)].mean(axis=-1)[:, None] for x in (q.scales["length"], q.offset))
+    return length * np.exp(log_scale) + offset
 
 
 def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
@@ -485,9 +503,10 @@ def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
-    """Group the measurements that lie on one curve: all but the abscissa the same."""
+    """Group the measurements that lie on one curve: all but the abscissa the same, and the errors that inputs have."""
     m = result.measurements
-    same = result.parameters.inputs_at(result.theta)._asdict()
+    theta = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
+    same = result.parameters.inputs_at(np.array(theta))._asdict()
     del same[{"height": "log_height", "push_height": "log_push"}[_abscissa(result)[0]]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
@@ -495,8 +514,9 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
     return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
 
 
-def _group_names(result: "FitResult", groups: list[np.ndarray]) -> list[str]:
+def _group_names(result: "FitResult") -> list[str]:
     """Name the curves by what differs between them."""
+    groups = _groups(result)
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
     numbers = {"$k/K$": np.exp(one.log_stiffness), "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
     if one.log_push is not None:
@@ -511,12 +531,12 @@ def _best(result: "FitResult") -> str:
     return "closest (rejected)" if rejected else "best fit"
 
 
-def _longest(result: "FitResult", height: np.ndarray, row: int) -> np.ndarray:
+def _longest(result: "FitResult", height: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Longest length at any stiffness searched, at each height, in stated λc."""
     q = result.parameters
-    inputs = _inputs_at(result, result.theta, row, height)
-    scale = np.exp(q.scales["length"](result.theta)[row])
-    return attainable_of(q, result.theta, np.full(len(height), row), inputs)[0] * scale
+    inputs = _inputs_at(result, result.theta, rows, height)
+    scale = np.exp(q.scales["length"](result.theta)[rows].mean())
+    return attainable_of(q, result.theta, np.full(len(height), rows[0]), inputs)[0] * scale
 
 
 @drawn

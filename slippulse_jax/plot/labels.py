@@ -70,5 +70,5 @@ def printed(unit: str) -> str:
 DISTANCE = axis_label("position", "λc")
 """Label of every axis along the interface."""
 
-AGAIN = "edge contact breaks again"
+AGAIN = "edge breaks again"
 """Legend entry of what lies beyond the onset of re-breaking, where the length is that of the front, not of the event."""
