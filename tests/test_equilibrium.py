@@ -10,7 +10,7 @@ from oracles.dense_chain import end_stiffness
 from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import Chain, Springs, State, chain, eliminate, endless, respond
+from slippulse_jax.lattice.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, imbalance
 from slippulse_jax.lattice.modes import Ends, lattice_modes
 
@@ -57,6 +57,35 @@ def test_against_dense_matrices(sites, right):
         np.testing.assert_allclose(found.layer[n], u, rtol=0, atol=1e-10)
         np.testing.assert_allclose(found.stress[n], d.stress(), rtol=0, atol=1e-10)
         np.testing.assert_allclose(found.push[n], d.push(), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_forces_are_slopes_of_the_energy(right):
+    """Of displacements out of balance, and of the pinning points: then of all that the contacts carry, prestress included."""
+    rng = np.random.default_rng(7)
+    _, mine, state = random_case(rng, 12, right)
+    x = tuple(jnp.asarray(one) for one in rng.normal(size=(2, 12)))
+    (upper, layer), pinning = jax.jit(jax.grad(potential_energy, argnums=(1, 2)))(mine, x, state.pinning)
+    force = imbalance(mine, state, x)
+    np.testing.assert_allclose(upper[1:], -force[0][1:], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(layer, -force[1], rtol=1e-12, atol=1e-12)
+    carried = mine.stiffness * mine.stress(x[1], state.pinning)
+    np.testing.assert_allclose(pinning, -carried, rtol=1e-12, atol=1e-12)
+    assert potential_energy(mine, (0 * x[0], 0 * x[1]), 0 * x[0]) == 0
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_driver_before_the_first_site(right):
+    """The chain behind it is that whose edge is held where the spring leaves it; the spring carries the push."""
+    rng = np.random.default_rng(8)
+    _, mine, state = random_case(rng, 12, right)
+    found = equilibrium(driven(mine, 0.7), State(jnp.append(0.0, state.pinning), state.load))
+    alone = equilibrium(mine, State(state.pinning, found.upper[1]))
+    assert found.status == alone.status == EquilibriumStatus.SOLVED
+    for name in ("upper", "layer", "stress"):
+        np.testing.assert_allclose(getattr(found, name)[1:], getattr(alone, name), rtol=1e-10, atol=1e-11)
+    spring = 0.7 * float(state.load - found.upper[1])
+    np.testing.assert_allclose([found.push, alone.push], spring, rtol=1e-9)
 
 
 @pytest.mark.parametrize("right", ENDS)

@@ -39,9 +39,8 @@ def log_width(result, level):
 HEIGHTS = np.array([15.0, 20.0, 30.0, 45.0, 60.0])
 
 
-@pytest.mark.parametrize("loss", ["normal", "huber", "student"])
-def test_gradient_is_that_of_the_value(loss):
-    """Every parameter at once, against central differences of the value."""
+def problem_of_everything(loss):
+    """Every parameter at once, and θ."""
     m = Measurements(
         height=[3000, 5000, 7000], poisson=0.3, length=[1500, 3000, 5000], length_sigma=[40, 50, 60], kind=["length", "whole", "at_least"],
         correlation_length=1e-5, young=3e9, displacement=[4e-6, np.nan, 5e-6], displacement_sigma=1e-7, force=[np.nan, 40, 50],
@@ -62,7 +61,13 @@ def test_gradient_is_that_of_the_value(loss):
         "model_factor": 1.02,
     }
     size = {**value, **start, "correlation_length": 1.02e-5, "young": 2.95e9}
-    theta = np.array([one.theta(size[one.label]) for one in q.free])
+    return q, problem, np.array([one.theta(size[one.label]) for one in q.free])
+
+
+@pytest.mark.parametrize("loss", ["normal", "huber", "student"])
+def test_gradient_is_that_of_the_value(loss):
+    """Every parameter at once, against central differences of the value."""
+    q, problem, theta = problem_of_everything(loss)
     step = np.array([1e-8 if one.name == "offset" else 1e-5 for one in q.free])
     around = np.concatenate([theta + np.diag(step), theta - np.diag(step)])
     values = problem(around).value
@@ -79,6 +84,56 @@ def test_gradient_is_that_of_the_value(loss):
         np.testing.assert_allclose(
             at.metric[0][~held][:, ~held], problem(theta, order=1).metric[0][~held][:, ~held], rtol=1e-12
         )
+
+
+def test_least_density_between_limits():
+    """The density itself where the limits coincide, and below it for all that lies between them."""
+    rng = np.random.default_rng(4)
+    _, problem, theta = problem_of_everything("student")
+    mu, value = problem.predictions(theta[None]), problem(theta).value
+    assert problem.least(mu, mu, theta[None], theta[None]) == pytest.approx(value, rel=1e-12)
+    near = np.array([1e-7 if one.name == "offset" else 0.01 for one in problem.parameters.free])
+    inside = theta + near * rng.uniform(-1, 1, (30, len(theta)))
+    mus = problem.predictions(inside)
+    least = problem.least(mus.min(0)[None], mus.max(0)[None], inside.min(0)[None], inside.max(0)[None])
+    assert least < problem(inside).value.min()
+
+
+def test_parts_of_a_sum_of_squares():
+    """Residuals, information and linear part of plain lengths with a prior, against the value and its derivatives; replicates."""
+    m = Measurements(height=[20.0, 30.0, 40.0], poisson=0.3, length=[20.0, 29.0, 36.0], length_sigma=[0.5, 1.0, 2.0])
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
+    problem = make_problem(m, q, Loss(), m.sigma)
+    theta = np.array([np.log(0.03), 0.31])
+    at, mu = problem(theta, order=2), problem.predictions(theta[None])
+    residuals, weight = problem.residuals(mu, theta[None])
+    np.testing.assert_allclose(residuals[0], [*(mu[0] - m.length) / m.length_sigma, 0, 0.5], rtol=1e-12)
+    np.testing.assert_array_equal(weight[0], [2, 1, 0.5])
+    assert problem.plain
+    assert (problem.count, problem.p) == (4, 2)
+    np.testing.assert_array_equal(problem.reach, m.length_sigma)
+    assert at.value[0] == pytest.approx((residuals**2).sum() / 2, rel=1e-12)
+    assert problem.least(mu, mu, theta[None], theta[None]) == pytest.approx(at.value, rel=1e-12)
+    information, jacobian = problem.information(theta)
+    np.testing.assert_allclose(information, at.metric[0], rtol=1e-12)
+    np.testing.assert_allclose(jacobian.T @ residuals[0], at.gradient[0], rtol=1e-12)
+    slope = (jacobian[:3] * m.length_sigma[:, None])[None]
+    linear = problem.linearised(mu, slope, theta[None])
+    np.testing.assert_allclose(linear.gradient, at.gradient, rtol=1e-12)
+    np.testing.assert_allclose(linear.metric, at.metric, rtol=1e-12)
+    # what is left of the second derivatives is Σ r ∂²μ/σ
+    step = np.array([1e-4, 1e-4])
+    mixed = [problem.predictions((theta + step * s)[None])[0] for s in ([1, 1], [1, -1], [-1, 1], [-1, -1])]
+    bend = (mixed[0] - mixed[1] - mixed[2] + mixed[3]) / 4e-8
+    assert at.curvature[0, 0, 1] == pytest.approx(
+        at.metric[0, 0, 1] + (residuals[0, :3] / m.length_sigma * bend).sum(), rel=1e-4
+    )
+    # other numbers measured, in lane 1
+    lengths = np.stack([m.length, m.length + 1])
+    both = problem.with_replicates({"length": lengths}, {"length": np.ones((2, 3))}, np.array([[0, 0.3], [0, 0.28]]))
+    other = (mu[0] - lengths[1]) / m.length_sigma
+    values = both(np.stack([theta, theta]), lane=np.array([0, 1])).value
+    np.testing.assert_allclose(values, [at.value[0], ((other**2).sum() + 1.5**2) / 2], rtol=1e-12)
 
 
 @pytest.mark.parametrize("prestressed", [False, True])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 from oracles.lattice_mp import Chain
-from problems import REFERENCE
+from problems import PAPER, REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax.lattice import precursor
 from slippulse_jax.lattice.exact import exact_front_stress, exact_length
-from slippulse_jax.lattice.front import Front, advance, front_stress, straight_line, stress_ahead
+from slippulse_jax.lattice.front import Front, advance, front_stress, slowest_approach, straight_line, stress_ahead
 from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.lattice.modes import Ends, lattice_modes
 from slippulse_jax.lattice.precursor import FrontNotArrested, arrest
@@ -253,3 +253,11 @@ def test_straight_line_between_the_recorded_stresses():
     s0 = int(record.contacts_broken)
     behind, ahead = (np.asarray(record.front_stress)[s0 - 1 : s0 + 1] - 1).tolist()
     assert abs(straight_line(s0 - 1, behind, ahead) - float(record.length)) < 1e-12
+
+
+@pytest.mark.parametrize(("slider", "sites"), [(PAPER.slider, 1500), ((2.0, 2.0, 0.1), 60)])
+def test_rate_at_which_the_front_stress_settles(slider, sites):
+    """Far from the edge the front stress of relaxed contacts falls by the same factor from contact to contact."""
+    modes = lattice_modes(Slider(*slider))
+    stress = front_stress(modes, sites)
+    assert 1 - slowest_approach(modes) == pytest.approx(float(stress[-1] / stress[-2]), rel=1e-12)
