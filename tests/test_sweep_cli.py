@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from click.testing import CliRunner
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
 from slippulse_jax.sweeps import compute
+from slippulse_jax.sweeps.outputs import OUTPUTS, SETS
 
 ROOT = Path(__file__).resolve().parent.parent
 GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
@@ -54,10 +56,17 @@ def test_files(tmp_path):
     done = invoke(*GRID, "--out", str(tmp_path / "sweep.nc"), "--figure", str(tmp_path / "sweep.svg"))
     assert done.exit_code == 0
     assert "15 points (height 5 × stiffness 3)" in done.stdout
+    assert re.search(r"^status +(arrested \d+|no_domino \d+)", done.stdout, flags=re.M)
     xr.testing.assert_identical(xr.load_dataset(tmp_path / "sweep.nc", engine="h5netcdf"), sp.sweep(**SAME))
     assert (tmp_path / "sweep.svg").read_bytes().startswith(b"<?xml")
     assert invoke(*GRID, "--out", str(tmp_path / "sweep.csv")).exit_code == 0
     assert len((tmp_path / "sweep.csv").read_text().splitlines()) == 16
+
+
+def test_help_names_every_output():
+    shown = invoke("--help").stdout
+    names = {name for name, output in OUTPUTS.items() if output.group != "gradient"} | set(SETS)
+    assert names <= set(re.findall(r"\w+", shown))
 
 
 def test_share_is_incomplete_then_resumed(tmp_path):
@@ -103,7 +112,7 @@ def test_store_that_vanishes(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (["--height", "10:50", *GRID[2:]], "'10:50' is not a number, a list a,b,c or a range first:last:count[:log]"),
-        (["--height", "0:50:5:log", *GRID[2:]], "'0:50:5:log' is not"),
+        (["--height", "0:50:5:log", *GRID[2:]], "'0:50:5:log': even steps of the logarithm need both ends above 0"),
         (["--height", "10:50:0", *GRID[2:]], "'10:50:0' is not"),
         (["--height", "tall", *GRID[2:]], "'tall' is not"),
         (["--height", "0.5", *GRID[2:]], "Slider.height = 0.5: must exceed 1"),

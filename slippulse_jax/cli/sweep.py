@@ -45,7 +45,9 @@ class Values(click.ParamType):
             first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
             if count > MOST_VALUES:
                 self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
-            if count < 1 or parts[3:] not in ([], ["log"]) or (parts[3:] and min(first, last) <= 0):
+            if parts[3:] == ["log"] and min(first, last) <= 0:
+                self.fail(f"{value!r}: even steps of the logarithm need both ends above 0", param, ctx)
+            if count < 1 or parts[3:] not in ([], ["log"]):
                 raise ValueError
         except (ValueError, IndexError):
             self.fail(f"{value!r} is not a number, a list a,b,c or a range first:last:count[:log]", param, ctx)
@@ -96,7 +98,10 @@ def command(
 ) -> None:  # fmt: skip
     """Compute first precursors over ranges of parameters: CSV on stdout, or a store that survives interruption.
 
-    --outputs also takes gradients, theory and validity, each for several outputs.
+    --outputs takes length, exact_length, smooth_length, block_precursor_length; contacts_broken, status, exact_status;
+    edge_stress, nucleation_load, b, slow_decay_length; gradients (dlength_dheight …), theory (length_eq25, length_eq58,
+    length_frozen, length_continuum, length_envelope, length_macroscopic, runaway_prestress) and validity (is_one_domino,
+    is_continuous, is_frozen, is_far_from_edge).
     """
     if store is None and (share or (chunk and not scheduler)):
         raise click.UsageError("--share and --chunk go with --store")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
 
-WIDEST = 36
+WIDEST = 44
 """Characters in a line of the label of a colour bar."""
 
 LINES = 8
@@ -55,7 +55,7 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     else:
         _map(ax, column, again, *(axes if axes[0] == column.dims[1] else axes[::-1]))
     fixed = [
-        f"{symbol(name, UNIT_OF.get(name, ''))} = {float(column[name]):g}"
+        f"{symbol(name, UNIT_OF.get(name, ''))} = {float(column[name]):.4g}"
         for name in NAMES
         if name in column.coords and not column[name].ndim
     ]
@@ -85,18 +85,22 @@ def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str
 
 def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: str, horizontal: str) -> None:
     from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
 
     x, y = column[horizontal].values, column[vertical].values
     shown = column.transpose(vertical, horizontal).values.astype(float)
     shown = np.ma.masked_invalid(shown)  # fronts that never stop, or were given up, stay blank
     mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="cividis", rasterized=True)
     if shown.count() and np.ptp(shown) > 0 and column.dtype.kind == "f":
-        lines = ax.contour(x, y, shown, colors="white", linewidths=0.7)
+        levels = MaxNLocator(7).tick_values(shown.min(), shown.max())
+        levels = levels[(levels > shown.min()) & (levels < shown.max())]  # not the edge of a plain of zeros
+        lines = ax.contour(x, y, shown, levels=levels, colors="white", linewidths=0.7)
         ax.clabel(lines, fontsize="small")
     if again.any():
         shaded = again.transpose(vertical, horizontal).values
-        ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["///"]).set_edgecolor("white")
-        key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="///", label=AGAIN)
+        hatched = ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["//"])
+        hatched.set(edgecolor=(1, 1, 1, 0.5), linewidth=0)
+        key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="//", label=AGAIN)
         ax.legend(handles=[key], **style.ABOVE)
     _scale(ax.set_xscale, x)
     _scale(ax.set_yscale, y)

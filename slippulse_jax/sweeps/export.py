@@ -67,14 +67,27 @@ def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
 
 
 def summary(found: xr.Dataset, where: str) -> str:
-    """Number of points and range of each output, as text."""
+    """Number of points, and range or outcomes of each output, as text."""
     sizes = " × ".join(f"{dim} {n}" for dim, n in found.sizes.items()) or "one"
     lines = [f"{math.prod(found.sizes.values())} points ({sizes}) in {where}"]
     for name, column in found.data_vars.items():
+        if "flag_meanings" in column.attrs:
+            lines.append(f"{name!s:26s} {_outcomes(column)}")
+            continue
         low, high, missing = _range(column)
-        span = "no finite value" if low is None else f"{low:.6g} … {high:.6g} {column.attrs['units']}"
+        unit = f" {column.attrs['units']}" * (column.attrs["units"] != "1")
+        span = "no finite value" if low is None else f"{low:.6g} … {high:.6g}{unit}"
         lines.append(f"{name!s:26s} {span}" + (f", {missing} not finite" if missing else ""))
     return "\n".join(lines)
+
+
+def _outcomes(column: xr.DataArray) -> str:
+    """How often each outcome is there: ``arrested 12, no_domino 3``."""
+    values = np.asarray(column.attrs["flag_values"])
+    count = np.sum(
+        [(piece.values[..., None] == values).reshape(-1, len(values)).sum(axis=0) for piece in _pieces(column)], axis=0
+    )
+    return ", ".join(f"{name} {n}" for name, n in zip(column.attrs["flag_meanings"].split(), count, strict=True) if n)
 
 
 def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
