@@ -448,7 +448,9 @@ def test_float32(right):
         ({"sites": 1}, "sites = 1: must be a whole number, at least 2"),
         ({"right": "open"}, "right = 'open': must be one of"),
         ({"contact": [0.03, 0.03]}, r"contact has shape \(2,\): must be \(\) or \(5,\) for 5 sites"),
-        ({"contact": -1.0}, "contact = -1: must be zero or more"),
+        ({"contact": -0.5}, "contact = -0.5: must be zero or more"),
+        ({"upper": -0.5}, "upper = -0.5: must be zero or more"),
+        ({"layer": -0.5}, "layer = -0.5: must be zero or more"),
         ({"threshold": 0.0}, "threshold = 0: must be positive"),
         ({"layer": np.nan}, "layer = nan: must be zero or more"),
     ],
@@ -456,6 +458,17 @@ def test_float32(right):
 def test_refusals(wrong, message):
     with pytest.raises(ValueError, match=message):
         chain(FIG2, **{"sites": 5, **wrong})
+
+
+def test_uniform_and_relaxed_by_default():
+    made = chain(FIG2, sites=5)
+    np.testing.assert_array_equal(made.threshold, np.ones(5))
+    np.testing.assert_array_equal(made.prestress, np.zeros(5))
+    np.testing.assert_array_equal(made.contact, np.full(5, 0.03))
+    np.testing.assert_array_equal(made.upper, np.full(4, FIG2.K_L))
+    np.testing.assert_array_equal(made.layer, np.ones(4))
+    np.testing.assert_array_equal(made.relaxed().pinning, np.zeros(5))
+    assert made.relaxed().load == 0
 
 
 def test_a_batch_of_sliders_is_sent_to_vmap():

@@ -10,10 +10,12 @@ import pytest
 from oracles import dense_chain
 from oracles.lattice_mp import Chain
 from problems import PRESTRESSED, REFERENCE, RUNAWAY
+from scipy.optimize import brentq
 from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series
+from slippulse_jax.lattice import crossing
 from slippulse_jax.lattice.crossing import system_of
 from slippulse_jax.lattice.exact import exact_fields, exact_front, exact_front_stress, exact_length
 from slippulse_jax.lattice.front import front_stress
@@ -392,6 +394,27 @@ def test_no_crossing_is_leapt_over_and_no_dip_between_contacts_taken():
         stress = Chain(*row[:3]).recursion(count, row[3])
         below = [t < 1 + row[4] * s for s, t in enumerate(stress)]
         assert below[1:].index(True) + 1 == expected if expected else not any(below[1:])
+
+
+def test_newton_is_kept_within_its_bracket():
+    """On a step whose slope fades on both sides, where plain Newton steps leap away; from every start, within twenty steps."""
+
+    def rise(s):
+        return jnp.arctan(7 - s), -1 / (1 + (7 - s) ** 2)
+
+    start = jnp.array([0.2, 1.0, 3.0, 6.9, 8.0, 30.0, 900.0])
+    for slope in (0.0, 0.01, -0.001):
+        fixed = jnp.full_like(start, slope)
+        s, before = crossing._newton(rise, fixed, start, 0 * start, tolerance=1e-9, most=20)
+        exact = brentq(lambda x, slope=slope: np.arctan(7 - x) - slope * x, 0, 100, xtol=1e-13)
+        np.testing.assert_allclose(s, exact, rtol=1e-12)
+        np.testing.assert_allclose(before, exact, rtol=1e-8)
+    # all but level at the start, and beyond 50 no number: a longer step than to 4 s + 10 would end there
+    s, _ = crossing._newton(
+        lambda s: (jnp.where(s < 50, 1e-3 * (1 - (s / 20) ** 8), jnp.nan), -8e-3 * s**7 / 20**8), 0 * start[:3], start[:3], 0 * start[:3],
+        tolerance=1e-9, most=30,
+    )  # fmt: skip
+    np.testing.assert_allclose(s, 20, rtol=1e-12)
 
 
 def test_differentiation_agrees_in_every_mode():

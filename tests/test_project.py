@@ -17,7 +17,7 @@ from nbclient import NotebookClient
 import slippulse_jax
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = ROOT / "slippulse_jax"
+PACKAGE = Path(slippulse_jax.__file__).parent
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {

@@ -1,0 +1,235 @@
+"""Mutation testing: do the tests notice a changed operator, number or comparison where results are computed?
+
+Mutants are made and run one by one by Cosmic Ray, in a copy of the tree: a seeded sample of each module against the tests named
+for it here. What was done is kept in ``.pytest_cache/mutation``, so that a campaign that was stopped goes on.
+
+Run::
+
+    python tests/mutate.py                    # all modules
+    python tests/mutate.py chain modes        # some
+    python tests/mutate.py chain --again      # survivors only, after a change to the tests
+    python tests/mutate.py --write            # and write docs/tables/mutation.md
+"""
+
+import argparse
+import ast
+import os
+import random
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import chdir
+from pathlib import Path
+
+from cosmic_ray.commands import execute, init
+from cosmic_ray.config import ConfigDict
+from cosmic_ray.work_db import WorkDB, use_db
+from cosmic_ray.work_item import MutationSpec, WorkItem, WorkResult
+
+ROOT = Path(__file__).resolve().parent.parent
+KEPT = ROOT / ".pytest_cache" / "mutation"
+
+MODULES = {
+    "lattice/modes": "tests/test_front.py tests/test_ends.py tests/test_fields.py tests/test_derivatives.py "
+    "-k 'not semi-infinite-300 and not million and not hessian'",
+    "lattice/front": "tests/test_front.py tests/test_interface.py "
+    "-k '(not semi-infinite-300 and test_front) or profile_against or profile_that or soft_short or traced or falling'",
+    "lattice/crossing": "tests/test_exact.py tests/test_exact_lanes.py "
+    "-k 'not sixty and not hessian and not resonan and not gradient and not modes and not exponents'",
+    "double_series": "tests/test_exact.py tests/test_exact_fields.py -k 'not lanes and not every_mode'",
+    "lattice/chain": "tests/test_cascade.py tests/test_equilibrium.py "
+    "-k 'inverse or dense_matrices or lattice_modes or floating or (refus and not differentiated) or interface or slopes or driver or by_default'",
+    "lattice/equilibrium": "tests/test_equilibrium.py "
+    "-k 'not continuum and not second_derivatives and not unrolled and not long_chain and not cut'",
+    "lattice/rupture": "tests/test_cascade.py -k 'not hundred_thousand and not devices and not size_of and not surrogate'",
+    "inference/likelihood": "tests/test_fit_parameters.py tests/test_fit_ends.py "
+    "-k 'gradient_is or of_a_count or counts_of or huber or traced_density or least'",
+}
+"""Modules, and the tests that should see a change there, quick ones first."""
+
+EQUIVALENT: dict[tuple[str, str], str] = {
+    ("lattice/modes", 'MACHINE.check("machine", np.where(known >= np.inf, 1, known))'): "nothing exceeds inf",
+    (
+        "lattice/front",
+        "return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 1, jnp.abs(length))))",
+    ): "a factor on 0, inf or NaN",
+    ("lattice/front", "reach = modes.weight + (modes.echo_factor(0 / one)[:, None] * modes.reflection).sum(0)"): "0/1 is 0",
+    (
+        "lattice/front",
+        "stress = stress_ahead(front, echo)[ 1] + contact_at(modes, contacts, front.position)[1]",
+    ): "of one element, JAX takes the last",
+    (
+        "lattice/front",
+        "threshold, prestress = contact_at(modes, contacts, since * 1)",
+    ): "beyond its last site a profile stays as it is there",
+    ("lattice/chain", "if slider.shape > ():"): "of tuples, all but () are greater",
+    (
+        "lattice/chain",
+        "return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning).sum(where=chain.contact != 0)",
+    ): "no contact has a negative stiffness",
+    ("lattice/chain", "attached = self.contact != 0"): "no contact has a negative stiffness",
+    (
+        "lattice/chain",
+        "floating = determinant(Springs(B + site.upper, K + site.layer, site.across)) == 0",
+    ): "no stiffness is negative where it is asked",
+    (
+        "lattice/chain",
+        "first = beside(Springs(*(x[ -1] for x in beyond)), chain.across[0], contact[0])",
+    ): "K_T > 0 alone holds the first site",
+}
+"""Mutants that change no result, as (module, mutated line), and why."""
+
+REPLACED = (
+    r"ReplaceBinaryOperator_(Add|Sub|Mul|Div|Pow)_(Add|Sub|Mul|Div)",
+    r"ReplaceBinaryOperator_(BitOr_BitAnd|BitAnd_BitOr)",
+    r"ReplaceComparisonOperator_(Eq|NotEq|Lt|LtE|Gt|GtE)_(Eq|NotEq|Lt|LtE|Gt|GtE)",
+    r"ReplaceComparisonOperator_(Is_IsNot|IsNot_Is)",
+    r"ReplaceUnaryOperator_(USub_UAdd|Delete_\w+)",
+    r"AddNot|ReplaceTrueWithFalse|ReplaceFalseWithTrue|ReplaceAndWithOr|ReplaceOrWithAnd|NumberReplacer|ZeroIterationForLoop",
+    r"ReplaceBreakWithContinue|ReplaceContinueWithBreak",
+)
+"""Changes that are made. Others, such as a shift for a sum, are errors of type that any test would notice."""
+
+
+def spared(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Parts of a module that are not mutated: annotations, decorators and messages."""
+    parts: list[ast.AST | None] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef):
+            arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs, node.args.vararg, node.args.kwarg]
+            parts += [node.returns, *node.decorator_list, *(one.annotation for one in arguments if one)]
+        elif isinstance(node, ast.AnnAssign):
+            parts.append(node.annotation)
+        elif isinstance(node, ast.Raise):
+            parts.append(node)
+    parts += [one for one in ast.parse(source).body if isinstance(one, ast.Assign) and "|" in ast.unparse(one)]  # types
+    return [((p.lineno, p.col_offset), (p.end_lineno, p.end_col_offset)) for p in parts if p]
+
+
+def draw(items: Iterator[WorkItem], count: int, seed: int, module: str) -> list[WorkItem]:
+    """A sample of the mutants of a module, in the order of its lines."""
+    kept = spared((ROOT / "slippulse_jax" / f"{module}.py").read_text(encoding="utf-8"))
+
+    def wanted(item: WorkItem) -> bool:
+        (one,) = item.mutations
+        name = one.operator_name.removeprefix("core/")
+        inside = any(start <= one.start_pos and one.end_pos <= end for start, end in kept)
+        return not inside and any(re.fullmatch(pattern, name) for pattern in REPLACED)
+
+    def place(item: WorkItem) -> tuple:
+        (one,) = item.mutations
+        return one.start_pos, one.operator_name, one.occurrence
+
+    found = sorted(filter(wanted, items), key=place)
+    return sorted(random.Random(f"{seed} {module}").sample(found, min(count, len(found))), key=place)
+
+
+def settings(module: str, timeout: float) -> ConfigDict:
+    """What Cosmic Ray is told."""
+    command = f"{sys.executable} -m pytest -q -x -n 0 -p no:cacheprovider --tb=line {MODULES[module]}"
+    return ConfigDict({"test-command": command, "timeout": timeout, "distributor": {"name": "local"}})
+
+
+def in_copy(module: str, session: WorkDB) -> None:
+    """Run what is left of a session in a copy of the tree, whose files are mutated in place."""
+    with tempfile.TemporaryDirectory() as copy:
+        listed = subprocess.run(
+            ["git", "ls-files", "-z", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, check=True
+        )
+        for name in filter(None, listed.stdout.decode().split("\0")):
+            (target := Path(copy, name)).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target)
+        os.environ.setdefault("SLIPPULSE_TEST_CACHE", str(ROOT / ".pytest_cache" / "compiled"))
+        os.environ["PYTHONPATH"] = copy
+        with chdir(copy):
+            began = time.perf_counter()
+            subprocess.run(shlex.split(settings(module, 0).test_command), check=True)  # nothing is mutated yet
+            took = time.perf_counter() - began
+            print(f"{module}: {session.num_work_items - session.num_results} mutants, {took:.0f} s each if they survive")
+            execute(session, settings(module, 120 + 4 * took))
+
+
+def changed(result: WorkResult, sign: str) -> str:
+    """The line that a mutant changes, before ("-") or after ("+")."""
+    return next(line[1:].strip() for line in result.diff.splitlines() if line.startswith(sign) and line[:3] != 3 * sign)
+
+
+def campaign(module: str, count: int, seed: int, again: bool) -> list[tuple[MutationSpec, WorkResult]]:
+    """Make and run a sample of the mutants of one module, or go on with it."""
+    KEPT.mkdir(parents=True, exist_ok=True)
+    path = KEPT / f"{module.replace('/', '.')}-{seed}-{count}.sqlite"
+    with use_db(path) as session:
+        if not session.num_work_items:
+            with chdir(ROOT):
+                init([Path("slippulse_jax", f"{module}.py")], session, {})
+            items = draw(iter(session.work_items), count, seed, module)
+            session.clear()
+            session.add_work_items(items)
+        waiting = session.num_results < session.num_work_items
+        if again:
+            kept = [
+                (item, result)
+                for item, result in session.completed_work_items
+                if result.is_killed or (module, changed(result, "+")) in EQUIVALENT
+            ]
+            items = session.work_items
+            session.clear()
+            session.add_work_items(items)
+            for item, result in kept:
+                session.set_result(item.job_id, result)
+            waiting = len(kept) < len(items)
+        if waiting:
+            in_copy(module, session)
+        done = [(item.mutations[0], result) for item, result in session.completed_work_items]
+    return sorted(done, key=lambda one: one[0].start_pos)
+
+
+def rows(module: str, done: list[tuple[MutationSpec, WorkResult]]) -> tuple[str, list[str]]:
+    """A line of the table, and its survivors: line, original and mutant, and why if it is equivalent."""
+    equivalent, survived = 0, []
+    for one, result in done:
+        if result.is_killed:
+            continue
+        why = EQUIVALENT.get((module, changed(result, "+")))
+        equivalent += why is not None
+        survived.append(
+            f"| {module} {one.start_pos[0]} | `{changed(result, '-')}` | `{changed(result, '+')}` | {why or 'not seen'} |"
+        )
+    killed = len(done) - len(survived)
+    score = killed / max(1, len(done) - equivalent)
+    return (
+        f"| {module} | {len(done)} | {killed} | {equivalent} | {len(survived) - equivalent} | {100 * score:.0f} % |",
+        survived,
+    )
+
+
+def main() -> None:
+    """Run campaigns, and print or write their table."""
+    parser = argparse.ArgumentParser(description="Mutate modules and see whether their tests notice.")
+    parser.add_argument("modules", nargs="*", help=", ".join(MODULES))
+    parser.add_argument("--count", type=int, default=25, help="mutants per module")
+    parser.add_argument("--seed", type=int, default=20)
+    parser.add_argument("--again", action="store_true", help="run survivors again, except equivalent ones")
+    parser.add_argument("--write", action="store_true", help="write docs/tables/mutation.md")
+    asked = parser.parse_args()
+    chosen = [module for module in MODULES if not asked.modules or any(module.endswith(one) for one in asked.modules)]
+    lines, survivors = [], []
+    for module in chosen:
+        line, survived = rows(module, campaign(module, asked.count, asked.seed, asked.again))
+        lines.append(line)
+        survivors += survived
+        print(line, *survived, sep="\n", flush=True)
+    head = "| module | mutants | killed | equivalent | not seen | score |", "|---|---|---|---|---|---|"
+    listed = "", "| survivor | line | mutant | why |", "|---|---|---|---|"
+    if asked.write:
+        table = "\n".join([*head, *lines, *(listed if survivors else ()), *survivors]) + "\n"
+        (ROOT / "docs" / "tables" / "mutation.md").write_text(table, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
