@@ -1,7 +1,11 @@
 """What a notebook shows of an object: numbers, in a line and as a table; nothing breaks where JAX traces them."""
 
+import io
+import sys
+
 import jax
 import numpy as np
+import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.shown import html, short
@@ -66,3 +70,21 @@ def test_text_is_escaped_and_long_tables_are_cut():
 def test_the_table_of_a_rejected_fit_says_why():
     m = sp.Measurements(height=[20, 40, 60], poisson=0.3, length=[15.0, 15, 49], length_sigma=0.1)
     assert "does not describe" in sp.fit(m)._repr_html_()
+
+
+def test_a_terminal_sees_a_fit_begin(monkeypatch):
+    """Before the first length, which the first fit compiles for some seconds."""
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    def look(*_):
+        assert "fit (the first compiles): 0.00 lengths" in terminal.getvalue()
+        raise InterruptedError
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr("slippulse_jax.inference.fit._explore", look)
+    with pytest.raises(InterruptedError):
+        sp.fit(sp.Measurements(height=20, poisson=0.3, length=15.0, length_sigma=0.5))

@@ -219,8 +219,8 @@ def fit(
 
 @contextmanager
 def _progress(problem: Problem) -> Iterator[Problem]:
-    """The problem with a count of its evaluations, on a terminal, after two seconds."""
-    with tqdm(desc="fit", unit=" lengths", unit_scale=True, delay=2, leave=False, disable=None) as bar:
+    """The problem with a count of its evaluations, on a terminal, from the start: the first fit compiles before it counts."""
+    with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, leave=False, disable=None) as bar:
         yield dataclasses.replace(problem, tick=bar.update)
 
 
