@@ -26,6 +26,7 @@ class Study(NamedTuple):
     measurements: sp.Measurements
     free: tuple[str, ...]
     truth: dict[str, float]
+    sigma: str = "absolute"
 
 
 def recursion(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
@@ -67,6 +68,25 @@ def three(rng: np.random.Generator) -> Study:
     return _in_metres(rng, height, length, free, truth, {"prestress": prestress})
 
 
+def of_unknown_size(rng: np.random.Generator) -> Study:
+    """Areal stiffness from six heights, H/λc 20–200, 1 to 5 % errors given as ratios only, E known to 6 %."""
+    height = np.exp(rng.uniform(np.log(20), np.log(200), 6))
+    truth, young_sigma = soft(rng, height), 0.06 * YOUNG
+    length = recursion(height, truth)
+    measured = length * (1 + rng.uniform(0.01, 0.05) * rng.standard_normal(6))
+    young = YOUNG + young_sigma * rng.standard_normal()
+    m = sp.Measurements(
+        height=height,
+        poisson=0.3,
+        length=measured,
+        length_sigma=length,
+        correlation_length=LAMBDA,
+        young=YOUNG,
+        young_sigma=young_sigma,
+    )
+    return Study(m, ("stiffness",), {"areal_stiffness": truth * young / LAMBDA}, "relative")
+
+
 def _in_metres(
     rng: np.random.Generator,
     height: np.ndarray,
@@ -91,8 +111,9 @@ REGIMES: dict[str, tuple[str, Callable[[np.random.Generator], Study]]] = {
     "two": ("areal stiffness and λc, six heights, H/λc 8–80", lambda rng: two(rng, 8, 80)),
     "two-tall": ("areal stiffness and λc, six heights, H/λc 10³–5·10³", lambda rng: two(rng, 1e3, 5e3)),
     "three": ("areal stiffness, λc, prestress, six heights, H/λc 8–80", three),
+    "size": ("areal stiffness, six heights, H/λc 20–200, errors of unknown size, E ± 6 %", of_unknown_size),
 }
-STUDIES = {"counts": 500, "two": 200, "two-tall": 200, "three": 100}
+STUDIES = {"counts": 500, "two": 200, "two-tall": 200, "three": 100, "size": 200}
 
 
 class Found(NamedTuple):
@@ -110,10 +131,10 @@ def run(make: Callable[[np.random.Generator], Study], studies: int, seed: int) -
     """Fit so many studies; results by parameter."""
     rows: dict[str, list] = {}
     for number in range(studies):
-        m, free, truth = make(np.random.default_rng([seed, number]))
+        m, free, truth, sigma = make(np.random.default_rng([seed, number]))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            result = sp.fit(m, free, seed=number)
+            result = sp.fit(m, free, sigma=sigma, seed=number)
         for name, true in truth.items():
             held = [any(p.low <= true <= p.high for p in result.intervals[name][level]) for level in LEVELS]
             verdict, error = result.verdicts[name].identifiability, result.stderrs[name]
