@@ -134,7 +134,8 @@ def lengths(
         kernel, layout = general_kernel(kind, max_contacts, derivatives), ANY
     elif not simple:
         columns = _seven(slider, interface, ends)
-        kernel, layout = lanes.ended_kernel(ends.right, max_contacts), ENDED
+        right = "free" if ends.right == "semi-infinite" else ends.right  # a chain without end has a free one at `NO_END`
+        kernel, layout = lanes.ended_kernel(right, max_contacts), ENDED
     elif derivatives:
         kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
     else:
