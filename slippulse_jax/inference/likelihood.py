@@ -36,7 +36,7 @@ SHARPEST = 1e-3
 EXACT = 1e-12
 """The same where no slope is needed: the interval itself, to rounding."""
 
-FEW_OR_MANY = Layout(few=256, fusion_emitters=False)
+LAYOUT = Layout(chunk=128, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
 
 ELEMENTS = 2_000_000
@@ -176,7 +176,7 @@ def data_log_density(
         Whether a count with σ = 0 is its interval itself (`EXACT`), instead of one blurred as in a fit (`SHARPEST`).
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma)))
-    cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], FEW_OR_MANY)[0]
+    cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], LAYOUT)[0]
     return -cost.reshape(numbers[0].shape)
 
 
@@ -260,7 +260,7 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
         there = data.kind == kind
         if there.any():
             given = [x[:, there] for x in (mu, value, sigma, log_scatter)]
-            found = over_lanes(_derivatives(kind, loss), [x.ravel() for x in given], FEW_OR_MANY)
+            found = over_lanes(_derivatives(kind, loss), [x.ravel() for x in given], LAYOUT)
             columns[:, :, there] = np.reshape(found, (4, *given[0].shape))
     variance = sigma**2 + np.exp(2 * log_scatter)
     plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
@@ -481,7 +481,7 @@ class Problem:
                 if there.any():
                     columns = np.broadcast_arrays(mu, value, sigma, log_scatter)
                     given = [x[:, there].ravel() for x in columns]
-                    cost = over_lanes(_derivatives(kind, self.loss), given, FEW_OR_MANY)[0].reshape(len(mu), -1)
+                    cost = over_lanes(_derivatives(kind, self.loss), given, LAYOUT)[0].reshape(len(mu), -1)
                     total = total + (data.weight[0][there] * cost).sum(axis=1)
         return total
 
