@@ -78,7 +78,8 @@ def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     """Units of length in which a column would give usual lengths over the height."""
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
     ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
-    return [unit for unit, found in ratios.items() if LIKELY[0] <= found <= LIKELY[1]]
+    found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
+    return sorted(found, key=lambda unit: unit == "cm")  # a slip by a factor of 1000 is likelier
 
 
 def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
