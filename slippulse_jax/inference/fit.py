@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -219,8 +220,9 @@ def fit(
 
 @contextmanager
 def _progress(problem: Problem) -> Iterator[Problem]:
-    """The problem with a count of its evaluations, on a terminal, from the start: the first fit compiles before it counts."""
-    with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, leave=False, disable=None) as bar:
+    """The problem with a count of its evaluations: on a terminal from the start, as the first fit compiles before it counts."""
+    delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
+    with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, delay=delay, leave=False, disable=None) as bar:
         yield dataclasses.replace(problem, tick=bar.update)
 
 

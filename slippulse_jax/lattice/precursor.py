@@ -147,9 +147,9 @@ class FirstPrecursor(eqx.Module):
     def __str__(self) -> str:
         if isinstance(self.length, Tracer) or self.length.ndim:
             return repr(self)
-        status = Outcome(int(self.status))
+        status, broken = Outcome(int(self.status)), int(self.contacts_broken)
         return (
-            f"first precursor: {int(self.contacts_broken)} contacts broken, length {float(self.length):.6g} λc, "
+            f"first precursor: {broken} contact{'s' * (broken != 1)} broken, length {float(self.length):.6g} λc, "
             f"load at nucleation {float(self.load):.6g} u_s; {status.message}"
         )
 

@@ -526,9 +526,11 @@ def _group_names(result: "FitResult") -> list[str]:
 
 
 def _best(result: "FitResult") -> str:
-    """What the curve of least deviance is called: no fit where the model is rejected."""
-    rejected = result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
-    return "closest (rejected)" if rejected else "best fit"
+    """What the curve of least deviance is called: no fit where the model is rejected, nor the best of those that fit alike."""
+    if result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM):
+        return "closest (rejected)"
+    alike = (Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE)
+    return "one that fits" if result.identifiability in alike else "best fit"
 
 
 def _longest(result: "FitResult", height: np.ndarray, rows: np.ndarray) -> np.ndarray:
