@@ -29,7 +29,7 @@ SCATTERED = 0.05
 def report(result: "FitResult") -> str:
     """Format a fit: result, intervals, quality, the measurements one by one, notes."""
     m = result.measurements
-    specimens = len(set(m.specimen))
+    specimens, slipped = len(set(m.specimen)), list(slips(m))
     counts = _plural(len(m), "measurement") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
     lines = [
         "Interface from first-precursor lengths",
@@ -39,6 +39,7 @@ def report(result: "FitResult") -> str:
         *_held(result),
         "",
         _headline(result),
+        *(f"  but check first: {slip}" for slip in slipped),
         *_values(result),
         *_inputs(result),
         *_correlations(result),
@@ -55,8 +56,8 @@ def report(result: "FitResult") -> str:
         *_unstated(result),
         *_unstated_push(result),
     ]
-    if result.notes:
-        lines += ["", "Notes", *(f"  - {note}" for note in result.notes)]
+    if notes_below := [note for note in result.notes if note not in slipped]:
+        lines += ["", "Notes", *(f"  - {note}" for note in notes_below)]
     return "\n".join(lines)
 
 

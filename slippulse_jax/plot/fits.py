@@ -292,7 +292,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     shown = first[np.unique(np.linspace(0, len(first) - 1, MOST_CURVES).round().astype(int))]
     largest, any_again = 0.0, False
     visible = []
-    for color, i in zip(c.data, shown, strict=False):
+    for color, i in zip((*c.data[:-1], c.ink), shown, strict=False):  # the last two blues would be taken for each other
         together = np.nonzero(at == at[i])[0]
         name = f"{symbol(along, '' if m.in_si else unit)} = {at[i] * scale[i]:.4g}{' mm' if m.in_si else ''}"
         name += f" ({len(together)}×)" if len(together) > 1 else ""
