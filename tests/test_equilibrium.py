@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from chains import batch, both_chains
 from jax.tree_util import Partial
-from oracles.dense_chain import end_stiffness
+from oracles.dense_chain import end_stiffness, stiffness_matrix, uniform_springs
 from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
@@ -16,7 +16,7 @@ from slippulse_jax.lattice.modes import Ends, lattice_modes
 
 ENDS = ("semi-infinite", "free", "clamped")
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
-solve = jax.jit(jax.vmap(equilibrium))
+solve, solve_one = jax.jit(jax.vmap(equilibrium)), jax.jit(equilibrium)
 
 
 def random_case(rng, sites, right):
@@ -419,6 +419,27 @@ def test_an_equilibrium_between_two_sides_of_a_small_jump_is_none():
     stretch = equilibrium(plain, plain.relaxed(0.7)).layer[0]
     c = chain(FIG2, sites=5, law=lambda z: z + jnp.where(z > stretch, 1e-7, -1e-7) * (jnp.arange(5) == 0))
     assert equilibrium(c, c.relaxed(0.7)).status == EquilibriumStatus.NOT_CONVERGED
+
+
+@pytest.mark.parametrize("right", ENDS)
+def test_residual_compares_with_what_the_springs_exert_by_themselves(right):
+    """Of chains without an equilibrium, from the stiffness matrix and its absolute values; the largest often at the end."""
+    rng, sites, slider = np.random.default_rng(9), 4, (3.0, 0.1, 0.3)
+    law = Partial(lambda z: jnp.where(z > 0, 1.0, -1.0) + 0 * z)
+    *_, across, _, end = uniform_springs(*slider, sites, right)
+    for _ in range(12):
+        fields = {name: rng.uniform(0.05, 2, count) for name, count in (("upper", 3), ("layer", 3), ("contact", sites))}
+        mine = chain(sp.Slider(*slider), sites=sites, right=right, law=law, **fields)
+        state = State(jnp.asarray(rng.uniform(-1, 1, sites) * [0, 0, 1, 5]), jnp.asarray(rng.uniform(0, 0.3)))
+        found = solve_one(mine, state)
+        bonds = stiffness_matrix(fields["upper"], fields["layer"], across, np.zeros(sites), end)
+        u, stretch = np.concatenate([found.upper, found.layer]), np.asarray(found.layer - state.pinning)
+        net, gross = -bonds @ u, np.abs(bonds) @ np.abs(u)
+        net[sites:] -= fields["contact"] * np.where(stretch > 0, 1, -1)
+        gross[sites:] += fields["contact"] * (1 + np.abs(found.layer) + np.abs(state.pinning))
+        net[0] = 0
+        assert found.status == EquilibriumStatus.NOT_CONVERGED
+        assert found.residual == pytest.approx(np.abs(net).max() / gross.max(), rel=1e-9)
 
 
 def test_newton_that_cannot_converge_says_so():

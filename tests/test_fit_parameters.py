@@ -9,6 +9,7 @@ from oracles import dense_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import norm
+from scipy.stats import t as student_t
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
@@ -212,6 +213,17 @@ def test_huber_and_student_information():
     assert Loss("huber").information == pytest.approx(mean_slope**2 / mean_square, rel=1e-6)
     assert Loss("huber").rise == pytest.approx(mean_square / mean_slope, rel=1e-6)
     assert Loss("student").information == pytest.approx(5 / 7)
+
+
+def test_losses_and_the_information_of_a_discrepancy():
+    """−ln p of Student's t with 4 degrees of freedom; a Gaussian whose deviation is fitted knows ln δ by 2 (share of δ)²."""
+    r = np.array([0.1, 1.0, 5.0])
+    np.testing.assert_allclose(Loss("student")(r**2 / 2), student_t.logpdf(0, 4) - student_t.logpdf(r, 4), rtol=1e-12)
+    np.testing.assert_allclose(Loss("huber")(r**2 / 2), [0.005, 0.5, 1.345 * (5 - 1.345 / 2)], rtol=1e-12)
+    assert Loss("student").rise == Loss().rise == Loss().information == 1
+    data = Data(np.array(["length"]), np.array([[25.0]]), np.array([0.7]), np.ones((1, 1)), np.ones(1, bool))
+    found = terms(np.array([[25.0]]), data, np.zeros(1, int), Loss(), np.log([0.03]))
+    assert found.log_discrepancy_information == pytest.approx(2 * (0.75**2 / (0.7**2 + 0.75**2)) ** 2, rel=1e-12)
 
 
 def test_whole_contacts_without_blur_allow_the_interval_of_stiffness():
