@@ -221,6 +221,11 @@ def test_losses_and_the_information_of_a_discrepancy():
     np.testing.assert_allclose(Loss("student")(r**2 / 2), student_t.logpdf(0, 4) - student_t.logpdf(r, 4), rtol=1e-12)
     np.testing.assert_allclose(Loss("huber")(r**2 / 2), [0.005, 0.5, 1.345 * (5 - 1.345 / 2)], rtol=1e-12)
     assert Loss("student").rise == Loss().rise == Loss().information == 1
+    own = quad(lambda r: 5 * np.log1p(r**2 / 4) * student_t.pdf(r, 4), -np.inf, np.inf)[0]
+    assert [Loss().expected, Loss("student").expected] == pytest.approx([1, own], rel=1e-9)
+    inside = quad(lambda r: r**2 * norm.pdf(r), -1.345, 1.345)[0]
+    beyond = 2 * quad(lambda r: 2 * 1.345 * (r - 1.345 / 2) * norm.pdf(r), 1.345, np.inf)[0]
+    assert Loss("huber").expected == pytest.approx(inside + beyond, rel=1e-9)
     data = Data(np.array(["length"]), np.array([[25.0]]), np.array([0.7]), np.ones((1, 1)), np.ones(1, bool))
     found = terms(np.array([[25.0]]), data, np.zeros(1, int), Loss(), np.log([0.03]))
     assert found.log_discrepancy_information == pytest.approx(2 * (0.75**2 / (0.7**2 + 0.75**2)) ** 2, rel=1e-12)
