@@ -178,6 +178,18 @@ def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
+def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
+    """Of the height of the push, beside an offset and a model factor."""
+    height = np.array([1500.0, 2500, 4000, 6000])
+    known = {"correlation_length": 1e-5, "young": 3.3e9, "length_sigma": [50.0, 50, 60, 80], "provenance": ("measured",) * 4}
+    m = sp.Measurements(height=height, poisson=0.37, length=[800.0, 1630, 3120, 5200], push_height=height / 4, **known)
+    result = sp.fit(m)
+    up, down = (sp.fit(dataclasses.replace(m, push_height=factor * m.push_height)) for factor in (1.05, 0.95))
+    moved = np.log(up.values["areal_stiffness"] / down.values["areal_stiffness"]) / 2
+    assert result.budget["push_height"].by("areal_stiffness") == pytest.approx(moved, abs=0.01)
+    assert abs(moved) > 0.05
+
+
 def test_what_follows_a_fit_of_a_block(study, fitted):
     """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
     compared = sp.pulse_or_crack(study[1], simulations=20)

@@ -54,19 +54,30 @@ def test_a_fit_repeated_from_its_record_is_the_same(lengths):
     assert again.names == result.names
 
 
-@pytest.mark.parametrize("case", ["relative", "no errors", "counts", "digitised"])
-def test_only_beside_measured_lengths_with_errors(lengths, case):
-    options = {}
-    if case == "relative":
-        options["sigma"] = "relative"
-    elif case == "no errors":
-        lengths = dataclasses.replace(lengths, length_sigma=None)
-    elif case == "counts":
+@pytest.mark.parametrize("case", ["counts", "digitised"])
+def test_only_beside_measured_lengths(lengths, case):
+    if case == "counts":
         count = np.ceil(sp.exact_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)))
         lengths = dataclasses.replace(lengths, length=count, length_sigma=0 * count, kind=("whole",) * 6)
     else:
         lengths = dataclasses.replace(lengths, provenance=("digitised",) * 6)
-    assert sp.fit(lengths, **options).parameters.names == ["stiffness"]
+    assert sp.fit(lengths).parameters.names == ["stiffness"]
+
+
+@pytest.mark.parametrize("case", ["relative", "no errors"])
+def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
+    """By generalised least squares with σ of the size of the scatter; an offset would need σ for its prior."""
+    if case == "no errors":
+        lengths = dataclasses.replace(lengths, length_sigma=None)
+    result = sp.fit(lengths, sigma="absolute" if case == "no errors" else "relative")
+    assert set(result.inputs) == {"model_factor"}
+    found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
+    factor = result.inputs["model_factor"]
+    slope, shared = factor * found.stiffness * result.values["stiffness"], MODEL_ERROR * factor * found.length
+    stderr = 1 / np.sqrt(slope @ np.linalg.solve(np.diag(result.sigma**2) + np.outer(shared, shared), slope))
+    assert result.stderrs["stiffness"] / result.values["stiffness"] == pytest.approx(stderr, rel=0.02)
+    assert "--fix model_factor=1" in result.report()
+    assert "--fix offset" not in result.report()
 
 
 def test_a_nuisance_needs_a_prior():

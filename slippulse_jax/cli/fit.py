@@ -1,5 +1,6 @@
 """``slippulse fit``."""
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -93,6 +94,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.hints import before_fit
+    from slippulse_jax.inference.measurements import MeasurementWarning
     from slippulse_jax.inference.parameters import body_of
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.tables import read_measurements
@@ -105,7 +107,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         body = body_of(measurements, asked.get("event"), asked.get("body"))
         for warning in before_fit(measurements, asked.get("event") or "domino", body):
             click.echo(f"before fitting: {warning}", err=True)
-        result = fit(measurements, bounds=options["bounds"] or None, **asked)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeasurementWarning)  # said before
+            result = fit(measurements, bounds=options["bounds"] or None, **asked)
         more, drawn = {}, None
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"

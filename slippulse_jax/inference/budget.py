@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "correlation_length": -1e-3, "push_height": 1e-3}
 """Relative change of an input for a fit, of ν the change itself: upward where H/λc then grows, so that it stays above one."""
 
+WIDEST = 0.05
+"""Largest such change for a fit of a block, either way: interpolated lengths bend in steps, so usual errors are taken whole."""
+
 USUAL = {
     "height": 0.01,
     "length": 0.01,
@@ -39,7 +42,7 @@ SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is supposed to be pushed where the table does not say, over H."""
 
-GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED)
+GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
 """Verdicts with a value that an input can move."""
 
 
@@ -67,8 +70,13 @@ def budget(result: "FitResult") -> dict[str, Moved]:
         exact = [name for name in exact if name != "length"]
     found = {}
     for name in exact if names else ():
-        step = STEPS[name]
-        each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
+        if result.parameters.body == "slider":
+            step = STEPS[name]
+            each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
+        else:
+            step = min(USUAL[name], WIDEST)
+            up, down = (_refitted(result, _moved(m, name, by), name, by) for by in (step, -step))
+            each = (up - down) / (2 * step)
         found[name] = Moved(USUAL[name], {one: float(each[result.parameters.index(one)]) for one in names})
     return found
 

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -15,8 +16,9 @@ from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
+from slippulse_jax.inference.hints import slips
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
@@ -86,7 +88,8 @@ def fit(
         Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
         are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
         Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths of
-        provenance "measured" also an "offset" and a "model_factor" (`errors_of_measuring`), unless they are named or held.
+        provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`errors_of_measuring`), unless they
+        are named or held.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
@@ -125,8 +128,14 @@ def fit(
     ------
     ValueError
         If an argument has no meaning for these measurements; the message names it.
+
+    Warns
+    -----
+    MeasurementWarning
+        Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
     measurements = measurements_of(measurements)
+    _warn_of_slips(measurements)
     wanted = _wanted(free, bounds, fixed)
     body = body_of(measurements, event, body)
     if event is None:
@@ -142,7 +151,7 @@ def fit(
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
     named = {one.name for one in wanted}
-    wanted += [one for one in errors_of_measuring(measurements) if not scaled and one.name not in named]
+    wanted += [one for one in errors_of_measuring(measurements, size_known=not scaled) if one.name not in named]
     parameters = parameter_set(measurements, wanted, event, body)
     errors = stated_sigma(measurements)
     problem = make_problem(measurements, parameters, Loss(loss), errors)
@@ -216,6 +225,11 @@ def fit(
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
     )
+
+
+def _warn_of_slips(m: Measurements) -> None:
+    for slip in slips(m):
+        warnings.warn(slip, MeasurementWarning, stacklevel=3)
 
 
 @contextmanager

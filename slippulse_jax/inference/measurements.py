@@ -31,6 +31,10 @@ class MeasurementError(ValueError):
         super().__init__(shortened(message))
 
 
+class MeasurementWarning(UserWarning):
+    """Measurements that can be fitted, and probably are not what was meant."""
+
+
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""
 GAUGE_COLUMNS = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigma")

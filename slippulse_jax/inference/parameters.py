@@ -364,18 +364,19 @@ def parameter_set(
     return builder.build()
 
 
-def errors_of_measuring(m: Measurements) -> list[Parameter]:
+def errors_of_measuring(m: Measurements, *, size_known: bool) -> list[Parameter]:
     """Errors that all measured lengths share: where the edge and the tip were read, and what the model leaves out.
 
-    Only for lengths of provenance "measured" with a standard error: an offset as large as the median of these, and a model
-    factor of 1 ± `MODEL_ERROR`.
+    Only for lengths of provenance "measured": a model factor of 1 ± `MODEL_ERROR` and, where the size of σ is known, an offset
+    of 0 ± their median.
     """
     of_lengths = np.array([kind == "length" for kind in m.kind])
-    if "measured" not in m.provenance or m.length_sigma is None or not of_lengths.any():
+    if "measured" not in m.provenance or not of_lengths.any():
         return []
-    metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
-    offset = float(np.median((m.length_sigma * metres)[of_lengths]))
-    priors = {"offset": (0.0, offset), "model_factor": (1.0, MODEL_ERROR)}
+    priors = {"model_factor": (1.0, MODEL_ERROR)}
+    if size_known and m.length_sigma is not None:
+        metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
+        priors = {"offset": (0.0, float(np.median((m.length_sigma * metres)[of_lengths])))} | priors
     return [Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items()]
 
 

@@ -557,9 +557,13 @@ def _of_data(result: "FitResult") -> Iterator[str]:
         )
     beside = {one.name for one in result.parameters.free if one.nuisance}
     if "model_factor" in beside:
+        held = "--fix offset=0 --fix model_factor=1" if "offset" in beside else "--fix model_factor=1"
+        shared = (
+            "an offset and a model factor that they share are" if "offset" in beside else "a model factor that they share is"
+        )
         yield (
-            "as the lengths were measured, an offset and a model factor are fitted beside, with the priors shown; hold them "
-            "(--fix offset=0 --fix model_factor=1) to see the error of the lengths alone"
+            f"as the lengths were measured, {shared} fitted beside, with the priors shown; {held} leaves the error of the lengths "
+            "alone"
         )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
