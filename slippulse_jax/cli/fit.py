@@ -105,7 +105,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         measurements = read_measurements(csv, gauges=options["gauges"])
         asked = from_request(_asked(request, options))
         body = body_of(measurements, asked.get("event"), asked.get("body"))
-        for warning in before_fit(measurements, asked.get("event") or "domino", body):
+        prestressed = any(one.name == "prestress" for one in asked["free"])
+        for warning in before_fit(measurements, asked.get("event") or "domino", body, prestressed=prestressed):
             click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)  # said before

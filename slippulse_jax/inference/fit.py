@@ -135,8 +135,8 @@ def fit(
         Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
     measurements = measurements_of(measurements)
-    _warn_of_slips(measurements)
     wanted = _wanted(free, bounds, fixed)
+    _warn_of_slips(measurements, wanted)
     body = body_of(measurements, event, body)
     if event is None:
         event = "full" if body == "block" else "domino"
@@ -227,8 +227,8 @@ def fit(
     )
 
 
-def _warn_of_slips(m: Measurements) -> None:
-    for slip in slips(m):
+def _warn_of_slips(m: Measurements, wanted: list[Parameter]) -> None:
+    for slip in slips(m, prestressed=any(one.name == "prestress" for one in wanted)):
         warnings.warn(slip, MeasurementWarning, stacklevel=3)
 
 

@@ -33,6 +33,8 @@ LIKELY = (0.02, 1.2)
 """Lengths over the height that are usual."""
 SUSPECT = (0.01, 1.5)
 """Lengths over the height beyond which a unit is suspected."""
+LENGTHENED = 5.0
+"""Factor on that where there may be a prestress."""
 MUCH = 0.2
 """Share of χ² per degree of freedom that a hint must leave at most, where it does not lead to an accepted fit."""
 MOST_OUTLIERS = 5
@@ -40,9 +42,9 @@ STARTS = 7
 STEPS = 25
 
 
-def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
+def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider", *, prestressed: bool = False) -> Iterator[str]:
     """Warn of likely slips, and of lengths near or above the longest that any stiffness gives on a slider."""
-    yield from slips(m)
+    yield from slips(m, prestressed=prestressed)
     if event == "crack" or body == "block":  # the friction is not known yet; the block's lengths are not known without a fit
         return
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
@@ -50,11 +52,15 @@ def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider") 
     yield from of_attainable(m, longest, event)
 
 
-def slips(m: Measurements) -> Iterator[str]:
-    """Name the columns that may have been exchanged, or be in another unit than their names say."""
+def slips(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
+    """Name the columns that may have been exchanged, or be in another unit than their names say.
+
+    A prestress, stated or to be fitted, may lengthen fronts several times.
+    """
+    most = SUSPECT[1] * (LENGTHENED if prestressed or m.or_zero("prestress").any() else 1)
     height, length = (m.columns.get(name, name) for name in ("height", "length"))
     over = float(np.median(m.length / m.height))
-    if not SUSPECT[0] <= over <= SUSPECT[1]:
+    if not SUSPECT[0] <= over <= most:
         may_be = [f"are {height} and {length} exchanged"] * (LIKELY[0] <= 1 / over <= LIKELY[1])
         if m.in_si:
             may_be += [f"is {height} in {unit}" for unit in _other_units(height, lambda factor: over / factor)]

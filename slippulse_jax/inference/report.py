@@ -29,7 +29,7 @@ SCATTERED = 0.05
 def report(result: "FitResult") -> str:
     """Format a fit: result, intervals, quality, the measurements one by one, notes."""
     m = result.measurements
-    specimens, slipped = len(set(m.specimen)), list(slips(m))
+    specimens, slipped = len(set(m.specimen)), list(_slips(result))
     counts = _plural(len(m), "measurement") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
     lines = [
         "Interface from first-precursor lengths",
@@ -502,11 +502,15 @@ def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
 
 
+def _slips(result: "FitResult") -> Iterator[str]:
+    return slips(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
+
+
 def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
-    yield from slips(result.measurements)
+    yield from _slips(result)
     yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
@@ -562,8 +566,8 @@ def _of_data(result: "FitResult") -> Iterator[str]:
             "an offset and a model factor that they share are" if "offset" in beside else "a model factor that they share is"
         )
         yield (
-            f"as the lengths were measured, {shared} fitted beside, with the priors shown; {held} leaves the error of the lengths "
-            "alone"
+            f"as the lengths were measured, {shared} fitted beside, with the priors shown; {held} leaves the error of the "
+            "lengths alone"
         )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
