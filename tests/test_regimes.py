@@ -105,6 +105,7 @@ def test_counts_always_hold_the_truth():
     assert found.unconverged == 0
 
 
+@pytest.mark.filterwarnings("ignore:every height is below 1 mm")
 def test_no_number_where_a_wrong_valley_wins():
     """Errors of this study favour a valley at five times the true λc, by more than any test of χ² would doubt."""
     study = two(np.random.default_rng([0, 13]), 8, 80)
