@@ -194,6 +194,7 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     assert force == pytest.approx(regime(Inputs.of([40.0], 0.004, 0.3)).edge_stiffness[0], rel=0.03)
 
 
+@pytest.mark.filterwarnings("ignore:the lengths are about 3.34 times")
 def test_fronts_that_ran_through_blocks_taken_as_endless_are_a_misfit():
     """Far beyond the longest length of the model, by counts without error: no number, and no failure of the search."""
     data = sp.Measurements(

@@ -34,7 +34,7 @@ LIKELY = (0.02, 1.2)
 SUSPECT = (0.01, 1.5)
 """Lengths over the height beyond which a unit is suspected."""
 LENGTHENED = 5.0
-"""Factor on that where there may be a prestress."""
+"""Factor on that where something may lengthen fronts."""
 MUCH = 0.2
 """Share of χ² per degree of freedom that a hint must leave at most, where it does not lead to an accepted fit."""
 MOST_OUTLIERS = 5
@@ -55,9 +55,10 @@ def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider", 
 def slips(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
     """Name the columns that may have been exchanged, or be in another unit than their names say.
 
-    A prestress, stated or to be fitted, may lengthen fronts several times.
+    A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
     """
-    most = SUSPECT[1] * (LENGTHENED if prestressed or m.or_zero("prestress").any() else 1)
+    lengthened = prestressed or m.or_zero("prestress").any() or m.machine_stiffness is not None or m.block_length is not None
+    most = SUSPECT[1] * (LENGTHENED if lengthened else 1)
     height, length = (m.columns.get(name, name) for name in ("height", "length"))
     over = float(np.median(m.length / m.height))
     if not SUSPECT[0] <= over <= most:
