@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
+
 Function = Callable[..., Float[Array, "..."]]
 
 MAX_STEPS = 100
@@ -44,6 +46,7 @@ def by_forward_mode(f: Function) -> Function:
     differentiable = jax.custom_jvp(f)
 
     @differentiable.defjvp
+    @in_full
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
         both = by_forward_mode(value_and_jacobian)(*primals)
         return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents])

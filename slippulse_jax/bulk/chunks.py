@@ -6,11 +6,15 @@ A lane is one column of numbers, such as one slider. A lane that waits for a slo
 rank of their expected cost, which the caller supplies. A call of the compiled program takes many chunks one after another: a
 chunk stays in the cache, and the cost of a call is shared. Each thread ranks, gathers, computes and scatters its own piece of
 the input, so that no part of the work is left to one core.
+
+An accelerator runs all lanes of a chunk in step and needs many at once: there a call takes one wide chunk, and lanes are not
+ordered.
 """
 
 import functools
+import itertools
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -21,7 +25,7 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import compiled
-from slippulse_jax.bulk.threads import default_device, devices_for, spread, workers
+from slippulse_jax.bulk.threads import default_device, local_devices, spread, workers
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Results of a chunk of lanes, each with the lanes last. No lane may depend on another.
@@ -40,7 +44,8 @@ class Layout(NamedTuple):
     """How lanes are laid out for a kernel, and its program compiled. Costs depend on it; results only on `fusion_emitters`."""
 
     chunk: int = 1000
-    """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache."""
+    """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache. With one lane per
+    chunk the kernel takes no more, and stays on the CPU."""
     few: int = 0
     """Number of lanes up to which a smaller program takes them at once; 0 for one program fewer to compile."""
     worth_a_thread: int = 1
@@ -54,6 +59,9 @@ DEFAULT_LAYOUT = Layout()
 
 PIECE = 32
 """Largest number of chunks per call."""
+WIDE, NARROW = 512, 32
+"""Chunks that are one on an accelerator, and where no more lanes than these are left: a chunk's temporary arrays take a
+megabyte or two."""
 
 _compiling = threading.RLock()
 
@@ -82,10 +90,10 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     arithmetic on them.
     """
     count, fields = len(lanes[0]), len(lanes)
-    pieces = list(_pieces(count, layout))
-    many = count > layout.few or not layout.few
-    program, width = (_chunk_by_chunk, layout.chunk) if many else (_at_once, layout.few)
-    devices = devices_for(max(len(pieces), 1))  # of no lanes too the shapes of the results are wanted
+    devices = local_devices(cpu=layout.chunk == 1)
+    in_step = devices[0].platform != "cpu"
+    pieces, program, width = _in_step(count, layout) if in_step else _in_turn(count, layout)
+    devices, rank = devices[: max(len(pieces), 1)], None if in_step else rank  # of no lanes too the shapes are wanted
     with _compiling:  # threads that need the same program: one compiles it, the others wait
         ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
     results = [np.empty((*x.shape[:-1], count), x.dtype) for x in next(iter(ready.values())).out_info]
@@ -94,7 +102,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
         here = [field[where] for field in lanes]
         size = len(here[0])
         order = None if rank is None else np.argsort(rank(here), kind="stable")
-        padded = np.empty((fields, PIECE * width if many else width))
+        padded = np.empty((fields, width if program is _at_once else PIECE * width))
         for field, row in zip(here, padded, strict=True):
             if order is None:
                 row[:size] = field
@@ -112,19 +120,28 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
                     back[order] = found[:size]
                     row[where] = back
 
-    spread(run, pieces)
+    spread(run, pieces, devices)
     return results
 
 
-def _pieces(count: int, layout: Layout) -> Iterator[slice]:
-    """Strided slices of the batch, one per call: every worker gets as many, of lanes that are neighbours in the batch."""
+Plan = tuple[list[slice], Callable[..., Compiled], int]
+"""The slice of the batch of each call, the program that takes it, and the lanes of a chunk."""
+
+
+def _in_turn(count: int, layout: Layout) -> Plan:
+    """Chunk by chunk: every worker gets as many strided slices, of lanes that are neighbours in the batch."""
     chunks = -(-count // layout.chunk)  # a part of a chunk takes as long as a whole one
     hands = max(1, min(workers(), chunks // layout.worth_a_thread))
     rounds = -(-chunks // (hands * PIECE))
-    for k in range(rounds):
-        start, stop = k * count // rounds, (k + 1) * count // rounds
-        for hand in range(hands):
-            yield slice(start + hand, stop, hands)
+    ends = [k * count // rounds for k in range(rounds)] + [count]
+    pieces = [slice(start + hand, stop, hands) for start, stop in itertools.pairwise(ends) for hand in range(hands)]
+    return (pieces, _at_once, layout.few) if count <= layout.few else (pieces, _chunk_by_chunk, layout.chunk)
+
+
+def _in_step(count: int, layout: Layout) -> Plan:
+    """One chunk per call."""
+    width = layout.chunk * (NARROW if count <= NARROW * layout.chunk else WIDE)
+    return [slice(start, start + width) for start in range(0, count, width)], _at_once, width
 
 
 @functools.cache

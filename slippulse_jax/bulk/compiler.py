@@ -1,4 +1,4 @@
-"""Two things XLA does on a CPU only when asked: compile a loop as one function, and give several results from one loop.
+"""What XLA does only when asked: compile a loop as one function, give several results from one loop, and multiply in full.
 
 `compile_loops_whole`: XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at 0.1–0.2 µs each;
 in a loop over short arrays that is most of the time. XLA compiles a loop whole where one turn of it touches less than a
@@ -11,15 +11,18 @@ laid down twice along a new axis (no memory is written for that) and "reduced" a
 accumulated and takes the row at hand. What is left of it in the compiled program is a loop of vector instructions, each value
 computed once. It rests on XLA's reducing on a CPU in the order of the axis.
 
-Both are used only under the releases of jaxlib that the tests were run with. Under others everything is compiled as usual, with
-the same results to rounding: series take some four times as long, lengths in bulk and their derivatives three times.
+Both are for CPUs, and used only under the releases of jaxlib that the tests were run with. Under others everything is compiled
+as usual, with the same results to rounding: series take some four times as long, lengths in bulk and their derivatives three
+times.
+
+`in_full`: an accelerator multiplies matrices of single precision with factors rounded to ten bits, unless told not to.
 """
 
 import functools
 import os
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +32,11 @@ from jax.extend.core import jaxpr_as_fun
 from jax.stages import Compiled
 from jaxtyping import Array
 
-TRIED = ("0.10.0", "0.10.1", "0.10.2")
+from slippulse_jax.bulk.threads import platform
+
+F = TypeVar("F", bound=Callable)
+
+TRIED = ("0.10.0", "0.10.1", "0.10.2", "0.11.2")
 """Releases of jaxlib under which tests/test_kernel.py was seen to pass."""
 
 
@@ -61,18 +68,38 @@ def _say_once(what: str) -> None:
     warnings.warn(what, RuntimeWarning, stacklevel=2)
 
 
+def in_full(f: F) -> F:
+    """`f`, in which products of matrices are as precise as their type, in derivatives too.
+
+    It goes where a product is written, and on the rule of a derivative that has one: JAX notes the precision when it traces.
+    """
+
+    @functools.wraps(f)
+    def traced(*args: Any, **kwargs: Any) -> Any:
+        with jax.default_matmul_precision("highest"):
+            return f(*args, **kwargs)
+
+    return cast(F, traced)
+
+
 def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Compiled:
-    """Compile `f` for one device in double precision, with `OPTIONS` on a CPU where this jaxlib knows them."""
+    """Compile `f` for one device in double precision, on a CPU with those of `OPTIONS` that this jaxlib knows."""
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
-    if device.platform != "cpu" or not _tried():
-        return lowered.compile()
-    try:
-        return lowered.compile(compiler_options={**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters})
-    except jax.errors.JaxRuntimeError as unknown:
-        usual = lowered.compile()  # raises again what has nothing to do with the options
-        _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {unknown}")
-        return usual
+    options = {}
+    if device.platform == "cpu" and _tried():
+        options = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}
+    while options:
+        try:
+            return lowered.compile(compiler_options=options)
+        except jax.errors.JaxRuntimeError as error:
+            known = {name: value for name, value in options.items() if f"'{name}'" not in str(error)}
+            if known == options:
+                usual = lowered.compile()  # raises again what has nothing to do with the options
+                _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
+                return usual
+            options = known
+    return lowered.compile()
 
 
 LOOP_BYTES = 10_000_000
@@ -108,7 +135,7 @@ def in_one_loop(f: Callable, *given: Any) -> Any:
     f is written for single numbers, maps them by elementary operations, and has at least as many results as arguments. All
     results should be used: XLA looks for unused ones in a time that grows exponentially with the depth of f.
     """
-    if jax.default_backend() != "cpu" or not _tried():
+    if platform() != "cpu" or not _tried():
         return f(*given)
     arrays, tree = jax.tree.flatten(given)
     once, results = _traced(f, tree, tuple(x.dtype for x in arrays))

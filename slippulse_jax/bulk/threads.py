@@ -37,23 +37,36 @@ def workers() -> int:
     return 1 if getattr(_here, "alone", False) else max(cores(), len(jax.local_devices()))
 
 
-def devices_for(pieces: int) -> Sequence[Any]:
-    """Devices among which `spread` deals so many pieces."""
-    return jax.local_devices()[:pieces]
-
-
 def default_device() -> Any:
-    """Device of the piece at hand."""
-    return jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    """The device chosen by ``jax.default_device``, which within `spread` is that of the piece at hand; None if none was."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.local_devices(backend=chosen)[0] if isinstance(chosen, str) else chosen
 
 
-def spread(work: Callable[[Piece], None], pieces: Iterable[Piece]) -> None:
-    """Call ``work(piece)`` for every piece, in double precision, the pieces dealt to the local devices in turn.
+def local_devices(*, cpu: bool = False) -> Sequence[Any]:
+    """Devices to work on: the one chosen by ``jax.default_device``, or all; with `cpu` those of the CPU, if JAX may use it."""
+    chosen = default_device()
+    devices = [chosen] if chosen is not None else jax.local_devices()
+    if not cpu or devices[0].platform == "cpu":
+        return devices
+    try:
+        return jax.local_devices(backend="cpu")
+    except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
+        return devices
+
+
+def platform() -> str:
+    """Where an operation runs that is not told where to."""
+    return local_devices()[0].platform
+
+
+def spread(work: Callable[[Piece], None], pieces: Iterable[Piece], devices: Sequence[Any]) -> None:
+    """Call ``work(piece)`` for every piece, in double precision, the pieces dealt to the devices in turn.
 
     Each piece runs whole on one device, by a program compiled for one: bits do not depend on the number of devices (a program
     compiled for several at once would round differently). Never nested.
     """
-    dealt = list(zip(pieces, itertools.cycle(jax.local_devices())))  # noqa: B905  # the devices go round
+    dealt = list(zip(pieces, itertools.cycle(devices)))  # noqa: B905  # the devices go round
 
     def run(dealt: tuple[Piece, Any]) -> None:
         piece, device = dealt

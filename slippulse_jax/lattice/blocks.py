@@ -19,6 +19,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.block import Block, Control, Push
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
@@ -173,6 +174,7 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     return Contacts(response, threshold, prestress, last, valid)
 
 
+@in_full
 def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
     site = jnp.arange(sites)
     response, threshold, prestress, last, valid = contacts_of(block, interface, sites)

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.lattice.front import in_domain, length_or_reason
 from slippulse_jax.lattice.modes import Modes, lattice_modes
@@ -56,6 +57,7 @@ class Sliding(NamedTuple):
         D = self.apart + c2 * jnp.exp(self.rate * site) + c3 * jnp.exp(self.rate * (self.position - site))
         return (P + D) / (1 + self.K_L), (P - self.K_L * D) / (1 + self.K_L)
 
+    @in_full
     def ahead(self, site: Array) -> tuple[Array, Array]:
         """u_t and u from the tip on."""
         upper, layer = self.behind(self.position)
@@ -134,6 +136,7 @@ class Fields(NamedTuple):
     stress: Float[Array, "..."]  # on the contact, in σ_s
 
 
+@in_full
 def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> Fields:
     """Slip and stress at a contact when contacts before `position` slide, or slid until the front stopped; scalars."""
     after = sliding(slider, (friction - prestress) / (1 - prestress), position)

@@ -26,6 +26,7 @@ from jax.scipy.special import gamma, ndtr
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import imbalance
 from slippulse_jax.lattice.modes import lattice_modes
@@ -229,6 +230,7 @@ def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array,
         left = imbalance(chain, State(pinning, upper[0]), (upper, layer))
         return jnp.concatenate([left[0][1:], left[1]])
 
+    @in_full
     def step(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         free, stretch, _, count = carry
         moved = -inverse(jax.jacfwd(forces)(free, stretch)) @ forces(free, stretch)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.lattice.waveguide import Loaded, Slab, joined
 
 GAUSS = 3**-0.5
@@ -54,6 +55,7 @@ def _graded(start: Array, end: Array, size: Array | float, count: int) -> Array:
     return start + (end - start) * jnp.sinh(rate * jnp.linspace(0, 1, count + 1)) / jnp.sinh(rate)
 
 
+@in_full
 def element(width: Array | float, height: Array, poisson: Array) -> Float[Array, "8 8"]:
     """Stiffness of a rectangle under plane stress, E = 1; corners anticlockwise from below left, (u_x, u_y) of each."""
     one, none = jnp.ones_like(poisson), jnp.zeros_like(poisson)

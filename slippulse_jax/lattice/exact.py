@@ -25,6 +25,7 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series as series
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain, check_kind
 from slippulse_jax.interface import Interface
@@ -186,6 +187,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
 
 
 def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:
+    @in_full
     def fields(theta: Array, s: Array, site: Array) -> Array:
         modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
         solution = _solve(plain, theta)

@@ -27,6 +27,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import MACHINE
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.units import Numbers, as_float
@@ -250,6 +251,7 @@ class Fields(eqx.Module):
         return self.layer - self.pinning + self.prestress
 
 
+@in_full
 def equilibrium_fields(
     modes: Modes, load: Array, pinning: Float[Array, " sites"], prestress: Float[Array, " sites"] | None = None
 ) -> Fields:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.lattice.front import Front, advance, echo_at, nucleate, stress_ahead
 from slippulse_jax.lattice.modes import ENDLESS, Ends, equilibrium_fields, lattice_modes
 from slippulse_jax.slider import Slider
@@ -29,6 +30,7 @@ class Readings(NamedTuple):
     stress: Float[Array, " sites"]  # in σ_s
 
 
+@in_full
 def readings(slider: Slider, prestress: Array, position: Array, count: int, ends: Ends = ENDLESS) -> Readings:
     """Slip and contact stress at the first `count` contacts after a front that stopped at `position`.
 

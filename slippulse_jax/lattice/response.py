@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
 
@@ -261,6 +262,7 @@ def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"] | None = N
     )
 
 
+@in_full
 def dense(resp: Response) -> Float[Array, "S S"]:
     """Assemble q_i G_ij as a dense matrix, source first.
 

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.front import Contacts, Front, advance, contact_at, nucleate, straight_line, stress_ahead
@@ -162,6 +163,7 @@ def _faded(rule: SmoothBreak, stress: Array, theta: Array) -> tuple:
     return length(stress, theta) * good, direct * good, direct_theta, gain, gain_theta, complete
 
 
+@in_full
 def _backward(modes: Modes, direct: Array, gain: Array) -> tuple[Float[Array, " sites"], Array]:
     """λ_s, and Σ_s D(s) λ_s, the derivative in the load."""
     sites = jnp.arange(direct.size)
@@ -191,6 +193,7 @@ def _caused(modes: Modes, adjoint: Array) -> Float[Array, " sites"]:
     return lax.scan(step, (none, none), (adjoint, profiles), reverse=True)[1]
 
 
+@in_full
 def _arriving(modes: Modes, near: Array, edge: Array, profile: Array) -> Array:
     """Σ_m w_m A_m + Σ_mn B_m R_mn r_n^s, with A_m = Σ_{i>s} r_m^{i−s} λ_i and B_m = Σ_{i>s} r_m^i λ_i."""
     return modes.weight @ near + edge @ modes.reflection @ profile

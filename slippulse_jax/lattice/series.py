@@ -30,6 +30,7 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.block import Block
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
@@ -283,6 +284,7 @@ def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, sprin
         push, edge = push * share, edge * share
     resp = of_matrix(matrix, push, edge)
 
+    @in_full
     def afresh(state: State) -> tuple[Array, Array]:
         u, p, driven, own = state.load, state.pinning, state.load * push[:sites], prestress[:sites]
         apart = p - matrix[:sites, :sites] @ p

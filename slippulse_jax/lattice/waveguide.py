@@ -22,6 +22,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bulk.compiler import in_full
+
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
 
@@ -70,26 +72,28 @@ class Response(NamedTuple):
 
 
 @jax.custom_batching.sequential_vmap
-def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def _one_after_another(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jnp.linalg.inv(matrix)
 
 
 @jax.custom_jvp
 def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of a matrix; of many, one after another.
+    """Inverse of a matrix; of many on a CPU one after another.
 
-    On a CPU jaxlib's elimination of a batch waits, within a thread of XLA's pool, for others of the same pool: two batches at
-    once were seen to wait for each other for ever, in one program on two cores.
+    There jaxlib's elimination of a batch waits, within a thread of XLA's pool, for others of the same pool: two batches at once
+    were seen to wait for each other for ever, in one program on two cores.
     """
-    return _inverse(matrix)
+    return lax.platform_dependent(matrix, cpu=_one_after_another, default=jnp.linalg.inv)
 
 
 @inverse.defjvp
+@in_full
 def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     found = inverse(primals[0])
     return found, -found @ tangents[0] @ found
 
 
+@in_full
 def joined(a: Slab, b: Slab) -> Slab:
     """Two slabs in a row as one, and what is read of the column between them handed on to the others."""
     between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
@@ -130,6 +134,7 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 
 
 @driving_point.defjvp
+@in_full
 def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
     """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab. The sum of (Tᵀ)^m F T^m, by doubling."""
     (slab,), (change,) = primals, tangents
@@ -149,6 +154,7 @@ def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Arr
     return X, lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
 
 
+@in_full
 def guide(slab: Slab, loaded: Loaded, length: Int[Array, ""] | None = None) -> Guide:
     """The guide of a slab with its contact attached; half-infinite, or of `length` slabs with a free end."""
     X = driving_point(slab)
@@ -163,6 +169,7 @@ def guide(slab: Slab, loaded: Loaded, length: Int[Array, ""] | None = None) -> G
     return found if length is None else found._replace(end=free_end(found, X, length))
 
 
+@in_full
 def free_end(guide: Guide, X: Float[Array, "n n"], length: Int[Array, ""]) -> End:
     """Free end at column `length`; G_L by doubling, as many columns at a time as the bits of L say."""
 
@@ -178,6 +185,7 @@ def free_end(guide: Guide, X: Float[Array, "n n"], length: Int[Array, ""]) -> En
     return End(column, (back + back.T) / 2)
 
 
+@in_full
 def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
     """q_0 … q_N."""
     slab, T = guide.slab, guide.transfer
@@ -186,6 +194,7 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
     return jnp.concatenate([slab.reading_right[None], rest])
 
 
+@in_full
 def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
     T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1)
@@ -205,6 +214,7 @@ def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tu
     return T @ pushed[column - 1], jnp.where(before, far[column - 1 - sites], 0)
 
 
+@in_full
 def response(guide: Guide, contact: Array, sites: int) -> Response:
     """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
     q = readings(guide, sites)
@@ -222,6 +232,7 @@ def response(guide: Guide, contact: Array, sites: int) -> Response:
     return Response(t, contact * A)
 
 
+@in_full
 def edge_stiffness(guide: Guide, contact: Array, response: Response) -> Float[Array, ""]:
     """Force on the pusher per load: that of all contacts, beyond those of the response too."""
     if guide.end is not None:
@@ -231,6 +242,7 @@ def edge_stiffness(guide: Guide, contact: Array, response: Response) -> Float[Ar
     return contact * ((slab.reading_left + slab.reading_right @ T) @ endless @ guide.pushed)
 
 
+@in_full
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
     """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
     slab, T = guide.slab, guide.transfer

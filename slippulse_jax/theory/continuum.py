@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slippulse_jax import double_series as series
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode, crossing
 from slippulse_jax.slider import Slider, each_slider
 
@@ -111,6 +112,7 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
     return ContinuumFields(*each_slider(lambda *of: tuple(_differentiable(_fields)(*of)), slider, s, x))
 
 
+@in_full
 def _fields(slider: Slider, s: Array, x: Array) -> Float[Array, "3"]:
     line = _line(slider)
     solution = _solution(line)

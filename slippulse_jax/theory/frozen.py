@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.double_series import overlap
 from slippulse_jax.slider import Slider, each_slider
@@ -127,11 +128,13 @@ def _integrated(slider: Slider, printed: bool) -> _Integrated:
     return _Integrated(A3, A4, excess, k * (1 + slider.beta) / 2, g, k, k2, k2 + 2 * n * k, weight)
 
 
+@in_full
 def _stress_of(x: _Integrated, s: Array) -> Array:
     total = x.A3_0 * jnp.exp(x.g - x.a * s) + x.weight @ overlap(x.a, x.rate, s)
     return total * jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) + x.A4_0 * jnp.exp(-x.kappa_2 * s)
 
 
+@in_full
 def _excess_of(x: _Integrated, s: Array) -> Array:
     """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
     kept = jnp.expm1(-x.a * s - x.g * jnp.expm1(-2 * x.kappa * s))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.domains import POISSON, PRESTRESS, Domain
 from slippulse_jax.double_series import overlap
@@ -113,6 +114,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
     return jnp.vectorize(one)(b, nu, phi)
 
 
+@in_full
 def _held(beta: Array, z: Array) -> Array:
     """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
     g = beta / (2 * (1 + beta))
