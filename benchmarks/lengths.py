@@ -172,7 +172,7 @@ def page(found: dict) -> str:
         *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} | {1e6 * o / n:.3g} |" for n, t, o in zip(*found["counts"].values(), strict=True)), "",
         *_flat(found["counts"]),
         *_start(found),
-        "Nothing here was run on a GPU.", "",
+        "On a GPU: [Use a GPU](howto/gpu.md).", "",
     ]  # fmt: skip
     return "\n".join(lines)
 
