@@ -255,6 +255,19 @@ def test_copies_show_no_scatter(sigma):
     )
 
 
+def test_hardly_any_scatter_is_one_search(monkeypatch):
+    """Where σ is that of the least scatter believed, the deviance compared is that under this σ: no search need be repeated."""
+    searches = []
+    monkeypatch.setattr(
+        "slippulse_jax.inference.fit.search", lambda *x, **options: searches.append(x) or search.search(*x, **options)
+    )
+    height = np.array([15.0, 30.0, 60.0, 90.0])
+    length = exact(height, 0.003) * (1 + 1e-5 * np.array([1, -1, 0.5, -0.5]))
+    m = Measurements(height=height, poisson=0.3, length=length, length_sigma=1e-7 * length)
+    assert fit(m, sigma="relative").identifiability is Identifiability.NO_SCATTER
+    assert len(searches) == 1
+
+
 def test_lengths_without_scatter_have_no_error():
     """Computed lengths without σ give their stiffness, and no error of 1e-11; rounded ones an error."""
     height = np.array([15.0, 30.0, 60.0])

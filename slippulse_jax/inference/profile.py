@@ -40,11 +40,11 @@ class Rise:
     """Rise of the deviance at the ends of an interval, by confidence level.
 
     With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the errors
-    is itself estimated from n data and p parameters it is larger, by the F distribution: exactly so for a straight-line model.
+    is itself estimated from n data it is larger, by the F distribution: exactly so for a straight-line model.
     """
 
-    factor: float = 1.0  # of the loss; and the variance found, where σ is scaled
-    dof: float | None = None  # n − p, where the size of the errors is estimated
+    factor: float = 1.0  # of the loss
+    dof: float | None = None  # n less what the fit uses up, where the size of the errors is estimated
     fitted_variance: int | None = None  # n, where it is a parameter of the likelihood
 
     def __call__(self, level: float, parameters: int = 1) -> float:

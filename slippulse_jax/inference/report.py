@@ -303,11 +303,11 @@ def _further(result: "FitResult") -> list[str]:
         return []
     rows = ["", "Measured beside the lengths"]
     for one in result.further:
-        off = one.residuals
-        worst = int(np.argmax(np.abs(off)))
+        worst = int(np.argmax(np.abs(one.residuals)))
         rows.append(
-            f"  {one.observable:12s} {_plural(len(off), 'datum').replace('datums', 'data')}, chi-squared {(off**2).sum():.3g}; "
-            f"worst at {one.places[worst]}: (fit-meas)/σ = {off[worst]:+.2f}"
+            f"  {one.observable:12s} {_plural(len(one.residuals), 'datum').replace('datums', 'data')}, "
+            f"chi-squared {(one.residuals**2).sum():.3g}; "
+            f"worst at {one.places[worst]}: (fit-meas)/σ = {one.residuals[worst]:+.2f}"
         )
     return rows
 
@@ -390,15 +390,16 @@ def _unstated(result: "FitResult") -> list[str]:
 def _of_measuring(result: "FitResult") -> Iterator[str]:
     """What lengths share that were measured, where the table does not say whether they were."""
     m, moved = result.measurements, result.budget.get("length")
-    if moved is None or any(m.provenance) or result.scaled:
+    if moved is None or any(m.provenance):
         return
     adds = []
     for name, slope in moved.slope.items():
         one = result.parameters.free[result.parameters.index(name)]
         adds.append(f"± {abs(slope) * MODEL_ERROR:{'.0%' if one.log else '.2g'}} to {_symbol(name, one.symbol)}")
+    offset, fitted = ("", "it") if result.scaled else ("an offset and ", "both")
     yield (
-        f"  measured lengths share an offset and a model factor of 1 ± {MODEL_ERROR:g}, which alone would add "
-        f"{', '.join(adds)}: provenance = measured has both fitted"
+        f"  measured lengths share {offset}a model factor of 1 ± {MODEL_ERROR:g}, which alone would add "
+        f"{', '.join(adds)}: provenance = measured has {fitted} fitted"
     )
 
 

@@ -50,7 +50,9 @@ def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> S
         change = np.sqrt(deviance / dof / problem.loss.expected) if dof > 1e-6 else 0.0
         if factor * change * widest < UNMEASURABLE:
             least = UNMEASURABLE / widest
-            return Scatter(least, dof, problem.with_sigma(least, of_lengths=of_lengths), total, factor * change * widest)
+            sized = problem.with_sigma(least, of_lengths=of_lengths)
+            total = 2 * float(minimise(sized, theta[None], q.low, q.high).value[0])
+            return Scatter(least, dof, sized, total, factor * change * widest)
         turns += 1
         if abs(change - 1) < SETTLED or turns == TURNS:
             return Scatter(factor, dof, sized, total)
