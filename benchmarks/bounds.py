@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import rivals
+from benchmarks.regimes import three, two
 from benchmarks.timing import side_by_side
-from slippulse_jax import Slider, exact_lengths, precursor_lengths
+from slippulse_jax import Slider, exact_lengths, fit, precursor_lengths
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -75,6 +76,19 @@ def series() -> Iterator[Row]:
 
     ours, theirs, _ = single(2000, 10_000)
     yield "10 000 events at N = 2000, numba over this package", theirs / ours, "as before"
+
+
+def fits() -> Iterator[Row]:
+    """Fits with two and three parameters, of ten studies each: the slowest, programs compiled."""
+    for number, make, bound in (("two", lambda rng: two(rng, 8, 80), "≤ 1"), ("three", three, "≤ 5")):
+        rng, taken = np.random.default_rng(5), []
+        studies = [make(rng) for _ in range(10)]
+        fit(studies[0].measurements, studies[0].free)
+        for study in studies:
+            began = time.perf_counter()
+            fit(study.measurements, study.free)
+            taken.append(time.perf_counter() - began)
+        yield f"fit with {number} parameters, s", max(taken), bound
 
 
 def start() -> Iterator[Row]:
@@ -146,7 +160,7 @@ def path() -> Iterator[Row]:
     yield "of them, those of inference", len(set(fitting)), ""
 
 
-ROWS = {"points": points, "long": long, "ruptures": ruptures, "series": series, "start": start, "path": path}
+ROWS = {"points": points, "long": long, "ruptures": ruptures, "series": series, "fits": fits, "start": start, "path": path}
 
 
 def main(names: list[str]) -> None:

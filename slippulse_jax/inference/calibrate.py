@@ -25,6 +25,8 @@ RESOLUTION = {1: 0.15, 2: 0.3}
 """Spacing of the table of predictions, in standard errors of all measurements together."""
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
 MOST_OTHERS = 80  # values of a second parameter at each of the first
+ONE_THREAD = 4 * 2**16
+"""Multiplications for which OpenBLAS takes one thread: with two it was four times as slow on products as thin as these."""
 HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration; the cells of a scan reach farther
 
 
@@ -176,10 +178,15 @@ def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, n
     # single precision: the table is coarser by far
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
-    there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1)
-    deviance = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1) @ there.T
-    least = deviance.argmin(axis=1)
-    return deviance[:, table.column == true].min(axis=1) - deviance[np.arange(len(noise)), least], table.column[least]
+    there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1).T
+    drawn, own = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1), table.column == true
+    rise, least = np.empty(len(noise), np.float32), np.empty(len(noise), np.intp)
+    rows = max(1, ONE_THREAD // there.size)
+    for some in (slice(start, start + rows) for start in range(0, len(noise), rows)):
+        deviance = drawn[some] @ there
+        least[some] = deviance.argmin(axis=1)
+        rise[some] = deviance[:, own].min(axis=1) - deviance.min(axis=1)
+    return rise, table.column[least]
 
 
 def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
