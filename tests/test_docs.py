@@ -216,3 +216,14 @@ def test_links_between_pages_lead_somewhere():
         for link in re.findall(r"\]\(([^)#]+)\)", (DOCS / f"{page}.md").read_text(encoding="utf-8")):
             if not link.startswith("http"):
                 assert (DOCS / page).parent.joinpath(link).exists(), f"{page}: {link}"
+
+
+@pytest.mark.parametrize("folder", ["pmma_block", "pushed_block"])
+def test_sentence_for_a_paper(folder):
+    """Stiffness with its whole error, lengths and χ² as the report has them."""
+    said = sp.fit(ROOT / "fit_examples" / folder / "lengths.csv").report()
+    value, error, power = re.search(r"with these, k/λc² = \((\S+) ± (\S+)\)e(\d+)", said).groups()
+    squares = f"{float(re.search(r'chi-squared (.+) for 5 degrees', said)[1]):.1f}"
+    page = " ".join((DOCS / "howto" / "own_csv.md").read_text(encoding="utf-8").split())
+    of_power = f"({value} ± {error}) × 10{power.translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))} Pa/m"
+    assert re.search(re.escape(of_power) + r" \(six lengths, χ² = " + re.escape(squares) + " for 5 degrees of freedom\\)", page)
