@@ -91,7 +91,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     """
     count, fields = len(lanes[0]), len(lanes)
     devices = local_devices(cpu=layout.chunk == 1)
-    in_step = devices[0].platform != "cpu"
+    in_step = devices[0].platform != "cpu" and layout.chunk > 1
     pieces, program, width = _in_step(count, layout) if in_step else _in_turn(count, layout)
     devices, rank = devices[: max(len(pieces), 1)], None if in_step else rank  # of no lanes too the shapes are wanted
     with _compiling:  # threads that need the same program: one compiles it, the others wait
