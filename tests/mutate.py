@@ -46,7 +46,8 @@ MODULES = {
     "lattice/chain": "tests/test_cascade.py tests/test_equilibrium.py "
     "-k 'inverse or dense_matrices or lattice_modes or floating or (refus and not differentiated) or interface or slopes or driver or by_default'",
     "lattice/equilibrium": "tests/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
-    "lattice/rupture": "tests/test_cascade.py -k 'not hundred_thousand and not devices and not size_of and not surrogate'",
+    "lattice/rupture": "tests/test_cascade.py tests/test_surrogate.py "
+    "-k '(test_cascade and not hundred_thousand and not devices and not size_of and not surrogate) or chain_approaches or same_smooth'",
     "inference/likelihood": "tests/test_fit_parameters.py tests/test_fit_ends.py "
     "-k 'gradient_is or of_a_count or counts_of or huber or traced_density or least_density or parts_of or losses_and'",
 }
@@ -85,6 +86,24 @@ EQUIVALENT: dict[tuple[str, str], str] = {
         "lattice/chain",
         "first = beside(Springs(*(x[ -1] for x in beyond)), chain.across[0], contact[0])",
     ): "K_T > 0 alone holds the first site",
+    (
+        "lattice/rupture",
+        "per_load = jnp.where(chain.contact > -1, equilibrium(chain, State(state.pinning, state.load + 1)).stress - now, 0)",
+    ): "a detached contact carries no stress at any load",
+    ("lattice/rupture", "pulled = per_load != 0"): "no stress falls as the load rises, not even by rounding",
+    (
+        "lattice/rupture",
+        "overloaded = ((now >= chain.threshold) & (chain.contact >= 0)).any()",
+    ): "a detached contact carries no stress, and thresholds are positive",
+    (
+        "lattice/rupture",
+        "overloaded = ((now >= chain.threshold) & (chain.contact > -1)).any()",
+    ): "a detached contact carries no stress, and thresholds are positive",
+    (
+        "lattice/rupture",
+        "slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact != 0, safe.contact, jnp.inf)",
+    ): "no contact has a negative stiffness",
+    ("lattice/rupture", "t = stress + contact * arriving[ 2]"): "of two elements, JAX takes the last",
 }
 """Mutants that change no result, as (module, mutated line), and why."""
 

@@ -15,7 +15,7 @@ import slippulse_jax as sp
 from slippulse_jax.lattice.chain import State, chain
 from slippulse_jax.lattice.precursor import arrest
 from slippulse_jax.lattice.response import dense, response
-from slippulse_jax.lattice.rupture import nucleate, rupture
+from slippulse_jax.lattice.rupture import _can_break, nucleate, rupture
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.status import Outcome
 
@@ -334,9 +334,18 @@ def test_trigger_that_cannot_break():
     np.testing.assert_array_equal(found.status[2:], Outcome.INVALID)
     assert np.isnan(found.length[2:]).all()
     np.testing.assert_array_equal(found.breaks[2:], 0)
+    overloaded = traced(np.full(6, 50 * load), np.array([3, 4, -2, 2, 0, 1]))  # every contact, the last one too
+    assert (np.asarray(overloaded.status) == Outcome.INVALID).tolist() == [False, True, True, True, False, False]
     smooth = jax.jit(lambda site: rupture(c, c.relaxed(load), rule=sp.SmoothBreak(0.02), trigger=site).status)
     assert smooth(2) == Outcome.INVALID
     assert smooth(first) != Outcome.INVALID
+
+
+def test_trigger_just_below_its_threshold():
+    """It may lie below by ε^¼ of the largest stress, here 2⁻¹³ of 1, and by no digit more."""
+    c, least = chain(FIG2, sites=3), 1 - 2.0**-13
+    for stress, allowed in ((least, True), (np.nextafter(least, 0), False)):
+        assert _can_break(c, jnp.array([stress, 1.0, 0.5]), jnp.asarray(0)) == allowed
 
 
 def test_nothing_to_load():

@@ -156,6 +156,21 @@ def test_rupture_of_a_chain_approaches_the_hard_one():
         np.testing.assert_allclose(found.energy, exact.energy, rtol=tolerance)
 
 
+def test_rupture_from_the_middle_of_a_chain_approaches_the_hard_one():
+    """Contacts before the trigger are too strong to break; the length counts them all the same."""
+    threshold = jnp.where(jnp.arange(120) < 5, 10.0, 1.0)
+    c = chain(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3), sites=120, threshold=threshold)
+    state, site = nucleate(c)
+    exact = rupture(c, state, trigger=site)
+    assert site == 5
+    assert exact.order[: int(exact.breaks)].tolist() == list(range(5, 5 + int(exact.breaks)))
+    found = in_a_chain(25.0, 1e-6, threshold)
+    assert exact.breaks > 10
+    assert (found.breaks, found.extent) == (exact.breaks, exact.extent)
+    np.testing.assert_allclose(found.length, exact.length, atol=1e-9)
+    np.testing.assert_allclose(found.slip, exact.slip, atol=1e-9)
+
+
 @pytest.mark.parametrize("quantity", ["length", pytest.param("energy", marks=pytest.mark.slow)])
 def test_derivatives_of_a_smooth_rupture_in_every_threshold(quantity):
     rng = np.random.default_rng(8)
