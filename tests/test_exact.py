@@ -302,6 +302,36 @@ def test_choice_of_resonance_does_not_change_the_sum():
     assert np.max(np.abs(np.diff(bend))) < 1e-10
 
 
+@jax.jit
+def rises(theta, s):
+    """t(s) − t(0) by the rows that a plain table keeps, by the first of them, and by a regular table; what the plain one says."""
+    system = system_of(theta, prestressed=False)
+    plain, regular = double_series.solve(system, regular=False), double_series.solve(system)
+    each = double_series.rise(plain, s), double_series.rise(plain, s, blocks=1), double_series.rise(regular, s)
+    return [rise for rise, _ in each], plain.sound, double_series.died_out(plain, s)
+
+
+def test_plain_table_tells_where_the_rows_it_keeps_suffice():
+    sliders = random_sliders(60, 41)
+    theta = np.column_stack([sliders, np.zeros((60, 2))]).T
+    (kept, first, regular), sound, enough = rises(theta, np.ones(60))
+    error = np.abs(kept - regular)
+    assert sound.all()
+    assert (error[enough] < 1e-12).all()
+    assert (error[~enough] > 1e-12).any()
+    assert np.abs(first - regular).max() < 1e-4  # near enough to start from
+    for every in rises(theta, np.full(60, 1e9))[0]:  # where nothing is left of t(0) = 1
+        np.testing.assert_allclose(every, -1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", range(4))
+def test_moments_of_a_decay_are_integrals(n):
+    z = np.array([-0.9, 0.0, 1e-9, 0.5, np.nextafter(1, 0), 1.0, 1.5, 10.0, 50.0])
+    expected = [mp.quad(lambda y, x=x: y**n * mp.exp(-mp.mpf(x) * y), [0, 1]) for x in z]
+    found = double_series._moment(n, jnp.asarray(z))
+    assert max(map(relative, found, expected)) < 1e-13
+
+
 def counted(modes, phi, eps):
     """Whole contacts by the recursion in NumPy, prestress and threshold slope included."""
     r, w, R, C = modes
