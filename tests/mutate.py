@@ -109,6 +109,10 @@ EQUIVALENT: dict[tuple[str, str], str] = {
         "double_series",
         "z0, z1 = jnp.where(small, z, 1), jnp.where(small, 1, z)",
     ): "the sum of z0 is taken only where z is small",
+    (
+        "lattice/crossing",
+        "gone = ~checked & ((loss <= 0) & ~(bend < 0) | (s * found.system.rate[1] >= 60))",
+    ): "at 60 already, e⁻⁶⁰ is left of what decays",
 }
 """Mutants that change no result, as (module, mutated line), and why."""
 

@@ -378,6 +378,8 @@ def test_no_domino_is_length_zero():
     rows = [[5.0, q, 0.3, 0, 0] for q in np.geomspace(1e-4, 1e-2, 58)]
     length, contacts_broken, _, status = fronts([2.0, 1e-6, 0.3, 0, 0], *rows)
     assert (length[0], contacts_broken[0], status[0]) == (0, 1, Outcome.NO_DOMINO)
+    at_once = fronts([2.0, 1e-6, 0.3, 0, -1e-4])  # the threshold falls, but the stress falls faster
+    assert (at_once[0][0], at_once[1][0], at_once[3][0]) == (0, 1, Outcome.NO_DOMINO)
     assert length[1] == 0
     assert 0 < length[length > 0][0] < 0.2
 
@@ -400,6 +402,19 @@ def test_falling_thresholds_met_in_a_shallow_dip():
     assert (status == Outcome.ARRESTED).all()
     length, _, _, status = fronts([25.0, 0.03, 0.3, -0.2, -0.05])
     assert (np.isinf(length[0]), status[0]) == (True, Outcome.RUN_AWAY), "no threshold is left at contact 20"
+
+
+def test_falling_thresholds_that_one_contact_alone_is_below():
+    """Slopes between the least that stops a front, at one contact, and the next: no step of the search may leap over that one."""
+    rng = np.random.default_rng(6)
+    sliders = np.column_stack([1 + 10 ** rng.uniform(-0.5, 1.6, 60), 10 ** rng.uniform(-4, -0.5, 60), rng.uniform(0, 0.5, 60)])
+    stress = jax.jit(jax.vmap(lambda x: front_stress(lattice_modes(sp.Slider(x[0], x[1], x[2])), 120)))(sliders)
+    stopping = (np.asarray(stress)[:, 1:] - 1) / np.arange(1, 120)
+    least, following = np.sort(stopping, axis=1)[:, :2].T
+    slope = least + rng.uniform(0.1, 0.9, 60) * (following - least)
+    assert (slope < 0).all()
+    found = fronts(*np.column_stack([sliders, np.zeros(60), slope]))
+    np.testing.assert_array_equal(found[1], stopping.argmin(1) + 1)
 
 
 def test_no_crossing_is_leapt_over_and_no_dip_between_contacts_taken():
@@ -445,6 +460,31 @@ def test_newton_is_kept_within_its_bracket():
         tolerance=1e-9, most=30,
     )  # fmt: skip
     np.testing.assert_allclose(s, 20, rtol=1e-12)
+
+
+def test_newton_starts_near_the_crossing_of_tall_sliders():
+    """By the macroscopic law on soft interfaces, on stiff or prestressed ones by the tail: t(s) all but φ/φ_c + c_2 ρ_2^s."""
+    b, phi = np.array([[0.02, 0], [0.1, 0], [30, 0], [100, 0], [30, 0.1], [100, 0.3]]).T
+    theta = np.array([np.full(6, 1e6), b / (2 * 1.3 * 1e6), np.full(6, 0.3), phi, np.zeros(6)])
+    start = jax.jit(lambda x: crossing._start(double_series.solve(system_of(x, prestressed=True), regular=False), x))(theta)
+    np.testing.assert_allclose(start[:2], fronts(*theta.T)[0][:2], rtol=0.05)
+    np.testing.assert_allclose(start[2:], fronts(*theta.T)[0][2:], rtol=0.01)
+
+
+@pytest.mark.parametrize("prestressed", [False, True])
+def test_bulk_leaves_falling_thresholds_to_the_careful_search(prestressed):
+    """Without a prestress all, under one those whose table does not hold from the edge on; a front that arrests is told either way."""
+    rows = [[25.0, 0.03, 0.3, 0, 0], [2.0, 1e-6, 0.3, 0, 0], [25.0, 0.03, 0.3, 0, -1e-3]]
+    if prestressed:
+        rows = [[40.0, 0.01, 0.3, 0.3, -2e-5], [2.0, 1e-6, 0.3, 0.3, 0], [10.0, 0.3, 0.3, 0.3, -1e-4]]
+    theta = np.array(rows).T
+    length, status = crossing.crossing_in_bulk(
+        double_series.solve(system_of(theta, prestressed=prestressed), regular=False), theta
+    )
+    assert status.tolist() == [Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.NOT_CONVERGED]
+    expected, *_, one_by_one = fronts(*rows)
+    assert one_by_one[2] in (Outcome.ARRESTED, Outcome.REBREAK)
+    np.testing.assert_allclose(length[:2], expected[:2], rtol=1e-11)
 
 
 def test_differentiation_agrees_in_every_mode():
