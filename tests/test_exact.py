@@ -324,6 +324,19 @@ def test_plain_table_tells_where_the_rows_it_keeps_suffice():
         np.testing.assert_allclose(every, -1, rtol=1e-12)
 
 
+def test_table_of_a_slider_does_not_depend_on_its_neighbours():
+    """Bit for bit, also where a neighbour needs more rows."""
+    table = jax.jit(lambda x: double_series.solve(system_of(x, prestressed=False), regular=False))
+    theta, fewest = np.column_stack([random_sliders(60, 41), np.zeros((60, 2))]).T, double_series.ROWS
+    together = table(theta)
+    for i in range(5):
+        alone = table(np.repeat(theta[:, [i]], 60, axis=1))
+        fewest = min(fewest, alone.last)
+        for found, expected in zip(together[2:6], alone[2:6], strict=True):  # sums of rows, and amplitudes
+            np.testing.assert_array_equal(found[..., i], expected[..., i])
+    assert fewest < together.last
+
+
 @pytest.mark.parametrize("n", range(4))
 def test_moments_of_a_decay_are_integrals(n):
     z = np.array([-0.9, 0.0, 1e-9, 0.5, np.nextafter(1, 0), 1.0, 1.5, 10.0, 50.0])
