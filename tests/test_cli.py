@@ -295,7 +295,8 @@ def test_closed_streams(closed):
 def test_interrupted_while_it_starts():
     """Of the command that is installed, from its first import on."""
     slow = (
-        "import builtins, sys, time; from slippulse_jax.cli import run; real = builtins.__import__\n"
+        "import builtins, signal, sys, time; from slippulse_jax.cli import run; real = builtins.__import__\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background ignores it
         "def late(*a, **k): print(1, flush=True); time.sleep(0.02); return real(*a, **k)\n"
     )
     started = subprocess.Popen(

@@ -391,14 +391,14 @@ def test_errors_from_the_scatter_keep_those_of_inputs(young_sigma):
 
 @pytest.mark.parametrize("loss", ["normal", "huber", "student"])
 def test_scatter_of_many_lengths_is_that_of_their_errors(loss):
-    """The size is right for errors as the loss supposes: of 10 000 lengths to within two and a half standard errors."""
-    rng, count = np.random.default_rng(11), 10_000
+    """The size is right for errors as the loss supposes: of 6000 lengths to within two and a half standard errors."""
+    rng, count = np.random.default_rng(11), 6000
     errors = rng.standard_t(4, count) if loss == "student" else rng.standard_normal(count)
     height = np.repeat(np.geomspace(20, 200, 20), count // 20)
     length = model(height, 0.004)
     m = Measurements(height=height, poisson=0.3, length=length * (1 + 0.02 * errors), length_sigma=0.01 * length)
     result = fit(m, sigma="relative", loss=loss, intervals="profile")
-    assert result.scatter == pytest.approx(2, rel=2.5 * (0.012 if loss == "student" else 0.009))
+    assert result.scatter == pytest.approx(2, rel=2.5 * (0.016 if loss == "student" else 0.012))
 
 
 def test_scaled_errors():
