@@ -457,6 +457,23 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     assert set(result.to_dict()["budget"]) == set(result.budget)
 
 
+def test_specimens_of_several_heights_have_curves_of_their_own():
+    """Each through what the table says was fitted there; and no band where the model is rejected."""
+    height, k = np.array([4.0, 6.0, 8.0, 10.0]), {"A": [2.6, 4.6, 6.8, 9.1], "B": [3.3, 5.6, 8.1, 10.9]}
+    table = pd.concat(
+        [pd.DataFrame({"specimen": name, "height_cm": height, "length_cm": lengths}) for name, lengths in k.items()]
+    )
+    table = table.assign(length_sigma_cm=0.2, poisson=0.35, correlation_length_um=500.0, young_GPa=3.2, young_sigma_GPa=0.16)
+    result = fit(table.assign(correlation_length_sigma_um=100.0))
+    assert result.identifiability is Identifiability.POOR_FIT
+    ax = plot.fit_lengths(result)
+    curves = [line for line in ax.lines if line.get_label().startswith("closest (rejected), $k/K$")]
+    fitted = result.to_dataframe()["length_fitted_cm"].to_numpy().reshape(2, 4)
+    drawn = np.sort([np.interp(height, *curve.get_data()) for curve in curves], axis=0)
+    np.testing.assert_allclose(drawn, np.sort(fitted, axis=0), rtol=1e-3)
+    assert not any("band" in text.get_text() for text in ax.get_legend().get_texts())
+
+
 def test_errors_of_specimens_in_the_report():
     """Inputs with an error are called by symbol and specimen, k/K says why it is two, lengths are in the table's unit."""
     table = pd.DataFrame({"specimen": ["A", "A", "B"], "height_cm": [2.4, 2.4, 6.0], "length_cm": [1.42, 1.38, 4.78]})

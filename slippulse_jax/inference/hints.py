@@ -45,7 +45,8 @@ STEPS = 25
 def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider", *, prestressed: bool = False) -> Iterator[str]:
     """Warn of likely slips, and of lengths near or above the longest that any stiffness gives on a slider."""
     yield from slips(m, prestressed=prestressed)
-    if event == "crack" or body == "block":  # the friction is not known yet; the block's lengths are not known without a fit
+    # not known yet: a friction, the lengths of a block, what measured lengths share
+    if event == "crack" or body == "block" or "measured" in m.provenance:
         return
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
     longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)

@@ -178,7 +178,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         again = _breaks_again(result, _inputs_at(result, result.theta, rows, height))
         any_again |= bool(again.any())
         dashed_where(ax, x, _lengths_at(result, result.theta, rows, height) * y, again, color=color, label=names[number])
-        for low, high in _bands(result, rows, height):
+        for low, high in () if _rejected(result) else _bands(result, rows, height):
             ax.fill_between(x, low * y, high * y, color=color, alpha=0.25, lw=0)
             narrow &= bool(np.max(high - low) * y < 0.012 * float(m.length.max() * y))
         longest = _longest(result, height, rows) * y
@@ -196,7 +196,8 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
     curves = handles_of(ax, again=any_again)
-    curves.insert(curves.index(beyond), band)
+    if not _rejected(result):
+        curves.insert(curves.index(beyond), band)
     ax.legend(
         handles=curves,
         **ABOVE,
@@ -503,10 +504,19 @@ def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
-    """Group the measurements that lie on one curve: all but the abscissa the same, and the errors that inputs have."""
+    """Group the measurements that lie on one curve: all but the abscissa the same.
+
+    Inputs with an error are those fitted where every curve then has two heights, else those stated.
+    """
+    stated = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
+    at = _abscissa(result)[1]
+    fitted = _alike(result, result.theta)
+    return fitted if all(np.ptp(at[rows]) > 0 for rows in fitted) else _alike(result, np.array(stated))
+
+
+def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
     m = result.measurements
-    theta = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
-    same = result.parameters.inputs_at(np.array(theta))._asdict()
+    same = result.parameters.inputs_at(theta)._asdict()
     del same[{"height": "log_height", "push_height": "log_push"}[_abscissa(result)[0]]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
@@ -525,9 +535,13 @@ def _group_names(result: "FitResult") -> list[str]:
     return [", ".join([_best(result), *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
 
 
+def _rejected(result: "FitResult") -> bool:
+    return result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
+
+
 def _best(result: "FitResult") -> str:
     """What the curve of least deviance is called: no fit where the model is rejected, nor the best of those that fit alike."""
-    if result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM):
+    if _rejected(result):
         return "closest (rejected)"
     alike = (Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE)
     return "one that fits" if result.identifiability in alike else "best fit"
