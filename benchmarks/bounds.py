@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import rivals
+from benchmarks.lengths import long_fronts
 from benchmarks.regimes import three, two
 from benchmarks.timing import side_by_side
 from slippulse_jax import Slider, exact_lengths, fit, precursor_lengths
@@ -46,9 +47,8 @@ def points() -> Iterator[Row]:
 
 def long() -> Iterator[Row]:
     """100 000 long fronts; numba by 200 of them."""
-    rng, n, few = np.random.default_rng(1), 100_000, 200
-    height, b, nu = 10 ** rng.uniform(4, 5, n), np.exp(rng.uniform(np.log(0.2), np.log(5), n)), rng.uniform(0, 0.5, n)
-    given = height, b / (2 * (1 + nu) * height), nu
+    n, few = 100_000, 200
+    given = long_fronts(n)
     slider, out = Slider(*given), np.empty(few)
     taken = side_by_side(
         {

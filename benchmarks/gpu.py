@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import slippulse_jax as sp
-from benchmarks.lengths import random_points
+from benchmarks.lengths import long_fronts, random_points
 from benchmarks.timing import in_turns
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -22,19 +22,8 @@ PAGE = ROOT / "docs" / "tables" / "gpu.md"
 MEASURED = ROOT / "fit_examples" / "pmma_block" / "lengths.csv"
 
 
-def long_fronts(count: int) -> sp.Slider:
-    """H/λc log-uniform in 10⁴–10⁵, b in 0.2–5."""
-    rng = np.random.default_rng(1)
-    height, b, nu = (
-        10 ** rng.uniform(4, 5, count),
-        np.exp(rng.uniform(np.log(0.2), np.log(5), count)),
-        rng.uniform(0, 0.5, count),
-    )
-    return sp.Slider(height, b / (2 * (1 + nu) * height), nu)
-
-
-def lengths(count: int, derivatives: Any = 0) -> Callable[[], Any]:
-    slider = sp.Slider(*random_points(count))
+def lengths(count: int, derivatives: Any = 0, drawn: Callable = random_points) -> Callable[[], Any]:
+    slider = sp.Slider(*drawn(count))
     return lambda: sp.precursor_lengths(slider, derivatives=derivatives)
 
 
@@ -77,9 +66,7 @@ ROWS: dict[str, Callable[[], Callable[[], Any]]] = {
     "`precursor_lengths`, 10⁷ points": lambda: lengths(10**7),
     "`precursor_lengths` with derivatives, 200 000 points": lambda: lengths(200_000, 1),
     "`precursor_lengths` with derivatives, 10⁶ points": lambda: lengths(10**6, 1),
-    "`precursor_lengths`, 100 000 long fronts": lambda: (lambda slider: lambda: sp.precursor_lengths(slider))(
-        long_fronts(100_000)
-    ),
+    "`precursor_lengths`, 100 000 long fronts": lambda: lengths(100_000, drawn=long_fronts),
     "`exact_lengths`, 2000 points": lambda: exact(2000),
     "`exact_lengths`, 10⁶ points": lambda: exact(10**6),
     "`exact_lengths` with a prestress, 200 000 points": lambda: exact(200_000, prestress=0.05),

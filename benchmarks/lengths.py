@@ -39,6 +39,14 @@ def random_points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rng.uniform(10, 50, count), 10 ** rng.uniform(-3, np.log10(0.03), count), rng.uniform(0.1, 0.45, count)
 
 
+def long_fronts(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """H/λc log-uniform in 10⁴–10⁵, b log-uniform in 0.2–5, ν uniform in 0–0.5."""
+    rng = np.random.default_rng(1)
+    height, b = 10 ** rng.uniform(4, 5, count), np.exp(rng.uniform(np.log(0.2), np.log(5), count))
+    nu = rng.uniform(0, 0.5, count)
+    return height, b / (2 * (1 + nu) * height), nu
+
+
 def points() -> dict:
     """200 000 random points by every means there is."""
     given = random_points(POINTS)

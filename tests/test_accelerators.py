@@ -1,4 +1,4 @@
-"""What a GPU needs of the programs, as far as a CPU can tell."""
+"""Programs are ready for a GPU, as far as a CPU can tell."""
 
 import jax
 import jax.numpy as jnp

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.inference.hints import before_fit
 from slippulse_jax.inference.parameters import MODEL_ERROR
 
 HEIGHT = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]) * 10
@@ -83,3 +84,25 @@ def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
 def test_a_nuisance_needs_a_prior():
     with pytest.raises(ValueError, match=r"parameter offset: nuisance = True, but no prior"):
         sp.Parameter("offset", nuisance=True)
+
+
+def test_lengths_that_share_a_factor_are_not_too_long_before_it_is_fitted():
+    """A tenth above the longest of the model is named of exact lengths, and within the model factor of measured ones."""
+    longest = sp.fit(sp.Measurements(HEIGHT, 0.3, 0.8 * HEIGHT, 0.02 * HEIGHT), intervals="profile").attainable
+    said = {}
+    for provenance in ("synthetic", "measured"):
+        m = sp.Measurements(HEIGHT, 0.3, 1.1 * longest, 0.01 * HEIGHT, provenance=[provenance] * 6)
+        said[provenance] = " ".join(before_fit(m))
+    assert "above the longest" in said["synthetic"]
+    assert said["measured"] == ""
+
+
+def test_report_names_what_measured_lengths_would_share():
+    """An offset needs a size that σ gives; without σ it is the model factor alone."""
+    length = sp.precursor_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)) * (1 + 0.02 * np.array([1, -1, 1, -1, 1, -1]))
+    with_sigma = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.03 * length)).report()
+    assert "share an offset and a model factor" in with_sigma
+    assert "provenance = measured has both fitted" in with_sigma
+    without = sp.fit(sp.Measurements(HEIGHT, 0.3, length)).report()
+    assert "share a model factor" in without
+    assert "provenance = measured has it fitted" in without

@@ -61,7 +61,7 @@ PIECE = 32
 """Largest number of chunks per call."""
 WIDE, NARROW = 512, 32
 """Chunks that are one on an accelerator, and where no more lanes than these are left: a chunk's temporary arrays take a
-megabyte or two."""
+few megabytes at most."""
 
 _compiling = threading.RLock()
 

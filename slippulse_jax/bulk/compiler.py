@@ -1,4 +1,4 @@
-"""What XLA does only when asked: compile a loop as one function, give several results from one loop, and multiply in full.
+"""Ask XLA to compile a loop as one function, to give several results from one loop, and to multiply in full.
 
 `compile_loops_whole`: XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at 0.1–0.2 µs each;
 in a loop over short arrays that is most of the time. XLA compiles a loop whole where one turn of it touches less than a

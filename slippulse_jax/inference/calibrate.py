@@ -26,7 +26,7 @@ RESOLUTION = {1: 0.15, 2: 0.3}
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
 MOST_OTHERS = 80  # values of a second parameter at each of the first
 ONE_THREAD = 4 * 2**16
-"""Multiplications for which OpenBLAS takes one thread: with two it was four times as slow on products as thin as these."""
+"""Multiplications for which OpenBLAS takes one thread: whole products, which it gave to two, took ten times as long."""
 HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration; the cells of a scan reach farther
 
 

@@ -515,6 +515,7 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
 
 
 def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
+    """Group the measurements whose inputs at θ are the same, but for the abscissa."""
     m = result.measurements
     same = result.parameters.inputs_at(theta)._asdict()
     del same[{"height": "log_height", "push_height": "log_push"}[_abscissa(result)[0]]]
