@@ -66,7 +66,7 @@ def ruptures() -> Iterator[Row]:
     """Single ruptures beside the numba loop of `benchmarks.cascade`."""
     from benchmarks.cascade import ruptures
 
-    for sites, lanes, _, ours, theirs in ruptures(lanes=(1,)):
+    for sites, lanes, _, ours, _, theirs in ruptures(lanes=(1,)):
         yield f"a rupture of {sites} sites, numba over this package ({lanes} lane)", theirs / ours, "≥ 1"
 
 
@@ -124,8 +124,8 @@ def _seconds(command: list[str], environment: dict[str, str]) -> float:
     return time.perf_counter() - began
 
 
-def _visits(code: str) -> tuple[list[str], int]:
-    """Modules of the package a program passes through, in order, and the deepest nest of its functions in lattice/."""
+def _visits(code: str) -> tuple[list[str], int, int]:
+    """Modules of the package a program passes through, in order; the deepest nest of its functions, and those not of bulk/."""
     watch = f"""
 import sys
 import slippulse_jax as sp
@@ -136,25 +136,28 @@ def watch(frame, event, argument):
     if event == "call" and name.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<":
         if not seen or seen[-1] != name: seen.append(name)
         if name.startswith("slippulse_jax.lattice"):
-            above = 0
+            above = []
             while frame is not None:
-                above += frame.f_globals.get("__name__", "").startswith("slippulse_jax"); frame = frame.f_back
-            depth.append(above)
+                where = frame.f_globals.get("__name__", "")
+                if where.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<": above.append(where)
+                frame = frame.f_back
+            depth.append((len(above), sum(not where.startswith("slippulse_jax.bulk") for where in above)))
 sys.setprofile(watch)
 {code}
 sys.setprofile(None)
-print(",".join(seen), max(depth, default=0), sep=";")
+print(",".join(seen), *max(depth, default=(0, 0)), sep=";")
 """
     done = subprocess.run([sys.executable, "-c", watch], capture_output=True, text=True, check=True, cwd=ROOT)
-    modules, depth = done.stdout.strip().splitlines()[-1].split(";")
-    return modules.split(","), int(depth)
+    modules, depth, physics = done.stdout.strip().splitlines()[-1].split(";")
+    return modules.split(","), int(depth), int(physics)
 
 
 def path() -> Iterator[Row]:
     """How far it is from a public function to a line of physics, and how many modules a fit passes through."""
-    _, frames = _visits("sp.precursor_lengths(sp.Slider([25.0, 30.0], 0.03, 0.3))")
+    _, frames, physics = _visits("sp.precursor_lengths(sp.Slider([25.0, 30.0], 0.03, 0.3))")
     yield "functions of the package from precursor_lengths to the physics, nested", frames, "≤ 7"
-    visited, _ = _visits(f"sp.fit(sp.read_measurements({str(LENGTHS)!r}))")
+    yield "of them, those not of bulk/", physics, ""
+    visited, *_ = _visits(f"sp.fit(sp.read_measurements({str(LENGTHS)!r}))")
     fitting = [name for name in visited if name.startswith("slippulse_jax.inference")]
     yield "modules that a fit passes through", len(set(visited)), "≤ 12"
     yield "of them, those of inference", len(set(fitting)), ""

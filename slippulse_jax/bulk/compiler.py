@@ -152,9 +152,6 @@ def in_one_loop(f: Callable, *given: Any) -> Any:
 @functools.lru_cache(maxsize=64)
 def _traced(f: Callable, tree: Any, types: tuple) -> tuple[Callable, Any]:
     """Trace f of single numbers, once for all loops of it; and the structure of its results."""
-
-    def flat(*numbers: Any) -> Any:
-        return f(*jax.tree.unflatten(tree, numbers))
-
-    traced, results = jax.make_jaxpr(flat, return_shape=True)(*(jax.ShapeDtypeStruct((), x) for x in types))
+    numbers = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct((), x) for x in types])
+    traced, results = jax.make_jaxpr(f, return_shape=True)(*numbers)
     return jaxpr_as_fun(traced), jax.tree.structure(results)
