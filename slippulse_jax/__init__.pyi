@@ -19,6 +19,7 @@ from slippulse_jax.interface import Profile as Profile
 from slippulse_jax.lattice.ageing import Ageing as Ageing
 from slippulse_jax.lattice.chain import chain as chain
 from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
+from slippulse_jax.lattice.events import rebreaking_onset as rebreaking_onset
 from slippulse_jax.lattice.exact import exact_front as exact_front
 from slippulse_jax.lattice.exact import exact_length as exact_length
 from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
@@ -26,7 +27,6 @@ from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor as first_precursor
 from slippulse_jax.lattice.precursor import precursor_length as precursor_length
-from slippulse_jax.lattice.rebreaking import rebreaking_onset as rebreaking_onset
 from slippulse_jax.lattice.rupture import nucleate as nucleate
 from slippulse_jax.lattice.rupture import rupture as rupture
 from slippulse_jax.lattice.sensitivity import sensitivity as sensitivity

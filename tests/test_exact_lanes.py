@@ -8,10 +8,10 @@ from strategies import random_sliders
 import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.lattice import exact_lanes, long_fronts
+from slippulse_jax.lattice.events import exact_arrests
 from slippulse_jax.lattice.exact import exact_front, exact_length
 from slippulse_jax.lattice.lengths import arrests as arrests_of
 from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.lattice.rebreaking import exact_arrests
 from slippulse_jax.status import Outcome
 
 

@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from slippulse_jax.inference.grid import Grid
 from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.events import NEVER
 from slippulse_jax.lattice.lengths import lengths
-from slippulse_jax.lattice.rebreaking import NEVER
 from slippulse_jax.slider import Slider
 
 SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]

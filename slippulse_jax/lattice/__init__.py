@@ -26,7 +26,6 @@ over cores is a matter of `slippulse_jax.bulk`.
     `lanes`             the front for lanes: chunks that advance in step
     `long_fronts`       lengths ℓ of long fronts by that closed form
     `lengths`, `exact_lanes`                what users call: ℓ and ℓ* by the million
-    `rebreaking`        where the contact at the edge breaks again before the front stops
 
 Any chain: springs, contacts and thresholds may differ from site to site.
     `chain`             the chain, its state, and its O(N) elimination, site after site
@@ -35,7 +34,7 @@ Any chain: springs, contacts and thresholds may differ from site to site.
     `response`          the load that one break transfers to every other contact
     `cascade`           break after break at a fixed load, stresses known block by block
     `rupture`           nucleation and one rupture, under the hard rule or a smooth one
-    `events`            lengths of whole first events, by that, of many sliders
+    `events`            where the contact at the edge breaks again before the front stops; lengths of whole events, of many sliders
     `ageing`            thresholds that grow with age
     `catalogue`         the record of the events, and its files
     `series`            one event after another, as the load grows

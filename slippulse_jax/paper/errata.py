@@ -11,8 +11,8 @@ import numpy as np
 
 from slippulse_jax import theory
 from slippulse_jax.interface import Interface
+from slippulse_jax.lattice.events import rebreaking_onset
 from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.lattice.rebreaking import rebreaking_onset
 from slippulse_jax.slider import Slider
 
 FIG2 = Slider(25.0, 0.03, 0.3)

@@ -14,15 +14,16 @@ from slippulse_jax.theory.frozen import appendix, frozen_stress, length, length_
 from slippulse_jax.theory.limits import (
     areal_stiffness_from_b,
     b_from_areal_stiffness,
+    block_decay_length,
     envelope_length,
     length_ceiling,
     macroscopic_correction,
     macroscopic_crack_length,
+    macroscopic_edge_stress,
     macroscopic_length,
+    rebreaking_b,
     runaway_prestress,
 )
-from slippulse_jax.theory.rebreaking import macroscopic_edge_stress, rebreaking_b
-from slippulse_jax.theory.strip import block_decay_length
 
 __all__ = [
     "appendix",

@@ -1,14 +1,16 @@
-"""Limits and closed forms: run-away prestress, macroscopic law, envelope.
+"""Limits and closed forms: run-away prestress, macroscopic law, edge behind a front, envelope, decay along a block.
 
 Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
 """
 
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
@@ -24,6 +26,8 @@ _DOMAIN = {
 
 TERMS = 20
 """Terms of e^{−g e^{−2y}}, g ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
+EDGE_TERMS = 16
+"""Terms of the edge stress: each is at most λ/2n ≤ 1/4n of the one before, and the first one left out below 1e-20."""
 
 
 @jax.jit
@@ -171,6 +175,64 @@ def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
     layer = 1 + released / (1 + beta) * g + beta * released / (1 + beta) ** 2 * integral
     discrete = released / (2 * (1 + beta)) * (1 + beta / (1 + beta) * (z - once))
     return (jnp.sqrt(beta * released) * layer - jnp.sqrt((1 + b) / (2 * (1 + nu))) * discrete) * unit / g
+
+
+def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
+    """Stress on contact 0 behind a front for λc → 0 at fixed b, in σ_s. Neither ν nor a uniform prestress enters.
+
+    Parameters
+    ----------
+    b : array_like
+        Areal shear stiffness of the interface times H over the shear modulus; > 0.
+
+    Notes
+    -----
+    Within a few 1/κ of the edge the slow mode is level, and the front stress obeys, with y = κs and λ = (1 − β)/2,
+
+        dT/dy = 1 − T (1 − λ − λ e^{−2y}),     T(0) = 1,
+
+    while contact 0, repinned, carries E = 2λ ∫_0^∞ T e^{−y} dy once the front is far away. The moments M_k = ∫ T e^{−ky} dy
+    obey (k + 1 − λ) M_k = 1 + 1/k + λ M_{k+2}, so that
+
+        E = 2λ M_1 = 2 Σ_n λ^{n+1} (2n + 2)/(2n + 1) / Π_{j≤n} (2j + 2 − λ),     λ = b/2(1 + b).
+    """
+    return _edge_stress(jnp.asarray(b, dtype=float))
+
+
+def _edge_stress(b: Any) -> Any:
+    share, total = b / (2 * (1 + b)), 0.0
+    for n in range(EDGE_TERMS - 1, -1, -1):  # by Horner's rule
+        total = share / (2 * n + 2 - share) * ((2 * n + 2) / (2 * n + 1) + total)
+    return 2 * total
+
+
+@functools.cache
+def rebreaking_b() -> float:
+    """b* = 3.0872…, beyond which contact 0 breaks again before the front stops, for λc → 0.
+
+    The root of `macroscopic_edge_stress` = 1. `slippulse_jax.rebreaking_onset` gives it for any H/λc.
+    """
+    low, high = 3.0, 3.2
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if _edge_stress(middle) >= 1 else (middle, high)
+    return high
+
+
+def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
+    """Length over which an edge load decays along a block under two-dimensional elasticity, in plane stress, over H.
+
+    It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
+    strip without normal displacement at its lower edge, free at its upper one. At least 1/π.
+    """
+    b, poisson = np.broadcast_arrays(np.asarray(b, float), np.asarray(poisson, float))
+    low, high = np.zeros(b.shape), np.full(b.shape, np.pi)
+    for _ in range(60):
+        zeta = (low + high) / 2
+        held = 4 - (1 + poisson) ** 2 * zeta**2 - (3 - poisson) * (1 + poisson) * np.sin(zeta) ** 2
+        above = b * held > 4 * (1 + poisson) * zeta * (np.sin(zeta) * np.cos(zeta) + zeta)
+        low, high = np.where(above, zeta, low), np.where(above, high, zeta)
+    return 1 / high
 
 
 @jax.jit
