@@ -34,7 +34,7 @@ Any chain: springs, contacts and thresholds may differ from site to site.
     `response`          the load that one break transfers to every other contact
     `cascade`           break after break at a fixed load, stresses known block by block
     `rupture`           nucleation and one rupture, under the hard rule or a smooth one
-    `events`            where the contact at the edge breaks again before the front stops; lengths of whole events, of many sliders
+    `events`            where the contact at the edge breaks again before the front stops; lengths of whole events
     `ageing`            thresholds that grow with age
     `catalogue`         the record of the events, and its files
     `series`            one event after another, as the load grows
