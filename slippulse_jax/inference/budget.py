@@ -107,18 +107,32 @@ def unstated_push(result: "FitResult") -> dict[str, float]:
     """Stiffness of a block pushed above a height, over that of the slider, for the same lengths, where no push is stated.
 
     By the height over H, of the measurement with the middle length over H; NaN where no stiffness gives it. Only of first
-    fronts on a relaxed interface whose stiffness has a value.
+    fronts on a relaxed interface whose stiffness has a value. None where lengths share an offset or a model factor: fitted
+    to a block, these would take other values.
     """
-    m, q = result.measurements, result.parameters
-    given = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
-    stiff = any(one.startswith(name) for one in given for name in STIFFNESSES)
-    relaxed = q.event == "domino" and not q.smooth and not m.or_zero("prestress").any() and "prestress" not in q.names
-    if not (stiff and relaxed and q.body == "slider") or m.push_height is not None:
+    if not push_is_unstated(result) or shares_errors(result):
         return {}
+    m = result.measurements
     ratio = result.fitted.length / m.height
     i = int(np.argsort(ratio)[len(m) // 2])
     found = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
     return {at: b / float(result.regime.b[i]) for at, b in found.items() if b is not None}
+
+
+def push_is_unstated(result: "FitResult") -> bool:
+    """Whether to say what a block would have for the stiffness of this slider: of first fronts, on a relaxed interface."""
+    m, q = result.measurements, result.parameters
+    given = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+    stiff = any(one.startswith(name) for one in given for name in STIFFNESSES)
+    relaxed = q.event == "domino" and not q.smooth and not m.or_zero("prestress").any() and "prestress" not in q.names
+    return stiff and relaxed and q.body == "slider" and m.push_height is None
+
+
+def shares_errors(result: "FitResult") -> bool:
+    """Whether an offset or a model factor of all lengths is fitted, or held at a value that changes them."""
+    q = result.parameters
+    fitted = any(one.name in ("offset", "model_factor") for one in q.free)
+    return fitted or q.held.get("offset", 0.0) != 0 or q.held.get("model_factor", 1.0) != 1
 
 
 def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.budget import total
+from slippulse_jax.inference.budget import GIVEN, push_is_unstated, shares_errors, total
 from slippulse_jax.inference.hints import of_attainable, slips
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
@@ -375,7 +375,7 @@ def _unstated(result: "FitResult") -> list[str]:
         "block_length": "a block that ends at 4/κ₂",
         "machine_stiffness": "a machine ten times as stiff as the block",
     }
-    rows = list(_of_measuring(result))
+    rows = [*_of_measuring(result), *_of_a_block(result)]
     for name, moved in result.unstated_ends.items():
         free = {one: result.parameters.free[result.parameters.index(one)] for one in moved}
         changes = [
@@ -385,6 +385,25 @@ def _unstated(result: "FitResult") -> list[str]:
         would = "would be run through" if np.isnan(list(moved.values())).any() else f"would move {', '.join(changes)}"
         rows.append(f"  {supposed[name]} {would}")
     return ["", "Not stated, and not in any error above", *rows] if rows else []
+
+
+def _of_a_block(result: "FitResult") -> Iterator[str]:
+    """What a fit of a block takes for its end, the machine and the pusher where the table cannot state it, or does not."""
+    m = result.measurements
+    if result.parameters.body != "block" or result.identifiability not in GIVEN:
+        return
+    yield (
+        "  a block that ends, and a machine that gives way, lengthen fronts: where lengths grow with the stiffness it is found "
+        "too large; a fit of a block takes neither"
+    )
+    unit = f"_{m.unit[1]}" * m.in_si
+    if m.push_width is None or np.isnan(m.push_width).any():
+        yield (
+            f"  without push_width{unit} the pusher covers all of the side above push_height{unit}: one that ends lower makes "
+            "shorter fronts"
+        )
+    if not m.push_control:
+        yield "  without push_control the displacement of the pusher is held while the front runs; a held force lengthens it"
 
 
 def _of_measuring(result: "FitResult") -> Iterator[str]:
@@ -406,18 +425,18 @@ def _of_measuring(result: "FitResult") -> Iterator[str]:
 def _unstated_push(result: "FitResult") -> list[str]:
     """What the same lengths mean for a block, by where its side is pushed."""
     found = result.unstated_push
+    unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
+    column = f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block"
+    if push_is_unstated(result) and shares_errors(result):
+        why = "it depends on where its side is pushed; beside an offset or a model factor no ratio to this is given"
+        return ["", f"Stiffness of a real block: {why}.", f"{column} (--body block)."]
     if not found:
         return []
-    unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
     means = "; ".join(
         f"from {at} H up: {'none gives these lengths' if math.isnan(ratio) else f'{ratio:.2g} times this'}"
         for at, ratio in found.items()
     )
-    return [
-        "",
-        f"Stiffness of a real block, pushed on its side {means}.",
-        f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block.",
-    ]
+    return ["", f"Stiffness of a real block, pushed on its side {means}.", f"{column}."]
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:
