@@ -14,7 +14,8 @@ from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -41,6 +42,8 @@ SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
 
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is supposed to be pushed where the table does not say, over H."""
+
+BOTH_WAYS = np.array([-1.0, 1.0])
 
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
 """Verdicts with a value that an input can move."""
@@ -143,6 +146,23 @@ def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | No
     q = result.parameters
     unit = result.values[name] if q.free[q.index(name)].log else 1.0
     return float(np.hypot(stderr, unit * np.linalg.norm([one.by(name) for one in moved.values()])))
+
+
+def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> Interval | None:
+    """The 68 % interval of a parameter, each side widened by the errors of the inputs taken as exact.
+
+    In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
+    """
+    pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
+    by, value = float(np.linalg.norm([one.by(name) for one in moved.values()])), result.values[name]
+    if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value):
+        return None
+    ends = np.array(pieces[0][:2])
+    if result.parameters.free[result.parameters.index(name)].log:
+        low, high = value * np.exp(BOTH_WAYS * np.hypot(np.log(ends / value), by))
+    else:
+        low, high = value + BOTH_WAYS * np.hypot(ends - value, by)
+    return Interval(float(low), float(high), False, False)
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.budget import GIVEN, push_is_unstated, shares_errors, total
+from slippulse_jax.inference.budget import GIVEN, push_is_unstated, shares_errors, total, total_interval
 from slippulse_jax.inference.hints import of_attainable, slips
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
@@ -24,6 +24,10 @@ CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation from which on one is shown, and how many are."""
 SCATTERED = 0.05
 """Probability of χ² below which the scatter is remarked on."""
+UNEVEN = 0.2
+"""Difference between a side of the 68 % interval and the standard error, over that error, from which on it is remarked on."""
+UNEVEN_TOTAL = 0.1
+"""The same of the total with inputs taken as exact, from which on it is an interval too."""
 
 
 def report(result: "FitResult") -> str:
@@ -344,11 +348,24 @@ def _budget(result: "FitResult") -> list[str]:
     lines = ["", "Taken as exact, with an error that is usual"]
     lines += ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     for name in names:
-        whole = total(result, name, moved)
-        if whole is not None:
-            value = value_with_error(result.values[name], whole)
-            lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip())
+        whole, wide = total(result, name, moved), total_interval(result, name, moved)
+        value = value_with_error(result.values[name], whole)
+        by = _sides(result.values[name], whole, wide)
+        even = by is not None and max(abs(x - 1) for x in by) < UNEVEN_TOTAL
+        ends = "" if wide is None or even else f", 68 % interval {_shown_interval(result, name, wide)}"
+        if whole is not None or ends:
+            lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip() + ends)
     return lines
+
+
+def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
+    """How far an interval reaches below and above the value, over the standard error."""
+    return None if error is None or piece is None else ((value - piece.low) / error, (piece.high - value) / error)
+
+
+def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
+    unit = result.parameters.free[result.parameters.index(name)].unit
+    return f"{interval(piece, result.values[name])} {unit}".rstrip()
 
 
 def _bodies(result: "FitResult") -> list[str]:
@@ -530,6 +547,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
+    yield from _of_shape(result)
     yield from _slips(result)
     yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
@@ -606,6 +624,26 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
+
+
+def _of_shape(result: "FitResult") -> Iterator[str]:
+    """Parameters whose 68 % interval is another one than value ± standard error."""
+    for name in result.names:
+        pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
+        by = _sides(result.values[name], result.stderrs[name], pieces[0]) if len(pieces) == 1 else None
+        if by is None or max(abs(x - 1) for x in by) <= UNEVEN:
+            continue
+        why = "the likelihood is not parabolic"
+        if result.request["intervals"] == "calibrated":
+            why = "the interval is that of simulated measurements"
+        elif result.rise.dof is not None and max(by) / min(by) < 1 + UNEVEN:
+            why = f"the size of σ is known from {_plural(result.dof, 'degree')} of freedom only"
+        one = result.parameters.free[result.parameters.index(name)]
+        ends = _shown_interval(result, name, pieces[0])
+        yield (
+            f"{_symbol(name, one.symbol)}: publish the 68 % interval, {ends}, rather than ±: "
+            f"{why}, and the interval reaches {by[0]:.2f} times ± below the value and {by[1]:.2f} times ± above it"
+        )
 
 
 def _of_intervals(result: "FitResult") -> Iterator[str]:
