@@ -1,14 +1,19 @@
-"""What the report of a fit says beside the numbers: which error to publish, what a block leaves out."""
+"""What the report of a fit says beside the numbers: which error to publish, what specimens share, what a block leaves out."""
 
 import dataclasses
 import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from click.testing import CliRunner
+from scipy.optimize import minimize
 
 import slippulse_jax as sp
+from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.budget import total_interval
+from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "fit_examples"
@@ -20,6 +25,19 @@ NOISE = np.array([0.4, -1.1, 0.8, -0.3, 1.0, -0.7])
 def lengths(sigma=0.01, noise=NOISE, **columns):
     """Six lengths of one stiffness, with relative errors."""
     return sp.Measurements(HEIGHT, 0.3, LENGTH * (1 + sigma * noise), sigma * LENGTH, **columns)
+
+
+def two_specimens(scale=(1.0, 1.0), **columns):
+    """Three heights of each of two specimens with the same stated modulus; the true ones are `scale` times as large."""
+    height = np.array([25.0, 45.0, 65.0] * 2)
+    young = 3.0 * np.repeat(scale, 3)
+    slider = sp.Slider.from_material(
+        height=height / 1e3, correlation_length=1e-4, areal_stiffness=2e10, poisson=0.3, young=young * 1e9
+    )
+    length = 0.1 * np.asarray(sp.exact_lengths(slider))
+    table = {"specimen": list("AAABBB"), "height_mm": height, "correlation_length_um": 100.0, "poisson": 0.3, "young_GPa": 3.0}
+    table |= {"young_sigma_GPa": 0.2, "length_mm": length + 0.3 * NOISE, "length_sigma_mm": 0.3}
+    return pd.DataFrame(table | columns)
 
 
 # --- which error to publish ---------------------------------------------------------------------------------------------
@@ -77,6 +95,104 @@ def test_the_total_of_a_block_is_an_interval_too():
     assert "with these, k/λc² = (9.2 ± 2.2)e10 Pa/m, 68 % interval (7.3 to 11.7)e10 Pa/m" in result.report()
     even = sp.fit(EXAMPLES / "pmma_block/lengths.csv").report()
     assert re.search(r"with these, k/λc² = \(1.96 ± 0.17\)e10 Pa/m\n", even)
+
+
+# --- specimens ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_ratio_of_two_stiffnesses_is_that_of_its_profile(shared, tmp_path):
+    """The deviance minimised with the ratio held, by SciPy: it rises by one at a standard error. Shared errors cancel."""
+    table = two_specimens(young_sigma_GPa=None).drop(columns="young_sigma_GPa") if shared else two_specimens()
+    free = [sp.Parameter("stiffness", each="specimen")] + [sp.Parameter("young", prior=(3e9, 2e8))] * shared
+    result = sp.fit(table, free, intervals="profile")
+    ((labels, (ratio, error)),) = result.stiffness_ratios.items()
+    assert labels == ("areal_stiffness[B]", "areal_stiffness[A]")
+    assert ratio == pytest.approx(result.values[labels[0]] / result.values[labels[1]], rel=1e-12)
+    i, j = (result.parameters.index(name) for name in labels)
+    rest = [k for k in range(result.problem.p) if k != i]
+
+    def deviance(log_ratio):
+        def of_others(x):
+            theta = np.empty(result.problem.p)
+            theta[rest] = x
+            theta[i] = theta[j] + log_ratio
+            return 2 * float(result.problem(theta[None]).value[0])
+
+        return minimize(of_others, result.theta[rest], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-8}).fun
+
+    rises = [deviance(np.log(ratio) + side * error / ratio) - result.deviance for side in (-1, 1)]
+    assert np.mean(rises) == pytest.approx(1, abs=0.03)
+    alone = [result.stderrs[name] / result.values[name] for name in labels]
+    assert (error / ratio < 0.6 * np.hypot(*alone)) == shared
+    assert f"    B over A = {value_with_error(ratio, error)}\n" in result.report()
+    result.save(tmp_path / "fit.json")
+    assert sp.load_fit(tmp_path / "fit.json").stiffness_ratios == result.stiffness_ratios
+    assert result.to_dict()["stiffness_ratios"] == [[*labels, ratio, error]]
+
+
+def test_of_many_specimens_ratios_to_the_first_are_shown():
+    m = lengths(specimen=tuple("ABCDEF"))
+    result = sp.fit(m, sp.Parameter("stiffness", bounds=(1e-5, 2e-3), each="specimen"))
+    assert len(result.stiffness_ratios) == 15
+    assert re.findall(r"    (\w) over (\w) = ", result.report()) == [(one, "A") for one in "BCDEF"]
+    few = sp.fit(
+        dataclasses.replace(m, specimen=tuple("AABBCC")), sp.Parameter("stiffness", bounds=(1e-5, 2e-3), each="specimen")
+    )
+    assert re.findall(r"    (\w) over (\w) = ", few.report()) == [("B", "A"), ("C", "A"), ("C", "B")]
+    assert sp.fit(m).stiffness_ratios == {}
+
+
+def test_an_error_that_specimens_may_share_is_named_with_its_option(tmp_path):
+    """Done as it says, the error of the stiffness is larger: an error that all share does not average out."""
+    apart = sp.fit(two_specimens())
+    (step,) = apart.next_steps
+    assert f"  - {step}" in apart.report()
+    assert "leave young_sigma_GPa out, and give --prior young=3e+09,2e+08" in step
+    path = tmp_path / "together.csv"
+    two_specimens().drop(columns="young_sigma_GPa").to_csv(path, index=False)
+    options = re.findall(r"--prior \S+", step)[0].split()
+    assert CliRunner().invoke(command, [str(path), *options, "--json"]).exit_code == 0
+    together = sp.fit(path, ["stiffness", sp.Parameter("young", prior=(3e9, 2e8))])
+    assert together.next_steps == []
+    assert together.stderrs["areal_stiffness"] > 1.2 * apart.stderrs["areal_stiffness"]
+    own = two_specimens(young_sigma_GPa=[0.2, 0.2, 0.2, 0.3, 0.3, 0.3])
+    assert sp.fit(own).next_steps == []
+    assert sp.fit(two_specimens(specimen="A")).next_steps == []
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
+    """Of two specimens whose moduli are as stated, or one 15 % softer and one 15 % stiffer than that."""
+    result = sp.fit(two_specimens(scale=(0.85, 1.15) if wrong else (1.0, 1.0)))
+    assert result.identifiability is Identifiability.IDENTIFIED
+    notes = [note for note in result.notes if "farther than chance would" in note]
+    assert len(notes) == wrong
+    if wrong:
+        assert re.search(r"the lengths pull E \(A\) by -[1-3]\.\d\d σ, E \(B\) by \+[1-3]\.\d\d σ", notes[0])
+        assert "check what is stated of this and its error; or the specimens may differ in stiffness" in notes[0]
+        assert "(--each-specimen stiffness)" in notes[0]
+
+
+def test_pulls_scatter_as_the_remark_supposes():
+    """Of studies with moduli drawn by their stated error, a remark on one in twenty."""
+    rng = np.random.default_rng(8)
+    seen = 0
+    for _ in range(40):
+        table = two_specimens(scale=1 + 0.2 / 3 * rng.standard_normal(2))
+        table["length_mm"] += 0.3 * (rng.standard_normal(6) - NOISE)
+        seen += any("farther than chance" in note for note in sp.fit(table, intervals="profile").notes)
+    assert seen <= 6  # more than that have a probability of 0.3 %
+
+
+def test_a_pulled_model_factor_is_remarked_on():
+    """Lengths that grow with the height less than those of any slider do."""
+    m = lengths(provenance=("measured",) * 6)
+    bent = dataclasses.replace(m, length=m.length * (HEIGHT / 450) ** -0.07)
+    assert not any("farther than chance" in note for note in sp.fit(m).notes)
+    (note,) = [note for note in sp.fit(bent).notes if "farther than chance" in note]
+    assert re.search(r"model factor by -2.*the lengths do not vary with the height as those of the model do", note)
+    assert "check what is stated" not in note
 
 
 # --- blocks -------------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.budget import GIVEN
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
@@ -115,11 +116,13 @@ def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domin
 
 
 def next_steps(result: "FitResult") -> list[str]:
-    """What the residuals of a rejected fit suggest to try next, each by its option.
+    """What to try next, each by its option: where the fit is rejected what its residuals suggest, else inputs to be shared.
 
     A fit that is richer by one thing is started from the best fit; it is offered where the data would be accepted, or χ² per
     degree of freedom falls to a fifth, the best first.
     """
+    if result.identifiability in GIVEN:
+        return list(_shared(result))
     at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
@@ -138,6 +141,20 @@ def next_steps(result: "FitResult") -> list[str]:
             f"if σ is a guess, it would have to be {factor:.2g} times as large: --sigma relative takes it from the scatter"
         )
     return steps
+
+
+def _shared(result: "FitResult") -> Iterator[str]:
+    """Material constants with an error for each specimen on its own, though all are stated alike."""
+    m, found = result.measurements, result.parameters.free
+    for name in ("young", "poisson", "correlation_length"):
+        each = [one for one in found if one.name == name and one.nuisance]
+        value, sigma = getattr(m, name), getattr(m, f"{name}_sigma")
+        if len(each) > 1 and np.ptp(value) == 0 and np.ptp(sigma) == 0:
+            column, symbol = m.columns.get(f"{name}_sigma", f"{name}_sigma"), each[0].symbol
+            yield (
+                f"each specimen has an error of {symbol} of its own: if one source gives {symbol} of all, they share "
+                f"its error: leave {column} out, and give --prior {name}={value[0]:.6g},{sigma[0]:.6g}"
+            )
 
 
 def _of_a_block(result: "FitResult") -> list[str]:

@@ -52,6 +52,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             for name, by_level in result.intervals.items()
         },
         "correlations": [[a, b, value] for (a, b), value in result.correlations.items()],
+        "stiffness_ratios": [[*labels, *found] for labels, found in result.stiffness_ratios.items()],
         "inputs": result.inputs,
         "directions": [
             {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in result.directions

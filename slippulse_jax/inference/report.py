@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import ndtr
 
 from slippulse_jax.inference.budget import GIVEN, push_is_unstated, shares_errors, total, total_interval
 from slippulse_jax.inference.hints import of_attainable, slips
@@ -22,8 +23,12 @@ WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
 """Verdicts whose reason says already that there are none."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation from which on one is shown, and how many are."""
+MOST_RATIOS = 6
+"""Ratios of stiffnesses up to which those of all pairs of specimens are shown."""
 SCATTERED = 0.05
-"""Probability of χ² below which the scatter is remarked on."""
+"""Probability of χ², or of the largest pull, below which it is remarked on."""
+PULLED = 1.0
+"""Pull, in the stated error of an input, below which none is remarked on: it hardly moves the result."""
 UNEVEN = 0.2
 """Difference between a side of the 68 % interval and the standard error, over that error, from which on it is remarked on."""
 UNEVEN_TOTAL = 0.1
@@ -45,6 +50,7 @@ def report(result: "FitResult") -> str:
         _headline(result),
         *(f"  but check first: {slip}" for slip in slipped),
         *_values(result),
+        *_of_specimens(result),
         *_inputs(result),
         *_correlations(result),
         *_roots(result),
@@ -149,6 +155,19 @@ def _ratios(result: "FitResult") -> str:
     differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
     why = "as λc and E differ between measurements" if differ else "one for each specimen"
     return low if low == high else f"{low} to {high}, {why}"
+
+
+def _of_specimens(result: "FitResult") -> list[str]:
+    """Stiffness of one specimen over another's; of many specimens, over the first's alone."""
+    found = {labels: one for labels, one in result.stiffness_ratios.items() if one[1] is not None}
+    if len(found) > MOST_RATIOS:
+        first = result.names[0]
+        found = {(above, below): one for (above, below), one in found.items() if below == first}
+    rows = [
+        f"    {above.partition('[')[2][:-1]} over {below.partition('[')[2][:-1]} = {value_with_error(*one)}"
+        for (above, below), one in found.items()
+    ]
+    return ["  ratios of these stiffnesses, from which errors that both share cancel:", *rows] if rows else []
 
 
 def _narrowest(by_level: dict[float, list[Interval]]) -> float:
@@ -547,6 +566,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
+    yield from _of_pulls(result)
     yield from _of_shape(result)
     yield from _slips(result)
     yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
@@ -624,6 +644,35 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
+
+
+def _of_pulls(result: "FitResult") -> Iterator[str]:
+    """Inputs that the lengths pull farther from what is stated than chance would pull any of them.
+
+    The difference between what is fitted and what is stated scatters by √(σ² − s²), where σ is the stated error and s that
+    of the fit.
+    """
+    if result.covariance is None or result.identifiability not in GIVEN:
+        return
+    error, shown, q = np.sqrt(np.diag(result.covariance)), _shown(result), result.parameters
+    known = [j for j, one in enumerate(q.free) if math.isfinite(one.prior_sigma) and one.name != "arrest"]
+    pulled = {}
+    for j in known:
+        one = q.free[j]
+        off = float(result.theta[j]) - one.prior_mean
+        usual = np.sqrt(max(one.prior_sigma**2 - error[j] ** 2, 1e-12 * one.prior_sigma**2))
+        chance = 1 - (1 - 2 * ndtr(-abs(off) / usual)) ** len(known)
+        if abs(off) > PULLED * one.prior_sigma and chance < SCATTERED:
+            pulled[one.name] = [*pulled.get(one.name, []), f"{shown[one.label]} by {off / one.prior_sigma:+.2f} σ"]
+    if not pulled:
+        return
+    which = ", ".join(text for every in pulled.values() for text in every)
+    shared = pulled.keys() & {"offset", "model_factor"}
+    together = len(set(result.measurements.specimen)) > 1 and any(name in STIFFNESSES for name in result.names)
+    checks = ["check what is stated of this and its error"] * bool(pulled.keys() - shared)
+    checks += ["the specimens may differ in stiffness (--each-specimen stiffness)"] * together
+    checks += ["the lengths do not vary with the height as those of the model do"] * bool(shared)
+    yield f"the lengths pull {which}, farther than chance would: {'; or '.join(checks)}"
 
 
 def _of_shape(result: "FitResult") -> Iterator[str]:

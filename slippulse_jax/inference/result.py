@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import json
 import os
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
 from slippulse_jax.inference.model import crack_status, recursion_inputs
-from slippulse_jax.inference.parameters import Inputs, ParameterSet, parameter_set
+from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
 from slippulse_jax.inference.report import html_of, notes, report
@@ -198,6 +199,24 @@ class FitResult:
             for j in range(i + 1, len(names))
         }
 
+    @property
+    def stiffness_ratios(self) -> dict[tuple[str, str], tuple[float, float | None]]:
+        """Stiffness of one specimen over that of another, with its standard error, by the labels of both.
+
+        Errors that both share cancel. The error is None where one of the two has none.
+        """
+        q, errors = self.parameters, self.stderrs
+        each = [q.index(name) for name in self.names if q.free[q.index(name)].name in STIFFNESSES]
+        found: dict[tuple[str, str], tuple[float, float | None]] = {}
+        for i, j in itertools.combinations(each, 2):
+            above, below = q.names[j], q.names[i]
+            ratio, error = float(np.exp(self.theta[j] - self.theta[i])), None
+            if self.covariance is not None and None not in (errors[above], errors[below]):
+                variance = self.covariance[i, i] + self.covariance[j, j] - 2 * self.covariance[i, j]
+                error = ratio * float(np.sqrt(variance))
+            found[above, below] = ratio, error
+        return found
+
     @functools.cached_property
     def directions(self) -> list[Direction]:
         """Combinations of the parameters by how well they are determined."""
@@ -228,7 +247,7 @@ class FitResult:
 
     @functools.cached_property
     def next_steps(self) -> list[str]:
-        """What the residuals of a rejected fit suggest to try, by option; empty where it is not rejected."""
+        """What to try next, by option: what a rejected fit lacks, or errors of inputs that specimens may share."""
         return next_steps(self)
 
     @functools.cached_property
