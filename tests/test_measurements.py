@@ -114,6 +114,50 @@ def test_refusals_name_file_line_and_column(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("Höhe_cm,correlation_length_um,poisson,length_mm", r"column Höhe_cm: did you mean height_cm\?$"),
+        ("hauteur_mm,correlation_length_um,poisson,length_mm", r"column hauteur_mm: did you mean height_mm\?$"),
+        ("H (mm),correlation_length_um,poisson,length_mm", r"column H \(mm\): did you mean height_mm\?$"),
+        ("H in mm,correlation_length_um,poisson,length_mm", r"column H in mm: did you mean height_mm\?$"),
+        ("heigth_mm,correlation_length_um,poisson,length_mm", r"column heigth_mm: did you mean height_mm\?$"),
+        ("Hoehe_psi,correlation_length_um,poisson,length_mm", r"column Hoehe_psi: did you mean height_mm\?$"),
+        ("height_mm,lambda_c_um,poisson,length_mm", r"column lambda_c_um: did you mean correlation_length_um\?$"),
+        ("height_mm,λc_µm,poisson,length_mm", r"column λc_µm: did you mean correlation_length_um\?$"),
+        ("height_mm,correlation_length_um,nu,length_mm", r"column nu: did you mean poisson\?$"),
+        ("height_mm,correlation_length_um,poisson,ℓ_mm", r"column ℓ_mm: did you mean length_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,Λ_mm", r"column Λ_mm: did you mean length_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,L_mm", r"column L_mm: did you mean length_mm or block_length_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,L_mm", r"column L_mm: did you mean block_length_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,h_mm", r"column h_mm: did you mean push_height_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,E_GPa", r"column E_GPa: did you mean young_GPa\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,E-Modul [MPa]", r"E-Modul \[MPa\]: did you mean young_MPa\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,E", r"column E: did you mean young_GPa\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,yuong_GPa", r"column yuong_GPa: did you mean young_GPa\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,sigma_mm", r"sigma_mm: did you mean length_sigma_mm[^T]*\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,std_cm", r"column std_cm: did you mean length_sigma_cm\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,sigma_H_mm", r"sigma_H_mm: did you mean height_sigma_mm\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,H_Fehler_mm", r"H_Fehler_mm: did you mean height_sigma_mm\?$"),
+        ("H_mm,λc_um,ν,ℓ_mm", r"H_mm: did you mean height_mm\? Column λc_um: did .*\? Column ν: did you mean poisson\? Col"),
+        ("H,ν,ℓ", r"column H: did you mean height\? Column ν: did you mean poisson\? Column ℓ: did you mean length\?$"),
+        ("heigth,poisson,length", r"column heigth: did you mean height\?$"),
+    ],
+)
+def test_a_likely_name_is_suggested(tmp_path, header, message):
+    path = write(tmp_path, f"{header}\n{','.join('1' for _ in header.split(','))}\n")
+    with pytest.raises(MeasurementError, match=message):
+        read_measurements(path)
+
+
+@pytest.mark.parametrize("column", ["Höhe_cm", "H", "L", "remark", "front_speed_m", "prestressed", "lenght", "x" * 10_000])
+def test_remarks_beside_what_is_there_are_kept(tmp_path, column):
+    """A name is suggested only for a quantity that the table lacks."""
+    table = read_measurements(write(tmp_path, f"{SI},block_length_mm,{column}\n50,10,0.3,20,0.5,900,7\n"))
+    assert table.other == {column: ["7"]}
+    assert read_measurements(write(tmp_path, f"{PLAIN},E_GPa\n25,0.3,26,0.5,3\n")).other == {"E_GPa": ["3"]}
+
+
 def test_refuses_what_is_not_a_file(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_measurements(tmp_path / "none.csv")

@@ -37,7 +37,8 @@ Without a column of σ the errors are taken as equal, and their size from the sc
 
 Lengths may be given in ``m``, ``cm``, ``mm``, ``um`` or ``nm``, and Young's modulus in ``Pa``, ``kPa``, ``MPa`` or ``GPa``, by
 the ending of the column's name. Other columns are kept and named in the report, and have no effect; but one named as a quantity
-of these in a unit that is not read, or in none, is refused. Lines that start with ``#`` are comments.
+of these in a unit that is not read, or in none, is refused, and so is one that seems to mean a quantity that the table lacks
+(`slippulse_jax.inference.names`). Lines that start with ``#`` are comments.
 
 Columns are separated by commas, semicolons or tabs; between semicolons and tabs all numbers of a table may have decimal commas.
 """
@@ -55,6 +56,7 @@ import numpy as np
 
 from slippulse_jax.files import read_whole
 from slippulse_jax.inference.measurements import MAY_BE_BLANK, PROVENANCES, Gauges, MeasurementError, Measurements, check_domain
+from slippulse_jax.inference.names import meant
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS, split_unit
 
 LARGEST = 16 * 2**20
@@ -99,6 +101,9 @@ _PLAIN = {
     **_columns("length_sigma", "height_sigma", "block_length", "machine_stiffness"),
     **_columns("push_height", "push_height_sigma", "push_width"),
 }
+_QUANTITIES = {meaning.quantity: column for column, meaning in {**_BOTH, **_SI}.items()}
+MOST_GUESSED = 50
+"""Unknown columns of which a meaning is sought."""
 _UNITS = {
     "m",
     "dm",
@@ -251,6 +256,7 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
     only_plain = [column for column in _PLAIN if column in header]
     if only_si and only_plain:
         raise MeasurementError(f"{where}: columns of both forms, {only_si[0]} and {only_plain[0]}: choose one")
+    _refuse_misnamed([own for own, column in zip(given, header, strict=True) if column not in folded.values()], header, where)
     known = {**_BOTH, **(_SI if only_si else _PLAIN)}
     missing = [column for column, meaning in known.items() if meaning.required and column not in header]
     if missing:
@@ -277,17 +283,38 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
 
 def _refuse_other_units(header: list[str], where: str) -> None:
     """A known quantity in a unit that is not read, or without one, must not pass for a column of remarks."""
-    meant = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
+    stems = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
     for column in [column for column in header if column not in {*_SI, *_PLAIN, *_BOTH}]:
         sigma = _ERROR.sub("_sigma", column)
         known = _ALIASES.get(sigma, (sigma,))[0]
         if sigma != column and known not in header and known in {*_SI, *_PLAIN, *_BOTH}:
             raise MeasurementError(f"{where}, column {column}: did you mean {sigma}?")
-        for stem, known in meant.items():
+        for stem, known in stems.items():
             if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
                 plain = known.removesuffix("_mm")
                 other = f", or {plain} in λc" if plain in _PLAIN else ""
-                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}? This unit is not converted")
+                unread = "? This unit is not converted" if column.removeprefix(f"{stem}_") not in UNITS_OF_LENGTH else "?"
+                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}{unread}")
+
+
+def _refuse_misnamed(unknown: list[str], header: list[str], where: str) -> None:
+    """Refuse columns that seem to mean a quantity that the table lacks, and suggest the name.
+
+    Symbols and words of other languages are always refused. A name that is only like a known one is refused if it has a unit,
+    or if the known one is required.
+    """
+    guesses = {own: meant(own, {**_QUANTITIES, **_PLAIN}) for own in unknown[:MOST_GUESSED]}
+    plain = any(column in _PLAIN for column in header)
+    in_si = not plain and (any(column in _SI for column in header) or any(guess.unit for guess in guesses.values()))
+    form = {meaning.quantity: (column, meaning) for column, meaning in {**_BOTH, **(_SI if in_si else _PLAIN)}.items()}
+    said = []
+    for own, guess in guesses.items():
+        lacking = [one for one in guess.quantities if one in form and form[one][0] not in header]
+        if lacking and (guess.sure or guess.unit or any(form[one][1].required for one in lacking)):
+            names = [name if (name := f"{one}_{guess.unit}") in {*_SI, *_ALIASES} else form[one][0] for one in lacking]
+            said.append(f"{own}: did you mean {' or '.join(names)}?")
+    if said:
+        raise MeasurementError(f"{where}, column {' Column '.join(said)}")
 
 
 def _value_column(column: str) -> str:
