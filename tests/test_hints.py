@@ -1,5 +1,6 @@
 """Hints: what a table may have wrong, and what a rejected fit suggests to try next, by options that there are."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -20,8 +21,15 @@ def lengths(stiffness, **interface):
 
 
 def rejected(length, **columns):
-    """The steps offered after a rejected fit; every option named in them is one of the command."""
-    m = Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.3, **columns)
+    """The steps offered after a rejected fit; an option is one of `fit`, and of the command where they came from a file."""
+    arrays = Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.3, **columns)
+    steps_of(dataclasses.replace(arrays, lines=range(2, 8), source="some.csv"))
+    steps = steps_of(arrays)
+    assert "--" not in " ".join(steps)
+    return arrays, steps
+
+
+def steps_of(m):
     result = sp.fit(m)
     assert result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
     text = result.report()
@@ -30,13 +38,18 @@ def rejected(length, **columns):
     known = {option for one in command.params for option in one.opts}
     assert set(re.findall(r"--[a-z-]+", " ".join(result.next_steps))) <= known
     assert result.to_dict()["next_steps"] == result.next_steps
-    return m, result.next_steps
+    for step in result.next_steps:
+        for argument in re.findall(r"(?:free=\[.*\]|loss=\S+|sigma=\S+)", step):
+            again = sp.fit(m, **eval(f"dict({argument})", {"sp": sp}), intervals="profile")
+            chi2 = re.search(r"chi-squared (\S+) for", step)
+            assert chi2 is None or "loss" in argument or f"{again.deviance:.3g}" == chi2[1], step
+    return result.next_steps
 
 
 def test_specimens_of_different_stiffness():
     two = np.where(np.arange(6) % 2, lengths(0.002), lengths(0.008))
     m, steps = rejected(two + NOISE, specimen=tuple("ABABAB"))
-    assert "--each-specimen stiffness (chi-squared" in steps[0]
+    assert 'try one stiffness for each: free=[sp.Parameter("stiffness", each="specimen")] (chi-squared' in steps[0]
     each = sp.fit(m, [sp.Parameter("stiffness", each="specimen")], intervals="profile")
     assert each.values["stiffness[A]"] == pytest.approx(0.008, rel=0.2)
     assert each.next_steps == []
@@ -49,21 +62,23 @@ def test_one_outlier():
     typo = (lengths(0.004) + NOISE) * np.where(np.arange(6) == 2, 1.6, 1)
     m, steps = rejected(typo)
     assert "measurement 2 is at odds with the others" in steps[0]
-    assert "--loss student" in steps[0]
+    assert 'loss="student"' in steps[0]
+    (step,) = [one for one in steps_of(dataclasses.replace(m, lines=range(2, 8))) if "line 4" in one]
+    assert '--loss student, in Python loss="student"' in step
     assert sp.fit(m, loss="student").values["stiffness"] == pytest.approx(0.004, rel=0.1)
 
 
 def test_a_trend_in_height():
     _, steps = rejected(lengths(0.004, prestress=0.3) + NOISE)
     assert "too long on low blocks and too short on tall ones" in steps[0]
-    assert "--free stiffness --free prestress (chi-squared" in steps[0]
+    assert 'the same for all: free=["stiffness", "prestress"] (chi-squared' in steps[0]
     assert any("columns push_height and push_width" in step for step in steps)
 
 
 def test_mere_scatter():
     _, steps = rejected(lengths(0.004) + 8 * NOISE)
     assert len(steps) == 1
-    assert "3.3 times as large: --sigma relative" in steps[0]
+    assert '3.3 times as large; take it from the scatter by sigma="relative"' in steps[0]
 
 
 HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"

@@ -222,8 +222,12 @@ def test_a_dataframe_and_a_path_are_measurements_too(tmp_path):
         for name in ("height", "length", "length_sigma", "correlation_length", "kind", "specimen"):
             np.testing.assert_array_equal(getattr(found, name), getattr(usual, name))
     table.loc[1, "length_mm"] = np.nan
-    with pytest.raises(MeasurementError, match="table, line 3, column length_mm: missing value"):
+    with pytest.raises(MeasurementError, match="^table, row 1, column length_mm: missing value"):
         measurements_of(table)
+    with pytest.raises(MeasurementError, match="^table, row B7, column length_mm: missing value"):
+        measurements_of(table.set_index(pd.Index(["B6", "B7"])))
+    with pytest.raises(MeasurementError, match="^table, column young_psi: did you mean"):
+        measurements_of(table.assign(young_psi=3))
     with pytest.raises(MeasurementError, match=r"'2,40' is not a number; .*pandas.read_csv: decimal=','"):
         measurements_of(table.assign(length_mm="2,40"))
     with pytest.raises(TypeError, match="measurements is int: must be Measurements, pandas.DataFrame or the path"):
@@ -237,4 +241,9 @@ def test_a_fit_takes_a_path_and_gives_a_dataframe(tmp_path):
     assert list(table.specimen) == ["A", "B"]
     np.testing.assert_allclose(table.length_mm, [14.03, 59])
     np.testing.assert_allclose((table.length_fitted_mm - table.length_mm) / table.length_sigma_mm, table.residual)
-    assert fit(pd.read_csv(path)).values == result.values
+    frame = pd.read_csv(path).set_index(pd.Index(["one", "two"]))
+    again = fit(frame)
+    assert again.values == result.values
+    assert again.measurements.place(1) == "table, row two"
+    assert (list(again.to_dataframe().row), list(table.line)) == (["one", "two"], [2, 3])
+    assert "<th>row</th>" in again.measurements._repr_html_()

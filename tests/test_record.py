@@ -34,6 +34,7 @@ def two_specimens():
         (str(LENGTHS), {"sigma": "relative"}),
         (two_specimens(), {"free": [sp.Parameter("stiffness", bounds=(1e-4, 0.1), each="specimen"), "offset"], "intervals": "profile"}),
         (sp.Measurements(height=[20, 40], poisson=0.3, length=[15, 60], kind=("whole", "at_least")), {}),
+        (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
         (sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}),
     ],
 )  # fmt: skip

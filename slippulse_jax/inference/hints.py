@@ -98,10 +98,9 @@ def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domin
     above = lowest > attainable
     if above.any():
         i = int(np.argmax(m.length / attainable))
-        where = f"line {m.lines[i]}" if m.lines else f"measurement {i}"
         yield (
             f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
-            f"worst at {where}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
+            f"worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
             f"attainable, {m.in_its_unit(i, attainable[i])}"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
@@ -137,9 +136,9 @@ def next_steps(result: "FitResult") -> list[str]:
         steps += _of_a_block(result)
     if dof and rejected and not steps:
         factor = np.sqrt(result.deviance / dof)
-        steps.append(
-            f"if σ is a guess, it would have to be {factor:.2g} times as large: --sigma relative takes it from the scatter"
-        )
+        relative = result.measurements.option("--sigma relative", 'sigma="relative"')
+        larger = f"{factor:.2g} times as large"
+        steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {relative}")
     return steps
 
 
@@ -187,14 +186,25 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
         ]
         signs = [set(np.sign(result.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
         pattern = "the residuals of each specimen have one sign: " * all(len(one) == 1 for one in signs)
-        yield from _helps(
-            result, each, f"{pattern or 'the specimens may differ: '}try one stiffness for each: --each-specimen stiffness"
-        )
+        option = m.option("--each-specimen stiffness", _as_argument(each))
+        yield from _helps(result, each, f"{pattern or 'the specimens may differ: '}try one stiffness for each: {option}")
     if "prestress" not in named and m.prestress is None and result.parameters.body == "slider":
         pattern = f"{_trend(result)}: " * bool(_trend(result))
-        free = "".join(f" --free {one.name}" for one in wanted if one.value is None and not one.nuisance)
-        text = f"{pattern}try a prestress, the same for all:{free} --free prestress"
-        yield from _helps(result, [*wanted, Parameter("prestress")], text)
+        more = [*wanted, Parameter("prestress")]
+        command = " ".join(f"--free {one.name}" for one in _asked(more))
+        option = m.option(command, _as_argument(more))
+        yield from _helps(result, more, f"{pattern}try a prestress, the same for all: {option}")
+
+
+def _asked(wanted: list[Parameter]) -> list[Parameter]:
+    """The parameters that the user asked to fit."""
+    return [one for one in wanted if one.value is None and not one.nuisance]
+
+
+def _as_argument(wanted: list[Parameter]) -> str:
+    """The argument `free` of a fit of these parameters, by name."""
+    named = [f'sp.Parameter("{one.name}", each="specimen")' if one.each else f'"{one.name}"' for one in _asked(wanted)]
+    return f"free=[{', '.join(named)}]"
 
 
 def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
@@ -233,7 +243,8 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, str]]:
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=STEPS).value
     best = int(np.argmin(value))
     text = (
-        f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: --loss student"
+        f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: "
+        + m.option("--loss student", 'loss="student"')
     )
     yield from _offered(result, 2 * float(value[best]), -1, text)
 

@@ -170,6 +170,8 @@ class Measurements:
         Columns that were kept but not used.
     columns : dict of str to str
         Name in the file of each quantity's column, for messages, which are then in its unit.
+    rows : sequence of str, optional
+        Index label of each measurement in the DataFrame it came from.
 
     Raises
     ------
@@ -208,6 +210,7 @@ class Measurements:
     source: str = "measurements"
     other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
     columns: dict[str, str] = dataclasses.field(default_factory=dict)
+    rows: tuple[str, ...] = ()
 
     if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
 
@@ -244,6 +247,7 @@ class Measurements:
             source: str = "measurements",
             other: Mapping[str, Sequence[str]] = {},
             columns: Mapping[str, str] = {},
+            rows: Sequence[str] = (),
         ) -> None: ...
 
     @classmethod
@@ -272,7 +276,7 @@ class Measurements:
         Raises
         ------
         MeasurementError
-            As `read_measurements`; its line 1 is the header, and line 2 the first row.
+            As `read_measurements`, but with the row's index label instead of a line.
         """
         from slippulse_jax.inference.tables import from_dataframe  # which makes measurements
 
@@ -281,7 +285,7 @@ class Measurements:
     def __post_init__(self) -> None:
         given = set_columns(self, NUMERIC)
         n = len(self)
-        for name in ("kind", "specimen", "provenance", "label", "lines", "push_control"):
+        for name in ("kind", "specimen", "provenance", "label", "lines", "rows", "push_control"):
             values = tuple(getattr(self, name))
             if values and len(values) != n:
                 raise MeasurementError(f"{self.source}: {name} has {len(values)} entries for {n} lengths")
@@ -344,18 +348,35 @@ class Measurements:
 
     def _repr_html_(self) -> str:
         given = [name for name in ("specimen", "label") if getattr(self, name)]
+        counted, numbers = self.numbered
         rows = [
-            [str(self.lines[i] if self.lines else i), *(getattr(self, name)[i] for name in given)]
+            [str(numbers[i]), *(getattr(self, name)[i] for name in given)]
             + [self.in_its_unit(i, self.height[i]), f"{self.poisson[i]:g}"]
             + [self.in_its_unit(i, self.length[i]), "" if np.isnan(self.sigma[i]) else self.in_its_unit(i, self.sigma[i])]
             + [self.kind[i]]
             for i in range(len(self))
         ]
-        return html(self.source, rows, ("line" if self.lines else "no.", *given, "height", "ν", "length", "σ", "kind"))
+        return html(self.source, rows, (counted, *given, "height", "ν", "length", "σ", "kind"))
 
     def place(self, i: int) -> str:
         """Where measurement i came from, for messages."""
-        return f"{self.source}, line {self.lines[i]}" if self.lines else f"{self.source}, measurement {i}"
+        return f"{self.source}, {self.number(i)}"
+
+    def number(self, i: int) -> str:
+        """How measurement i is called within its source: ``line 3`` of a file, ``row 1`` of a DataFrame."""
+        counted, numbers = self.numbered
+        return f"{'measurement' if counted == 'no.' else counted} {numbers[i]}"
+
+    @property
+    def numbered(self) -> tuple[str, Sequence[int | str]]:
+        """What measurements are counted by, for the head of a column, and their numbers or index labels."""
+        if self.lines:
+            return "line", self.lines
+        return ("row", self.rows) if self.rows else ("no.", range(len(self)))
+
+    def option(self, command: str, python: str) -> str:
+        """An option of a fit as the user may give it: of the command too where the measurements came from a file."""
+        return f"{command}, in Python {python}" if self.lines else python
 
     @property
     def unit(self) -> tuple[np.ndarray, str]:
@@ -433,7 +454,7 @@ NUMERIC = tuple(
     field.name
     for field in dataclasses.fields(Measurements)
     if field.name
-    not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other", "columns")
+    not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other", "columns", "rows")
 )
 
 # quantity -> (test, requirement)

@@ -743,7 +743,7 @@ def _check_block(m: Measurements, names: set[str], event: Event) -> None:
         raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
     if np.isnan(m.push_height).any():
         blank = m.place(int(np.argmax(np.isnan(m.push_height))))
-        raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push on every line")
+        raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push of every measurement")
     if event != "full":
         raise ValueError(f"event = {event!r}: contacts of a block break in any order: its event is the whole one, 'full'")
     for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):

@@ -167,6 +167,7 @@ def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
     m = result.measurements
     return {
         "line": m.lines[i] if m.lines else None,
+        "row": m.rows[i] if m.rows else None,
         "kind": m.kind[i],
         "height": float(m.height[i]),
         "poisson": float(m.poisson[i]),
@@ -277,7 +278,7 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
     m = result.measurements
     scale, unit = m.unit
     unit = f"_{unit}" * m.in_si
-    text = {"line": m.lines, "label": m.label, "specimen": m.specimen, "kind": m.kind}
+    text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "kind": m.kind}
     lengths = {
         "height": m.height,
         "push_height": m.push_height,

@@ -157,7 +157,10 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
         If a column is missing or there twice, or a value is missing, not a number, or outside its domain: the message names
         file, line and column.
     """
-    lengths = _parse(rows(read_text(path), os.fspath(path)), os.fspath(path))
+    name = os.fspath(path)
+    table_rows = rows(read_text(path), name)
+    line, header = next(table_rows, (1, []))
+    lengths = _parse(header, table_rows, name, header_place=f"{name}, line {line}", counted="line")
     return lengths if gauges is None else replace(lengths, gauges=read_gauges(gauges, lengths.label))
 
 
@@ -167,7 +170,7 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
     Raises
     ------
     MeasurementError
-        As `read_measurements`; its line 1 is the header, and line 2 the first row.
+        As `read_measurements`, but with the row's index label instead of a line.
     """
     missing = table.isna()
     cells = [
@@ -177,7 +180,8 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
         ]
         for row, blank in zip(table.itertuples(index=False, name=None), missing.itertuples(index=False, name=None), strict=True)
     ]
-    return _parse(enumerate([[str(column) for column in table.columns], *cells], start=1), name)
+    header = [str(column) for column in table.columns]
+    return _parse(header, zip(map(str, table.index), cells, strict=True), name, header_place=name, counted="row")
 
 
 def measurements_of(given: Any) -> Measurements:
@@ -191,19 +195,20 @@ def measurements_of(given: Any) -> Measurements:
     raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")
 
 
-def _parse(table_rows: Iterable[tuple[int, list[str]]], name: str) -> Measurements:
-    table_rows = iter(table_rows)
-    header_line, header = next(table_rows, (1, []))
+def _parse(
+    header: list[str], table_rows: Iterable[tuple[Any, list[str]]], name: str, *, header_place: str, counted: str
+) -> Measurements:
+    """Measurements of a header and of rows of text, numbered as lines of a file or rows of a DataFrame."""
     if not header:
         raise MeasurementError(f"{name}: empty: expected a header line with {_FORMS}")
     header = [cell.strip() for cell in header]
-    columns = _known_columns(header, f"{name}, line {header_line}")
+    columns = _known_columns(header, header_place)
     table: dict[str, list[float]] = {column.quantity: [] for column in columns.values() if column.quantity != "block_width"}
     texts: dict[str, list[str]] = {column: [] for column in header if column not in columns}
-    lines = []
-    for line, cells in table_rows:
-        lines.append(line)
-        where = f"{name}, line {line}"
+    numbers = []
+    for number, cells in table_rows:
+        numbers.append(number)
+        where = f"{name}, {counted} {number}"
         if len(cells) != len(header):
             raise MeasurementError(f"{where}: {len(cells)} columns, but the header has {len(header)}")
         row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
@@ -213,7 +218,7 @@ def _parse(table_rows: Iterable[tuple[int, list[str]]], name: str) -> Measuremen
             raise MeasurementError(f"{where}, column provenance: {row['provenance']!r}: one of {', '.join(PROVENANCES)}")
         for column, cells_so_far in texts.items():
             cells_so_far.append(row[column])
-    if not lines:
+    if not numbers:
         raise MeasurementError(f"{name}: a header and no measurements")
     quantities: dict[str, Any] = {quantity: np.array(values) for quantity, values in table.items()}
     return Measurements(
@@ -223,7 +228,8 @@ def _parse(table_rows: Iterable[tuple[int, list[str]]], name: str) -> Measuremen
         provenance=tuple(texts.pop("provenance", ())),
         label=tuple(texts.pop("label", ())),
         push_control=tuple(text or "displacement" for text in texts.pop("push_control", ())),
-        lines=tuple(lines),
+        lines=tuple(numbers) if counted == "line" else (),
+        rows=tuple(numbers) if counted == "row" else (),
         source=name,
         other=texts,
         columns={column.quantity: name for name, column in columns.items()},
