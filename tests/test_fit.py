@@ -404,10 +404,35 @@ def test_a_rejected_fit_is_drawn_without_a_best_fit():
     assert "closest (rejected)" in texts
     assert {"A ± σ", "B ± σ"} <= set(texts)
     assert figure.get_suptitle().startswith(result.identifiability.value)
-    for ax in figure.axes:  # no legend lies on the data
+    no_legend_lies_on_data(figure)
+
+
+def no_legend_lies_on_data(figure):
+    """Each is above its panel, and clear of all others."""
+    figure.draw_without_rendering()
+    for ax in figure.axes:
         if ax.get_legend():
-            figure.draw_without_rendering()
-            assert ax.get_legend().get_window_extent().y0 >= ax.get_window_extent().y1
+            legend = ax.get_legend().get_window_extent()
+            assert legend.y0 >= ax.get_window_extent().y1
+            assert legend.x1 < figure.bbox.width
+            assert not any(legend.overlaps(other.get_tightbbox()) for other in figure.axes if other is not ax)
+
+
+@pytest.mark.parametrize("count", [2, 4, 5])
+def test_figure_has_the_profile_of_each_parameter(count):
+    """Up to four, legibly; of more it says how to draw all."""
+    heights, names = np.array([20.0, 50.0]), "VWXYZ"[:count]
+    length = exact(heights, 0.002 * (1 + np.arange(count))[:, None]).ravel()
+    specimen = [f"block {x}" for x in names for _ in heights]
+    m = Measurements(np.tile(heights, count), 0.3, length + 0.1 * (-1) ** np.arange(2 * count), 0.1, specimen=specimen)
+    figure = plot.fit(fit(m, [Parameter("stiffness", each="specimen")], intervals="profile"))
+    _, *profiles, _ = figure.axes
+    assert [ax.get_xlabel()[-9:] for ax in profiles] == [f"[block {x}]" for x in names[:4]]
+    no_legend_lies_on_data(figure)
+    assert min(ax.get_position().width * figure.get_size_inches()[0] for ax in figure.axes) > 2
+    assert min(ax.get_position().height * figure.get_size_inches()[1] for ax in profiles) > 1
+    said = profiles[0].get_legend().get_title().get_text().replace("\n", " ")
+    assert said == ("4 of 5 parameters; all by sp.plot.fit_profiles(result)" if count > 4 else "")
 
 
 def test_panels_take_the_place_of_an_axes():

@@ -29,29 +29,57 @@ if TYPE_CHECKING:
 
 BAND_LEVEL = 0.95
 MOST_CURVES = 6
+MOST_PROFILES = 4
+"""Profiles beside the lengths; more would be too small to read."""
+WIDEST_LEGEND = 54
+"""Characters beside each other in a legend of two columns."""
 MARKERS = "osD^v<>P"
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
 
 def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
-    """Draw a fit: lengths against height with residuals below, and length versus stiffness or the first profile.
+    """Draw a fit: lengths against height with residuals below, and length versus stiffness or the profiles.
 
-    The title has the result, the material and the specimens. With `ax`, the panels take its place.
+    A single stiffness is drawn against the lengths; of several parameters the profiles of the first four are drawn, and
+    `fit_profiles` draws all. The title has the result, the material and the specimens. With `ax`, the panels take its place.
     """
-    with new_figure(PAGE, 3.9, ax) as figure:
+    names = result.names[:MOST_PROFILES]
+    with new_figure(PAGE, max(3.9, 1.5 + 1.35 * len(names)), ax) as figure:
         figure.suptitle("\n".join(_title(result)), x=0.01, ha="left", fontsize="medium")
-        panels = figure.subplot_mosaic([["lengths", "other"], ["residuals", "other"]], height_ratios=[4, 1])
-        fit_lengths(result, ax=panels["lengths"])
-        panels["lengths"].set_xlabel("")
-        panels["lengths"].tick_params(labelbottom=False)
-        residuals(result, along_height=True, ax=panels["residuals"])
-        panels["residuals"].set_xlim(panels["lengths"].get_xlim())
-        if len(result.parameters.free) == 1 and "stiffness" in result.names[0]:
-            length_versus_stiffness(result, ax=panels["other"])
+        grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
+        above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
+        others = [figure.add_subplot(place) for place in (right.subgridspec(len(names), 1) if len(names) > 1 else [right])]
+        below = figure.add_subplot(grid[1, 0])
+        fit_lengths(result, ax=above)
+        above.set_xlabel("")
+        above.tick_params(labelbottom=False)
+        residuals(result, along_height=True, ax=below)
+        below.set_xlim(above.get_xlim())
+        if len(result.parameters.free) == 1 and "stiffness" in names[0]:
+            length_versus_stiffness(result, ax=others[0])
         else:
-            profile(result, result.names[0], ax=panels["other"])
+            _profiles(result, list(zip(names, others, strict=True)))
     return figure
+
+
+def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
+    """Draw the profiles of some parameters one below the other, under one legend."""
+    first, said = panels[0][1], set()
+    for name, panel in panels:
+        profile(result, name, ax=panel)
+        legend = panel.get_legend()
+        assert legend is not None
+        new = {text.get_text() for text in legend.get_texts()} - said
+        said |= new
+        if not new:
+            legend.remove()
+    if len(panels) < len(result.names):
+        every = result.measurements.option("--profiles FILE", "sp.plot.fit_profiles(result)")
+        legend = first.get_legend()
+        assert legend is not None
+        legend.set_title(textwrap.fill(f"{len(panels)} of {len(result.names)} parameters; all by {every}", 60))
+        legend.set_alignment("left")
 
 
 def _title(result: "FitResult") -> Iterator[str]:
@@ -201,12 +229,19 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.legend(
         handles=curves,
         **ABOVE,
-        ncols=2,
+        ncols=_columns([str(one.get_label()) for one in curves]),
         fontsize="small",
         title="Lengths and fit",
         alignment="left",
     )
     return ax
+
+
+def _columns(labels: list[str]) -> int:
+    """Columns of a legend: two, or one where two would be wider than half a page, for which panels would shrink."""
+    seen = [len(text.replace("$", "").replace("\\", "")) for text in labels]
+    half = -(-len(seen) // 2)
+    return 2 if max(seen[:half]) + max(seen[half:], default=0) <= WIDEST_LEGEND else 1
 
 
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
