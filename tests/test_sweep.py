@@ -181,8 +181,17 @@ def test_pictures():
     plot.sweep(map_of, ax=ax)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("height, $H/\\lambda_c$", "contact stiffness, $k/K$")
     assert ax.get_title() == "$\\nu$ = 0.3"
-    with pytest.raises(ValueError, match="one or two axes"):
+    with pytest.raises(ValueError, match=r"one or two axes of several values, not 0 \(none\): sweep several"):
         plot.sweep(map_of.isel(height=0, stiffness=0))
+    cube = map_of[["length"]].expand_dims(prestress=[1 / 3, 0.5])
+    with pytest.raises(
+        ValueError, match=r"not 3 \(prestress, .*\): select one value of the others first, such as \.sel"
+    ) as refused:
+        plot.sweep(cube)
+    selected = eval(f"cube{str(refused.value).partition('such as ')[2]}", {"cube": cube})
+    assert plot.sweep(selected, ax=Figure().subplots()).get_title().endswith("$\\varphi/\\sigma_s$ = 0.3333")
+    with pytest.raises(ValueError, match=r"not 1 \(point\): leave out points=True"):
+        plot.sweep(map_of.stack(point=["height", "stiffness"]))
     assert map_of.length.sel(height=20).plot()
 
 

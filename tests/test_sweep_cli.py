@@ -126,6 +126,12 @@ def test_store_that_vanishes(tmp_path, monkeypatch):
         ([*GRID, "--out", "sweep.xlsx"], "must end in .csv, .nc"),
         ([*GRID, "--out", "no/such/folder/sweep.nc"], "there is no folder no/such/folder"),
         (["--height", "10", *GRID[4:]], "Missing option '--stiffness'"),
+        (
+            [*GRID[:5], "0.2,0.3", "--figure", "s.png"],
+            "not 3 (poisson, stiffness, height): give one value of the others, such as --poisson 0.2, or draw the .nc of --out",
+        ),
+        ([*GRID, "--points", "--figure", "s.png"], "not 0 (none): leave out --points"),
+        (["--height", "10", "--stiffness", "0.03", "--poisson", "0.3", "--figure", "s.png"], "such as --height 10:50:41"),
     ],
 )
 def test_bad_usage(arguments, message, tmp_path, monkeypatch):

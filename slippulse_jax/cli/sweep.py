@@ -107,6 +107,8 @@ def command(
         raise click.UsageError("--share and --chunk go with --store")
     if share and scheduler:
         raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
+    if figure is not None:
+        _check_drawable(values, points)
     with _client(scheduler) if scheduler else nullcontext() as client:
         found = _sweep(
             store,
@@ -121,6 +123,22 @@ def command(
             client=client,
         )
     _hand_over(found, out, figure, as_json, store)
+
+
+def _check_drawable(values: dict[str, Any], points: bool) -> None:
+    """Refuse a figure that could not be drawn, before anything is computed."""
+    from slippulse_jax.plot.maps import not_drawn
+
+    sizes = {name: one.size for name, one in values.items() if one is not None and not isinstance(one, str) and one.size > 1}
+    axes = sorted(sizes, key=lambda name: sizes[name])
+    if points:
+        raise click.UsageError(not_drawn([], "leave out --points"))
+    if len(axes) > 2:
+        chosen = " ".join(f"--{name.replace('_', '-')} {float(values[name][0])!r}" for name in axes[:-2])
+        also = "or draw the .nc of --out in Python after .sel(…)"
+        raise click.UsageError(not_drawn(axes, f"give one value of the others, such as {chosen}, {also}"))
+    if not axes:
+        raise click.UsageError(not_drawn(axes, "give several values of a parameter, such as --height 10:50:41"))
 
 
 def _client(address: str) -> Any:

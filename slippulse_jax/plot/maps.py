@@ -10,6 +10,8 @@ from slippulse_jax.plot.labels import AGAIN, NAMES, axis_label, in_unit, symbol
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import xarray as xr
     from matplotlib.axes import Axes
 
@@ -45,8 +47,13 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     """
     column = found[str(next(iter(found.data_vars))) if name is None else name].squeeze()
     axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
-    if not 1 <= len(axes) <= 2 or "point" in axes:
-        raise ValueError(f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'})")
+    if "point" in axes:
+        raise ValueError(not_drawn(axes, "leave out points=True"))
+    if len(axes) > 2:
+        chosen = ", ".join(f"{name}={float(column[name][0])!r}" for name in axes[:-2])
+        raise ValueError(not_drawn(axes, f"select one value of the others first, such as .sel({chosen})"))
+    if not axes:
+        raise ValueError(not_drawn(axes, "sweep several values of a parameter, such as height=[10, 20, 30]"))
     ax = style.axes(ax)
     status = next((found[name] for name in ("status", "exact_status") if name in found), None)
     again = column.copy(data=np.zeros(column.shape, bool)) if status is None else status.squeeze() == Outcome.REBREAK
@@ -62,6 +69,11 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     above = ax.get_legend() is not None and not len(ax.lines)  # that of a map
     ax.set_title(", ".join(fixed), fontsize="medium", pad=16 if above else None)
     return ax
+
+
+def not_drawn(axes: "Sequence[str]", instead: str) -> str:
+    """Why a sweep over these axes is not drawn, and what to do instead."""
+    return f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'}): {instead}"
 
 
 def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str, family: str | None) -> None:
