@@ -148,12 +148,15 @@ def test_an_error_that_specimens_may_share_is_named_with_its_option(tmp_path):
     apart = sp.fit(two_specimens())
     (step,) = apart.next_steps
     assert f"  - {step}" in apart.report()
-    assert "leave young_sigma_GPa out, and give --prior young=3e+09,2e+08" in step
+    assert "leave young_sigma_GPa out, and give free=[" in step
     path = tmp_path / "together.csv"
+    two_specimens().to_csv(path, index=False)
+    (said,) = sp.fit(path).next_steps
+    assert "leave young_sigma_GPa out, and give --prior young=3e+09,2e+08, in Python free=[" in said
     two_specimens().drop(columns="young_sigma_GPa").to_csv(path, index=False)
-    options = re.findall(r"--prior \S+", step)[0].split()
+    options = re.findall(r"--prior [^, ]+,[^, ]+", said)[0].split()
     assert CliRunner().invoke(command, [str(path), *options, "--json"]).exit_code == 0
-    together = sp.fit(path, ["stiffness", sp.Parameter("young", prior=(3e9, 2e8))])
+    together = sp.fit(path, **eval(f"dict({step.partition('and give ')[2]})", {"sp": sp}))
     assert together.next_steps == []
     assert together.stderrs["areal_stiffness"] > 1.2 * apart.stderrs["areal_stiffness"]
     own = two_specimens(young_sigma_GPa=[0.2, 0.2, 0.2, 0.3, 0.3, 0.3])

@@ -150,9 +150,12 @@ def _shared(result: "FitResult") -> Iterator[str]:
         value, sigma = getattr(m, name), getattr(m, f"{name}_sigma")
         if len(each) > 1 and np.ptp(value) == 0 and np.ptp(sigma) == 0:
             column, symbol = m.columns.get(f"{name}_sigma", f"{name}_sigma"), each[0].symbol
+            mean, deviation = f"{value[0]:.6g}", f"{sigma[0]:.6g}"
+            prior = f'sp.Parameter("{name}", prior=({mean}, {deviation}))'
+            option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(result.request["free"], prior))
             yield (
                 f"each specimen has an error of {symbol} of its own: if one source gives {symbol} of all, they share "
-                f"its error: leave {column} out, and give --prior {name}={value[0]:.6g},{sigma[0]:.6g}"
+                f"its error: leave {column} out, and give {option}"
             )
 
 
@@ -201,10 +204,10 @@ def _asked(wanted: list[Parameter]) -> list[Parameter]:
     return [one for one in wanted if one.value is None and not one.nuisance]
 
 
-def _as_argument(wanted: list[Parameter]) -> str:
-    """The argument `free` of a fit of these parameters, by name."""
+def _as_argument(wanted: list[Parameter], *more: str) -> str:
+    """The argument `free` of a fit of these parameters, by name, and of more."""
     named = [f'sp.Parameter("{one.name}", each="specimen")' if one.each else f'"{one.name}"' for one in _asked(wanted)]
-    return f"free=[{', '.join(named)}]"
+    return f"free=[{', '.join([*named, *more])}]"
 
 
 def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
