@@ -48,7 +48,7 @@ def test_both_roots_of_one_length(height):
     for root in result.roots:
         assert abs(float(exact(height, root.values["stiffness"])) - target) < 1e-6
         assert any(piece.low < root.values["stiffness"] < piece.high for piece in result.intervals["stiffness"][0.6827])
-    assert "values that fit (not excluded at 95 %; --bounds LOW HIGH keeps one" in result.report()
+    assert "values that fit (not excluded at 95 %; one is kept by bounds=(low, high), and" in result.report()
 
 
 def test_two_close_roots_either_side_of_the_peak():

@@ -114,6 +114,9 @@ def test_refusals_name_file_line_and_column(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
+OR_REMARK = r"If not, give it another name\.$"
+
+
 @pytest.mark.parametrize(
     ("header", "message"),
     [
@@ -129,16 +132,31 @@ def test_refusals_name_file_line_and_column(tmp_path, text, message):
         ("height_mm,correlation_length_um,poisson,ℓ_mm", r"column ℓ_mm: did you mean length_mm\?$"),
         ("height_mm,correlation_length_um,poisson,Λ_mm", r"column Λ_mm: did you mean length_mm\?$"),
         ("height_mm,correlation_length_um,poisson,L_mm", r"column L_mm: did you mean length_mm or block_length_mm\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,L_mm", r"column L_mm: did you mean block_length_mm\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,h_mm", r"column h_mm: did you mean push_height_mm\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,E_GPa", r"column E_GPa: did you mean young_GPa\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,E-Modul [MPa]", r"E-Modul \[MPa\]: did you mean young_MPa\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,E", r"column E: did you mean young_GPa\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,yuong_GPa", r"column yuong_GPa: did you mean young_GPa\?$"),
+        ("height_mm,correlation_length_um,poisson,length_mm,L_mm", rf"column L_mm: did you mean block_length_mm\? {OR_REMARK}"),
+        ("height_mm,correlation_length_um,poisson,length_mm,h_mm", rf"column h_mm: did you mean push_height_mm\? {OR_REMARK}"),
+        ("height_mm,correlation_length_um,poisson,length_mm,E_GPa", rf"column E_GPa: did you mean young_GPa\? {OR_REMARK}"),
+        (
+            "height_mm,correlation_length_um,poisson,length_mm,E-Modul [MPa]",
+            rf"E-Modul \[MPa\]: did you mean young_MPa\? {OR_REMARK}",
+        ),
+        ("height_mm,correlation_length_um,poisson,length_mm,E", rf"column E: did you mean young_GPa\? {OR_REMARK}"),
+        (
+            "height_mm,correlation_length_um,poisson,length_mm,yuong_GPa",
+            rf"column yuong_GPa: did you mean young_GPa\? {OR_REMARK}",
+        ),
         ("height_mm,correlation_length_um,poisson,length_mm,sigma_mm", r"sigma_mm: did you mean length_sigma_mm[^T]*\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,std_cm", r"column std_cm: did you mean length_sigma_cm\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,sigma_H_mm", r"sigma_H_mm: did you mean height_sigma_mm\?$"),
-        ("height_mm,correlation_length_um,poisson,length_mm,H_Fehler_mm", r"H_Fehler_mm: did you mean height_sigma_mm\?$"),
+        (
+            "height_mm,correlation_length_um,poisson,length_mm,std_cm",
+            rf"column std_cm: did you mean length_sigma_cm\? {OR_REMARK}",
+        ),
+        (
+            "height_mm,correlation_length_um,poisson,length_mm,sigma_H_mm",
+            rf"sigma_H_mm: did you mean height_sigma_mm\? {OR_REMARK}",
+        ),
+        (
+            "height_mm,correlation_length_um,poisson,length_mm,H_Fehler_mm",
+            rf"H_Fehler_mm: did you mean height_sigma_mm\? {OR_REMARK}",
+        ),
         ("H_mm,λc_um,ν,ℓ_mm", r"H_mm: did you mean height_mm\? Column λc_um: did .*\? Column ν: did you mean poisson\? Col"),
         ("H,ν,ℓ", r"column H: did you mean height\? Column ν: did you mean poisson\? Column ℓ: did you mean length\?$"),
         ("heigth,poisson,length", r"column heigth: did you mean height\?$"),

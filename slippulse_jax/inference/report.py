@@ -228,7 +228,8 @@ def _roots(result: "FitResult") -> list[str]:
         return []
     several = len(result.names) > 1
     keep = "points" if several else "values"
-    rows = [f"  {keep} that fit (not excluded at 95 %; --bounds LOW HIGH keeps one, and the report then has its errors):"]
+    option = result.measurements.option("--bounds LOW HIGH", "bounds=(low, high)")
+    rows = [f"  {keep} that fit (not excluded at 95 %; one is kept by {option}, and the report then has its errors):"]
     units = {one.label: one.unit for one in result.parameters.free}
     for root in result.roots:
         again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
@@ -292,8 +293,9 @@ def _table(result: "FitResult") -> list[str]:
     m, fitted = result.measurements, result.fitted
     scale, unit = m.unit
     whole = np.where(fitted.contacts_broken > 0, fitted.contacts_broken, np.inf) * scale
+    counted, numbers = m.numbered
     heads = [
-        "line" if m.lines else "no.",
+        counted,
         *(["specimen"] if m.specimen else []),
         f"H/{unit}",
         f"measured/{unit}",
@@ -306,7 +308,7 @@ def _table(result: "FitResult") -> list[str]:
     for i in range(len(m)):
         rows.append(
             [
-                str(m.lines[i] if m.lines else i),
+                str(numbers[i]),
                 *([m.specimen[i]] if m.specimen else []),
                 f"{m.height[i] * scale[i]:.6g}",
                 _measured(m.kind[i], m.length[i] * scale[i], m.sigma[i] * scale[i]),
@@ -465,7 +467,7 @@ def _unstated_push(result: "FitResult") -> list[str]:
     column = f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block"
     if push_is_unstated(result) and shares_errors(result):
         why = "it depends on where its side is pushed; beside an offset or a model factor no ratio to this is given"
-        return ["", f"Stiffness of a real block: {why}.", f"{column} (--body block)."]
+        return ["", f"Stiffness of a real block: {why}.", f"{column}."]
     if not found:
         return []
     means = "; ".join(
@@ -612,20 +614,22 @@ def _of_data(result: "FitResult") -> Iterator[str]:
             "measurement of its own: leave out those that were copied"
         )
     if result.problem.count - copies < result.problem.p:
+        hold = m.option("--fix NAME=VALUE", "fixed={name: value}")
+        state = m.option("--prior NAME=MEAN,DEVIATION", "sp.Parameter(name, prior=(mean, deviation))")
         yield (
             f"{_plural(result.problem.p, 'parameter')} are fitted, but only {result.problem.count - copies} of the data are "
-            "different: hold some (--fix NAME=VALUE), state what is known of them (--prior NAME=MEAN,DEVIATION), or measure "
-            "at more heights"
+            f"different: hold some ({hold}), state what is known of them ({state}), or measure at more heights"
         )
     beside = {one.name for one in result.parameters.free if one.nuisance}
     if "model_factor" in beside:
-        held = "--fix offset=0 --fix model_factor=1" if "offset" in beside else "--fix model_factor=1"
+        held = {"offset": 0, "model_factor": 1} if "offset" in beside else {"model_factor": 1}
+        option = m.option(" ".join(f"--fix {name}={value}" for name, value in held.items()), f"fixed={held}".replace("'", '"'))
         shared = (
             "an offset and a model factor that they share are" if "offset" in beside else "a model factor that they share is"
         )
         yield (
-            f"as the lengths were measured, {shared} fitted beside, with the priors shown; {held} leaves the error of the "
-            "lengths alone"
+            f"as the lengths were measured, {shared} fitted beside, with the priors shown; the error of the lengths alone "
+            f"is left by {option}"
         )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"

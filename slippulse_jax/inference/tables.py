@@ -318,7 +318,8 @@ def _refuse_misnamed(unknown: list[str], header: list[str], where: str) -> None:
         lacking = [one for one in guess.quantities if one in form and form[one][0] not in header]
         if lacking and (guess.sure or guess.unit or any(form[one][1].required for one in lacking)):
             names = [name if (name := f"{one}_{guess.unit}") in {*_SI, *_ALIASES} else form[one][0] for one in lacking]
-            said.append(f"{own}: did you mean {' or '.join(names)}?")
+            remark = "" if any(form[one][1].required for one in lacking) else " If not, give it another name."
+            said.append(f"{own}: did you mean {' or '.join(names)}?{remark}")
     if said:
         raise MeasurementError(f"{where}, column {' Column '.join(said)}")
 
