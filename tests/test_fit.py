@@ -505,7 +505,7 @@ def test_errors_of_specimens_in_the_report():
     table = table.assign(length_sigma_cm=0.1, poisson=0.37, correlation_length_um=10.0, young_GPa=3.3, young_sigma_GPa=0.2)
     result = fit(table)
     said = result.report()
-    assert "fitted beside, for each specimen on its own:\n    E (A): stated (3.30 ± 0.20)e9 Pa, fitted 3." in said
+    assert "fitted beside, inputs for each specimen on its own:\n    E (A): stated (3.30 ± 0.20)e9 Pa, fitted 3." in said
     assert "correlations above 0.5:\n    C(k/λc², E (B)) = +0." in said
     assert "e-05, one for each specimen\n" in said
     assert "(k/K up to 1)" in said

@@ -1,6 +1,7 @@
 """Several parameters, priors, uncertain inputs, further observables, counts, censoring, losses: each against an independent answer."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -8,15 +9,17 @@ import pytest
 from oracles import dense_chain
 from scipy.integrate import quad
 from scipy.special import ndtr
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 from scipy.stats import t as student_t
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.bootstrap import bootstrap
+from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.likelihood import Data, Loss, make_problem, terms
 from slippulse_jax.inference.model import displacements, forces, lengths
 from slippulse_jax.inference.parameters import Inputs, parameter_set
+from slippulse_jax.inference.profile import Rise
 from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
@@ -448,3 +451,56 @@ def test_table_with_everything(tmp_path):
     assert m.force[0] == pytest.approx(4e4)
     q = parameter_set(m, ["stiffness", "strength"])
     assert q.names == ["areal_stiffness", "strength", "height[A, 0.05]", "height[A, 0.06]"]
+
+
+def test_bounds_leave_a_parameter_as_it_was():
+    """Whether it is a nuisance too."""
+    one = Parameter("stiffness", prior=(0.1, 0.01), nuisance=True)
+    assert wanted_parameters(one, (1e-3, 1.0), None) == [dataclasses.replace(one, bounds=(1e-3, 1.0))]
+    with pytest.raises(ValueError, match="bounds of the stiffness, which is not fitted"):
+        wanted_parameters("prestress", (1e-3, 1.0), {"stiffness": 0.01})
+
+
+@pytest.mark.parametrize("more", [{"prior": (0.3, 0.05)}, {"bounds": (0.2, 0.4)}, {"each": "specimen"}])
+def test_a_held_parameter_takes_nothing_else(more):
+    with pytest.raises(ValueError, match="parameter poisson: held by `value`, so that a prior"):
+        Parameter("poisson", value=0.31, **more)
+
+
+def test_intervals_of_the_ratio_do_not_depend_on_the_order_of_parameters():
+    """k/K is proportional to the areal stiffness, whether that was asked for first or last."""
+    m = read_measurements(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
+    one, other = (fit(m, free) for free in (["stiffness", "prestress"], ["prestress", "stiffness"]))
+    assert one.intervals["stiffness"][0.95][0].low == pytest.approx(other.intervals["stiffness"][0.95][0].low, rel=1e-4)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 5])
+def test_rise_is_the_quantile_of_chi_squared(dof):
+    for level in (0.6827, 0.95):
+        assert chi2.cdf(Rise()(level, dof), dof) == pytest.approx(level, rel=1e-12)
+
+
+def test_a_root_that_nothing_determines_has_no_error():
+    """Of two specimens, one of which has its longest length: no ± of a thousand times the value."""
+    m = Measurements([30, 40, 50], 0.3, [12.0, 18.0, 50.0], 0.5, specimen=["A", "A", "B"])
+    result = fit(m, Parameter("stiffness", each="specimen"))
+    for root in result.roots:
+        for name, error in root.stderrs.items():
+            assert error is None or error < 20 * root.values[name], (name, root)
+
+
+def test_simulated_intervals_are_refused_before_the_search(monkeypatch):
+    """Of three parameters, of counts, and where the size of errors is taken from the scatter."""
+
+    def searched(*_, **__):
+        raise AssertionError("searched")
+
+    monkeypatch.setattr("slippulse_jax.inference.fit._explore", searched)
+    m = Measurements([30, 40, 50, 60.0], 0.3, [12.0, 18.0, 25.0, 30.0], 0.5)
+    for given, free, more in (
+        (m, ["stiffness", "prestress", "threshold_slope"], {}),
+        (dataclasses.replace(m, kind=["whole"] * 4, length_sigma=0.0), ["stiffness"], {}),
+        (m, ["stiffness"], {"sigma": "relative"}),
+    ):
+        with pytest.raises(ValueError, match="calibrated intervals"):
+            fit(given, free, intervals="calibrated", **more)

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.budget import total_interval
+from slippulse_jax.inference.budget import total_interval, total_of_ratio
 from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
@@ -232,3 +232,105 @@ def test_fronts_are_longer_or_shorter_as_the_report_says():
     assert part < 0.97 * above
     assert force > 1.2 * above
     assert ended > 1.1 * above
+
+
+# --- several specimens ----------------------------------------------------------------------------------------------------
+
+
+EACH = sp.Parameter("stiffness", each="specimen")
+
+
+def test_the_total_of_a_ratio_has_what_specimens_do_not_share():
+    """Heights are measured of each specimen; Poisson's ratio is one. By refits with the inputs moved by their usual errors."""
+    specimen, noise = np.array(["A"] * 3 + ["B"] * 3), 0.01 * NOISE
+
+    def found(height=(1.0, 1.0), length=1.0, poisson=0.3):
+        slider = HEIGHT * np.where(specimen == "A", *height)
+        m = sp.Measurements(slider, poisson, length * measured, 0.01 * LENGTH, specimen=specimen.tolist())
+        return sp.fit(m, EACH)
+
+    stiffness = np.where(specimen == "A", 2e-4, 4e-4)
+    measured = np.asarray(sp.exact_lengths(sp.Slider(HEIGHT, stiffness, 0.3))) * (1 + noise)
+    result = found()
+    (labels,) = result.stiffness_ratios
+    ratio, error = result.stiffness_ratios[labels]
+    moved = [
+        np.log(one.stiffness_ratios[labels][0] / ratio)
+        for one in (found((1.01, 1.0)), found((1.0, 1.01)), found(length=1.01), found(poisson=0.32))
+    ]
+    whole = total_of_ratio(result, labels, result.budget)
+    assert whole == pytest.approx(ratio * np.hypot(error / ratio, np.linalg.norm(moved)), rel=0.02)
+    said = f"with these, B over A = {value_with_error(ratio, whole)} (H of each specimen on its own, the rest shared)"
+    assert said in result.report()
+
+
+def test_one_specimen_that_is_not_determined_leaves_the_error_of_the_other():
+    """Three lengths of A, one count of whole contacts of B: each as it is alone."""
+    m = sp.Measurements(
+        height=[40, 60, 80, 30],
+        poisson=0.3,
+        length=[15.0, 25.0, 36.0, 14.0],
+        length_sigma=[0.5, 0.5, 0.5, 0.0],
+        kind=["length"] * 3 + ["whole"],
+        specimen=list("AAAB"),
+    )
+    result = sp.fit(m, EACH)
+    alone = sp.fit(sp.Measurements([40, 60, 80], 0.3, [15.0, 25.0, 36.0], 0.5))
+    assert result.stderrs["stiffness[A]"] == pytest.approx(alone.stderrs["stiffness"], rel=1e-3)
+    assert result.stderrs["stiffness[B]"] is None
+    assert result.verdicts["stiffness[B]"].identifiability is Identifiability.EQUAL
+    assert result.stiffness_ratios["stiffness[B]", "stiffness[A]"][1] is None
+    assert "standard error of k/K[B] unavailable" in result.report()
+    either = sp.fit(dataclasses.replace(m, length=[15.0, 25.0, 36.0, 20.0]), EACH).verdicts["stiffness[B]"]
+    assert either.identifiability is Identifiability.SEVERAL_ROOTS
+    assert re.fullmatch(r"the data fit from 0\.00312\d? to 0\.0036\d? and 0\.60\d* to 0\.708", either.reason)
+
+
+def test_where_the_scatter_is_larger_than_sigma_one_stiffness_for_each_is_tried():
+    """A fit that is not rejected, of two specimens that differ by a little more than chance."""
+    table = two_specimens(length_sigma_mm=0.3).drop(columns="young_sigma_GPa")
+    table.loc[table.specimen == "B", "length_mm"] *= 1.022
+    result = sp.fit(table)
+    assert result.identifiability is Identifiability.IDENTIFIED
+    assert 1e-3 < result.p_value < 0.05
+    (step,) = [step for step in result.next_steps if "one stiffness for each" in step]
+    assert 'free=[sp.Parameter("stiffness", each="specimen")]' in step
+    assert not any("one stiffness" in step for step in sp.fit(two_specimens()).next_steps)
+
+
+def test_what_to_try_next_keeps_the_priors_of_the_fit():
+    prior = sp.Parameter("model_factor", prior=(1, 0.05))
+    result = sp.fit(two_specimens(), [EACH, prior])
+    (step,) = [step for step in result.next_steps if "share" in step]
+    kept = 'free=[sp.Parameter("stiffness", each="specimen"), sp.Parameter("model_factor", prior=(1, 0.05)), '
+    assert kept + 'sp.Parameter("young", prior=(3e+09, 2e+08))]' in step
+
+
+# --- how intervals were found -------------------------------------------------------------------------------------------
+
+
+def test_intervals_by_simulation_are_called_so(tmp_path):
+    """By default too, where valleys compete; and not those of counts, which no simulation has."""
+    near = sp.Measurements(30.0, 0.3, [27.0, 29.0, 30.0], 1.2)
+    by_default, asked = sp.fit(near), sp.fit(near, intervals="calibrated")
+    assert by_default.intervals == asked.intervals
+    for result in (by_default, asked):
+        assert result.calibrated
+        assert "95% interval (calibrated)" in result.report()
+    by_default.save(tmp_path / "fit.json")
+    assert sp.load_fit(tmp_path / "fit.json").calibrated
+    plain = sp.fit(lengths(), intervals="profile")
+    assert not plain.calibrated
+    assert "(calibrated)" not in plain.report()
+
+
+def test_a_block_without_the_like_of_a_slider_has_a_report(monkeypatch):
+    """Where no slider gives the lengths of a block, its fit says so instead of failing."""
+    result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
+
+    def never_stops(*_, **__):
+        raise ValueError("the front never stops anywhere in the range searched")
+
+    monkeypatch.setattr("slippulse_jax.inference.fit.fit", never_stops)
+    assert result.as_slider is None
+    assert "The same lengths with the slider: none gives them" in result.report()

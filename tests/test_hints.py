@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning
+from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
@@ -145,3 +147,15 @@ def test_a_slider_of_materials_is_checked_like_a_table(name, value, message):
     material = {"height": 0.02, "correlation_length": 1e-5, "areal_stiffness": 1e10, "poisson": 0.3, "young": 3e9}
     with pytest.raises(ValueError, match=message):
         sp.Slider.from_material(**(material | {name: value}))
+
+
+def test_a_prior_in_the_unit_of_the_table_is_named():
+    """Priors are in SI: 3 for a modulus that the table has as 3 GPa."""
+    table = sp.Measurements.from_si(
+        height=[0.025, 0.05], correlation_length=1e-5, poisson=0.3, length=[0.014, 0.0362], length_sigma=5e-4, young=3e9
+    )
+    with (
+        pytest.warns(MeasurementWarning, match=r"young = 3 Pa, where young says 3e\+09 Pa: is it in Pa\?"),
+        suppress(ValueError),
+    ):
+        sp.fit(table, [Parameter("areal_stiffness"), Parameter("young", prior=(3, 0.2))])

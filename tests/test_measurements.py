@@ -160,6 +160,8 @@ OR_REMARK = r"If not, give it another name\.$"
         ("H_mm,λc_um,ν,ℓ_mm", r"H_mm: did you mean height_mm\? Column λc_um: did .*\? Column ν: did you mean poisson\? Col"),
         ("H,ν,ℓ", r"column H: did you mean height\? Column ν: did you mean poisson\? Column ℓ: did you mean length\?$"),
         ("heigth,poisson,length", r"column heigth: did you mean height\?$"),
+        ("height,poisson,length,Block", rf"column Block: did you mean specimen\? {OR_REMARK}"),
+        ("height_cm,correlation_length_um,poisson,length_cm,Druckhöhe_cm", r"Druckhöhe_cm: did you mean push_height_cm\? If"),
     ],
 )
 def test_a_likely_name_is_suggested(tmp_path, header, message):

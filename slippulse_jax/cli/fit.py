@@ -34,9 +34,15 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     metavar="LOW HIGH",
     help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
 )
-@click.option("--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Gaussian prior of a parameter.")
-@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search.")
-@click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option(
+    "--prior",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=MEAN,DEVIATION",
+    help="Gaussian prior of a parameter, in SI.",
+)
+@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
+@click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")
 @click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
 @click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="Loss function.")
 @click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Take σ as given, or only the ratios of σ.")

@@ -43,6 +43,9 @@ SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is supposed to be pushed where the table does not say, over H."""
 
+OF_A_SPECIMEN = ("height", "push_height")
+"""Inputs that are measured of each specimen by itself."""
+
 BOTH_WAYS = np.array([-1.0, 1.0])
 
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
@@ -163,6 +166,19 @@ def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> I
     else:
         low, high = value + BOTH_WAYS * np.hypot(ends - value, by)
     return Interval(float(low), float(high), False, False)
+
+
+def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: dict[str, Moved]) -> float | None:
+    """Standard error of the ratio of two stiffnesses with those of the inputs taken as exact; None where there is none.
+
+    What is measured of each specimen (`OF_A_SPECIMEN`) is as independent as they are; the rest moves both.
+    """
+    ratio, error = result.stiffness_ratios[labels]
+    if error is None or not all(label in one.slope for one in moved.values() for label in labels):
+        return None
+    above, below = (np.array([one.by(label) for one in moved.values()]) for label in labels)
+    own = np.array([name in OF_A_SPECIMEN for name in moved])
+    return float(np.hypot(error, ratio * np.linalg.norm(np.where(own, np.hypot(above, below), above - below))))
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:

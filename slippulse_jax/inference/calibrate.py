@@ -74,13 +74,7 @@ def calibrated(
     seed : int
         Of the simulations, `SIMULATIONS` per value looked at.
 
-    Raises
-    ------
-    ValueError
-        If there are more parameters, or data of another kind.
     """
-    if not can_be_calibrated(problem):
-        raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
     if problem.p == 1:
         return {0: _simulated(problem, levels, 0, _along(problem), seed)}
     if curves is None or cells is None:

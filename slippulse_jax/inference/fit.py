@@ -16,7 +16,7 @@ from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
-from slippulse_jax.inference.hints import slips
+from slippulse_jax.inference.hints import slips, slips_of_priors
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
@@ -135,7 +135,7 @@ def fit(
         Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
     measurements = measurements_of(measurements)
-    wanted = _wanted(free, bounds, fixed)
+    wanted = wanted_parameters(free, bounds, fixed)
     _warn_of_slips(measurements, wanted)
     body = body_of(measurements, event, body)
     if event is None:
@@ -156,6 +156,7 @@ def fit(
     errors = stated_sigma(measurements)
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(measurements, problem, scaled)
+    _check_calibrated(problem, intervals, scaled)
     request = {
         "free": wanted,
         "loss": loss,
@@ -195,9 +196,10 @@ def fit(
     # counts at odds are named; how deep the search came into that misfit says nothing
     lost = [] if counts else [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
     verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
+    simulated = counts is None and _to_be_simulated(problem, intervals, scaled, minima, deviance, pieces, best)
     if counts is not None:
         verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
-    elif _to_be_simulated(problem, intervals, scaled, minima, deviance, {j: pieces[j] for j in asked}, best):
+    elif simulated:
         with _progress(problem) as shown:
             found = calibrated(shown, LEVELS, curves=curves, cells=cells, seed=seed)
         pieces = {j: one.intervals for j, one in found.items()}
@@ -224,11 +226,13 @@ def fit(
         attainable_at=longest_at,
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
+        calibrated=simulated,
     )
 
 
 def _warn_of_slips(m: Measurements, wanted: list[Parameter]) -> None:
-    for slip in slips(m, prestressed=any(one.name == "prestress" for one in wanted)):
+    prestressed = any(one.name == "prestress" for one in wanted)
+    for slip in (*slips(m, prestressed=prestressed), *slips_of_priors(m, wanted)):
         warnings.warn(slip, MeasurementWarning, stacklevel=3)
 
 
@@ -248,25 +252,25 @@ def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) 
         return {level: [p._replace(low=unit(p.low), high=unit(p.high)) for p in every] for level, every in found.items()}
 
     result = {name: converted(found, q.free[q.index(name)].value) for name, found in pieces.items()}
-    first, slope, ratio = next(iter(pieces)), q.inputs.log_stiffness.slope[0], common_ratio(q, best)
-    moves = q.index(first)
-    if ratio is not None and "stiffness" not in result and np.count_nonzero(slope) == 1 and slope[moves]:
+    moving, ratio = np.flatnonzero(q.inputs.log_stiffness.slope[0]), common_ratio(q, best)
+    if ratio is not None and "stiffness" not in result and len(moving) == 1 and q.names[moving[0]] in result:
+        moves = int(moving[0])
         factor = ratio / float(q.free[moves].value(best[moves]))
-        result["stiffness"] = converted(result[first], lambda x: x * factor)
+        result["stiffness"] = converted(result[q.names[moves]], lambda x: x * factor)
     return result
 
 
-def _wanted(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
+def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
+    """The parameters that the arguments of `fit` name, fitted or held."""
     free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
     if not free:
         raise ValueError("free = (): nothing to fit")
     wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
     if bounds is not None:
-        if not any("stiffness" in one.name for one in wanted):
+        bounded = ["stiffness" in one.name and one.value is None for one in wanted]
+        if not any(bounded):
             raise ValueError(f"bounds = {bounds}: these are bounds of the stiffness, which is not fitted")
-        wanted = [
-            Parameter(one.name, bounds, one.prior, one.each, one.value) if "stiffness" in one.name else one for one in wanted
-        ]
+        wanted = [dataclasses.replace(one, bounds=bounds) if own else one for one, own in zip(wanted, bounded, strict=True)]
     return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
 
 
@@ -286,6 +290,15 @@ def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
         )
     if not problem.exact_values:
         raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
+
+
+def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
+    if intervals != "calibrated":
+        return
+    if scaled:
+        raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
+    if not can_be_calibrated(problem):
+        raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
 
 
 def _rise(problem: Problem, scatter: Scatter | None) -> Rise:
@@ -392,8 +405,6 @@ def _to_be_simulated(
 ) -> bool:
     """Whether intervals and standard errors are to be found by simulation."""
     if intervals == "calibrated":
-        if scaled:
-            raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
         return True
     if intervals == "profile" or scaled or not can_be_calibrated(problem) or not minima:
         return False

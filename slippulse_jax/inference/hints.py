@@ -12,6 +12,7 @@ from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import (
+    PARAMETERS,
     STIFFNESSES,
     Body,
     Event,
@@ -22,7 +23,7 @@ from slippulse_jax.inference.parameters import (
     softest,
     stiffest,
 )
-from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, Identifiability
+from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, SCATTERED, Identifiability
 from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ LIKELY = (0.02, 1.2)
 """Lengths over the height that are usual."""
 SUSPECT = (0.01, 1.5)
 """Lengths over the height beyond which a unit is suspected."""
+FAR = 100.0
+"""Factor between a parameter and what the table states of it from which on a unit is suspected."""
 LENGTHENED = 5.0
 """Factor on that where something may lengthen fronts."""
 MUCH = 0.2
@@ -83,6 +86,18 @@ def slips(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
         yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
 
 
+def slips_of_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
+    """Name the parameters whose priors or values are far from what the table states: theirs are in SI."""
+    for one in wanted:
+        given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
+        if given is None or stated is None or not m.in_si or one.name not in ("young", "correlation_length"):
+            continue
+        unit = PARAMETERS[one.name].unit[1]
+        if max(given / stated.max(), stated.min() / given) > FAR:
+            column = m.columns.get(one.name, one.name)
+            yield f"{one.name} = {given:g} {unit}, where {column} says {stated[0]:.4g} {unit}: is it in {unit}?"
+
+
 def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     """Units of length in which a column would give usual lengths over the height."""
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
@@ -118,10 +133,12 @@ def next_steps(result: "FitResult") -> list[str]:
     """What to try next, each by its option: where the fit is rejected what its residuals suggest, else inputs to be shared.
 
     A fit that is richer by one thing is started from the best fit; it is offered where the data would be accepted, or χ² per
-    degree of freedom falls to a fifth, the best first.
+    degree of freedom falls to a fifth, the best first. Where the fit is not rejected, but the scatter larger than σ says, it is
+    offered where it no longer is.
     """
     if result.identifiability in GIVEN:
-        return list(_shared(result))
+        scattered = result.p_value is not None and result.p_value < SCATTERED and result.problem.plain
+        return [*(text for _, text in sorted(_richer(result) if scattered else [])), *_shared(result)]
     at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
@@ -164,7 +181,7 @@ def _of_a_block(result: "FitResult") -> list[str]:
     m = result.measurements
     if m.push_height is not None:
         return []
-    unit = "_mm" * m.in_si
+    unit = f"_{m.unit[1]}" * m.in_si
     return [f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"]
 
 
@@ -191,7 +208,8 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
         pattern = "the residuals of each specimen have one sign: " * all(len(one) == 1 for one in signs)
         option = m.option("--each-specimen stiffness", _as_argument(each))
         yield from _helps(result, each, f"{pattern or 'the specimens may differ: '}try one stiffness for each: {option}")
-    if "prestress" not in named and m.prestress is None and result.parameters.body == "slider":
+    plain = result.parameters.body == "slider" and not result.parameters.smooth
+    if plain and "prestress" not in named and m.prestress is None:
         pattern = f"{_trend(result)}: " * bool(_trend(result))
         more = [*wanted, Parameter("prestress")]
         command = " ".join(f"--free {one.name}" for one in _asked(more))
@@ -206,8 +224,16 @@ def _asked(wanted: list[Parameter]) -> list[Parameter]:
 
 def _as_argument(wanted: list[Parameter], *more: str) -> str:
     """The argument `free` of a fit of these parameters, by name, and of more."""
-    named = [f'sp.Parameter("{one.name}", each="specimen")' if one.each else f'"{one.name}"' for one in _asked(wanted)]
-    return f"free=[{', '.join([*named, *more])}]"
+    return f"free=[{', '.join([*map(_in_python, _asked(wanted)), *more])}]"
+
+
+def _in_python(one: Parameter) -> str:
+    """A parameter as it is written in Python."""
+    more = [f'each="{one.each}"'] if one.each else []
+    more += [
+        f"{name}=({given[0]:.6g}, {given[1]:.6g})" for name in ("prior", "bounds") if (given := getattr(one, name)) is not None
+    ]
+    return f'sp.Parameter("{one.name}", {", ".join(more)})' if more else f'"{one.name}"'
 
 
 def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
@@ -257,6 +283,7 @@ def _offered(result: "FitResult", deviance: float, more_dof: int, text: str) -> 
     dof = (result.testable_dof or 0) + more_dof
     if dof < 1:
         return
-    accepted = chdtrc(dof, deviance) >= IMPROBABLE
+    rejected = (result.p_value or 0.0) < IMPROBABLE
+    accepted = chdtrc(dof, deviance) >= (IMPROBABLE if rejected else SCATTERED)
     if accepted or deviance / dof < MUCH * result.deviance / (result.testable_dof or 1):
         yield deviance / dof, f"{text} (chi-squared {deviance:.3g} for {dof} degree{'s' * (dof > 1)} of freedom)"

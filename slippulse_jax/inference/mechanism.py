@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from slippulse_jax.inference.bootstrap import refitted, simulated
-from slippulse_jax.inference.fit import fit
+from slippulse_jax.inference.fit import fit, wanted_parameters
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.result import FitResult
@@ -101,8 +101,8 @@ def pulse_or_crack(
     if options.get("event") == "crack":
         raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
-    wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
-    pulse = fit(measurements, wanted, seed=seed, **options)
+    wanted = wanted_parameters(free, options.pop("bounds", None), options.pop("fixed", None))
+    pulse = fit(measurements, [one for one in wanted if one.name != "friction"], seed=seed, **options)
     of_crack: dict[str, Any] = {"event": "crack"}
     friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
     crack = fit(measurements, [*wanted, *friction], seed=seed, **(options | of_crack))

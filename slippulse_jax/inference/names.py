@@ -35,6 +35,9 @@ WORDS = {
     "elastizitätsmodul elastizitaetsmodul module_de_young module_d_young",
     "prestress": "phi vorspannung précontrainte precontrainte",
     "displacement": "verschiebung déplacement deplacement",
+    "push_height": "druckhöhe druckhoehe schubhöhe schubhoehe stoßhöhe stosshöhe angriffshöhe lasthöhe hauteur_de_poussée "
+    "hauteur_d'appui load_height loading_height indenter_height",
+    "specimen": "block blocks specimens sample probe probekörper prüfkörper échantillon echantillon éprouvette eprouvette bloc",
 }
 """Words and spelled symbols of a quantity, in English, German and French."""
 

@@ -183,6 +183,8 @@ class Parameter:
             count = 1 if key == "value" else 2
             if given is not None and not (len(each) == count and all(map(_is_number, each))):
                 raise ValueError(f"parameter {self.name}: {key} = {given!r}: must be {wanted}")
+        if self.value is not None and (self.prior, self.bounds, self.each) != (None, None, None):
+            raise ValueError(f"parameter {self.name}: held by `value`, so that a prior, bounds and `each` have no effect")
 
 
 class Free(NamedTuple):

@@ -9,7 +9,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import fdtri, ndtri
+from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.optimise import minimise
@@ -50,9 +50,7 @@ class Rise:
     def __call__(self, level: float, parameters: int = 1) -> float:
         """Rise of D for this level; 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ."""
         if self.dof is None:
-            if parameters == 1:
-                return self.factor * float(ndtri((1 + level) / 2)) ** 2
-            return self.factor * -2 * float(np.log1p(-level)) if parameters == 2 else np.nan
+            return self.factor * float(chdtri(parameters, 1 - level))
         f = parameters * float(fdtri(parameters, self.dof, level))
         if self.fitted_variance is None:
             return self.factor * f

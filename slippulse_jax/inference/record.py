@@ -131,6 +131,7 @@ def _search(result: "FitResult") -> dict[str, Any]:
         "unconverged": result.unconverged,
         "between_contacts": result.between_contacts,
         "complete": result.complete,
+        "calibrated": result.calibrated,
     }
 
 

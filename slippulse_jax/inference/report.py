@@ -7,12 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtr
 
-from slippulse_jax.inference.budget import GIVEN, push_is_unstated, shares_errors, total, total_interval
+from slippulse_jax.inference.budget import (
+    GIVEN,
+    OF_A_SPECIMEN,
+    Moved,
+    push_is_unstated,
+    shares_errors,
+    total,
+    total_interval,
+    total_of_ratio,
+)
 from slippulse_jax.inference.hints import of_attainable, slips
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, Identifiability, gravest
+from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
 from slippulse_jax.shown import html
 from slippulse_jax.theory import rebreaking_b
 
@@ -25,8 +34,6 @@ CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation from which on one is shown, and how many are."""
 MOST_RATIOS = 6
 """Ratios of stiffnesses up to which those of all pairs of specimens are shown."""
-SCATTERED = 0.05
-"""Probability of χ², or of the largest pull, below which it is remarked on."""
 PULLED = 1.0
 """Pull, in the stated error of an input, below which none is remarked on: it hardly moves the result."""
 UNEVEN = 0.2
@@ -128,7 +135,7 @@ def _values(result: "FitResult") -> list[str]:
         by_level = intervals.get(name, {})
         for level, pieces in by_level.items():
             text = " or ".join(interval(piece, value, narrow) for piece in pieces)
-            how = " (calibrated)" if result.request["intervals"] == "calibrated" else ""
+            how = " (calibrated)" * result.calibrated
             if text or any(by_level.values()):
                 rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text or 'none'}")
         if (
@@ -143,8 +150,10 @@ def _values(result: "FitResult") -> list[str]:
             rows.append(f"  {'':{width}s} {own.identifiability.value}{reason}")
     if "stiffness" not in result.values:
         rows.append(f"  {'k/K':{width}s} {_ratios(result)}")
-    if any(result.stderrs[name] is None for name in result.names):
-        rows.append("  standard error unavailable, for the reason above; the value is the one of highest likelihood")
+    without = [name for name in result.names if result.stderrs[name] is None]
+    if without:
+        of = f" of {', '.join(shown[name][0] for name in without)}" * (len(without) < len(result.names))
+        rows.append(f"  standard error{of} unavailable, for the reason above; the value is the one of highest likelihood")
     return rows
 
 
@@ -158,16 +167,22 @@ def _ratios(result: "FitResult") -> str:
 
 
 def _of_specimens(result: "FitResult") -> list[str]:
-    """Stiffness of one specimen over another's; of many specimens, over the first's alone."""
-    found = {labels: one for labels, one in result.stiffness_ratios.items() if one[1] is not None}
-    if len(found) > MOST_RATIOS:
-        first = result.names[0]
-        found = {(above, below): one for (above, below), one in found.items() if below == first}
-    rows = [
-        f"    {above.partition('[')[2][:-1]} over {below.partition('[')[2][:-1]} = {value_with_error(*one)}"
-        for (above, below), one in found.items()
-    ]
+    """Stiffness of one specimen over another's."""
+    found = result.stiffness_ratios
+    rows = [f"    {_over(labels)} = {value_with_error(*found[labels])}" for labels in _shown_ratios(result)]
     return ["  ratios of these stiffnesses, from which errors that both share cancel:", *rows] if rows else []
+
+
+def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
+    """The ratios that have an error; of many specimens, those to the first alone."""
+    found = {labels: ratio for labels, (ratio, error) in result.stiffness_ratios.items() if error is not None}
+    many, first = len(found) > MOST_RATIOS, result.names[0]
+    return {labels: ratio for labels, ratio in found.items() if not many or labels[1] == first}
+
+
+def _over(labels: tuple[str, str]) -> str:
+    """``B over A`` of the labels of two stiffnesses."""
+    return " over ".join(label.partition("[")[2][:-1] for label in labels)
 
 
 def _narrowest(by_level: dict[float, list[Interval]]) -> float:
@@ -200,7 +215,7 @@ def _inputs(result: "FitResult") -> list[str]:
     if not pulls:
         return []
     priors = [(one.name, one.prior_mean, one.prior_sigma) for one, _, _ in pulls if one.name != "arrest"]
-    each = ", for each specimen on its own" * (len(set(priors)) < len(priors))
+    each = ", inputs for each specimen on its own" * (len(set(priors)) < len(priors))
     rows, shown = [f"  what has an error of its own, fitted beside{each}:"], _shown(result)
     for one, t, pull in pulls:
         stated = value_with_error(
@@ -376,7 +391,16 @@ def _budget(result: "FitResult") -> list[str]:
         ends = "" if wide is None or even else f", 68 % interval {_shown_interval(result, name, wide)}"
         if whole is not None or ends:
             lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip() + ends)
+    for labels, ratio in _shown_ratios(result).items():
+        whole = total_of_ratio(result, labels, moved)
+        lines += [f"  with these, {_over(labels)} = {value_with_error(ratio, whole)} ({_kept_apart(moved)})"]
     return lines
+
+
+def _kept_apart(moved: dict[str, Moved]) -> str:
+    """Which errors of inputs two specimens share."""
+    own = [INPUTS[name] for name in moved if name in OF_A_SPECIMEN]
+    return f"{' and '.join(own)} of each specimen on its own, the rest shared" if own else "all shared"
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
@@ -393,7 +417,7 @@ def _bodies(result: "FitResult") -> list[str]:
     """What the choice of a body is worth: the stiffness that the same lengths give with the paper's slider."""
     slider = result.as_slider
     if slider is None:
-        return []
+        return ["", "The same lengths with the slider: none gives them"] if result.parameters.body == "block" else []
     rows = ["", "The same lengths with"]
     for name in result.names:
         if any(name.startswith(one) for one in STIFFNESSES):
@@ -642,9 +666,10 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
     if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
         factor = np.sqrt(result.deviance / (result.testable_dof or 1))
+        relative = result.measurements.option("--sigma relative", 'sigma="relative"')
         yield (
             f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
-            "sigma = 'relative' takes its size from the scatter"
+            f"its size is taken from the scatter by {relative}"
         )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
@@ -682,12 +707,14 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
 def _of_shape(result: "FitResult") -> Iterator[str]:
     """Parameters whose 68 % interval is another one than value ± standard error."""
     for name in result.names:
+        if math.isfinite(result.parameters.free[result.parameters.index(name)].prior_sigma):
+            continue  # an input, of which the user has said what is known
         pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
         by = _sides(result.values[name], result.stderrs[name], pieces[0]) if len(pieces) == 1 else None
         if by is None or max(abs(x - 1) for x in by) <= UNEVEN:
             continue
         why = "the likelihood is not parabolic"
-        if result.request["intervals"] == "calibrated":
+        if result.calibrated:
             why = "the interval is that of simulated measurements"
         elif result.rise.dof is not None and max(by) / min(by) < 1 + UNEVEN:
             why = f"the size of σ is known from {_plural(result.dof, 'degree')} of freedom only"

@@ -28,7 +28,7 @@ from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
 from slippulse_jax.lattice.lengths import arrests
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
+from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.theory import block_decay_length
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ class FitResult:
     attainable_at: np.ndarray  # k/K where
     between_contacts: np.ndarray | None  # |ℓ − ℓ*| of each length in λc, added to σ in quadrature; None where it is small
     complete: bool  # whether the search left no part of the range unresolved
+    calibrated: bool  # whether the intervals are those of simulated measurements
 
     @property
     def parameters(self) -> ParameterSet:
@@ -151,10 +152,13 @@ class FitResult:
         return {one.label: float(one.value(t)) for one, t in zip(self.parameters.free, self.theta, strict=True) if one.nuisance}
 
     @functools.cached_property
+    def _at_best(self) -> Minimum:
+        return describe(self.problem, self.theta, self.deviance)
+
+    @property
     def covariance(self) -> np.ndarray | None:
         """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
-        one = describe(self.problem, self.theta, self.deviance)
-        return None if one.singular.any() else one.covariance
+        return None if self._at_best.singular.any() else self._at_best.covariance
 
     @property
     def scaled(self) -> bool:
@@ -171,19 +175,18 @@ class FitResult:
     def stderrs(self) -> dict[str, float | None]:
         """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
         q, sound, values = self.parameters, Identifiability.IDENTIFIED, self.values
+        covariance, singular = self._at_best.covariance, self._at_best.singular
         found: dict[str, float | None] = dict.fromkeys(values)
-        if self.covariance is None:
-            return found
         for name, verdict in self.verdicts.items():
-            if verdict.identifiability is sound:
-                j = q.index(name)
-                found[name] = float(np.sqrt(self.covariance[j, j])) * (values[name] if q.free[j].log else 1.0)
+            j = q.index(name)
+            if verdict.identifiability is sound and not singular[j]:
+                found[name] = float(np.sqrt(covariance[j, j])) * (values[name] if q.free[j].log else 1.0)
         slope = q.inputs.log_stiffness.slope[0]
         if "stiffness" in values and "stiffness" not in self.verdicts:
             # of k/K, where λc and E may have errors too
             moving = [v.identifiability for name, v in self.verdicts.items() if slope[q.index(name)]]
-            if all(one is sound for one in moving):
-                found["stiffness"] = values["stiffness"] * float(np.sqrt(slope @ self.covariance @ slope))
+            if all(one is sound for one in moving) and not singular[slope != 0].any():
+                found["stiffness"] = values["stiffness"] * float(np.sqrt(slope @ covariance @ slope))
         return found
 
     @property
@@ -211,8 +214,9 @@ class FitResult:
         for i, j in itertools.combinations(each, 2):
             above, below = q.names[j], q.names[i]
             ratio, error = float(np.exp(self.theta[j] - self.theta[i])), None
-            if self.covariance is not None and None not in (errors[above], errors[below]):
-                variance = self.covariance[i, i] + self.covariance[j, j] - 2 * self.covariance[i, j]
+            if None not in (errors[above], errors[below]):
+                covariance = self._at_best.covariance
+                variance = covariance[i, i] + covariance[j, j] - 2 * covariance[i, j]
                 error = ratio * float(np.sqrt(variance))
             found[above, below] = ratio, error
         return found
@@ -231,7 +235,7 @@ class FitResult:
 
     @functools.cached_property
     def regime(self) -> Regime:
-        """B and 1/κ_2 of each measurement at the best fit."""
+        """Find b and 1/κ_2 of each measurement at the best fit."""
         return regime(self.parameters.inputs_at(self.theta))
 
     @property
@@ -262,14 +266,20 @@ class FitResult:
 
     @functools.cached_property
     def as_slider(self) -> "FitResult | None":
-        """The same fit with the paper's slider for the body, of a fit of a block; None where the body is one."""
+        """The same fit with the paper's slider for the body, of a fit of a block.
+
+        None where the body is a slider, and where no slider gives these lengths.
+        """
         if self.parameters.body == "slider":
             return None
         from slippulse_jax.inference.fit import fit  # which makes results
 
         asked = {name: value for name, value in self.request.items() if name not in ("event", "body")}
         free = [one for one in asked.pop("free") if one.name != "push_height"]
-        return fit(self.measurements, free, body="slider", **asked)
+        try:
+            return fit(self.measurements, free, body="slider", **asked)
+        except (ValueError, NotConverged):
+            return None
 
     @functools.cached_property
     def further(self) -> list[Further]:
@@ -402,6 +412,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
         attainable_at=finite_or_inf([one["attainable_at_stiffness"] for one in content["measurements"]]),
         between_contacts=between,
         complete=found["complete"],
+        calibrated=found.get("calibrated", False),
     )
 
 
@@ -416,8 +427,8 @@ def root_of(problem: Problem, one: Minimum) -> Root:
     values = {p.label: float(p.value(t)) for p, t in zip(q.free, one.theta, strict=True) if not p.nuisance}
     errors: dict[str, float | None] = dict.fromkeys(values)
     for j, p in enumerate(q.free):
-        if not (p.nuisance or one.singular[j]):
-            spread = float(np.sqrt(one.covariance[j, j]))
+        spread = float(np.sqrt(one.covariance[j, j]))
+        if not (p.nuisance or one.singular[j]) and spread <= p.high - p.low:
             errors[p.label] = spread * (values[p.label] if p.log else 1.0)
     return Root(values, errors, one.theta, one.deviance, one.covariance, q.inputs_at(one.theta))
 
@@ -439,7 +450,7 @@ def common_ratio(q: ParameterSet, theta: np.ndarray) -> float | None:
 
 
 def regime(inputs: Inputs) -> Regime:
-    """B and 1/κ_2 of each row of the inputs."""
+    """Find b and 1/κ_2 of each row of the inputs."""
     with jax.enable_x64(True):
         slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
         k1, k2, a1, a2 = (np.asarray(x) for x in (slider.kappa_1, slider.kappa_2, slider.alpha_1, slider.alpha_2))

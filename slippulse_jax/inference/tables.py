@@ -309,10 +309,11 @@ def _refuse_misnamed(unknown: list[str], header: list[str], where: str) -> None:
     Symbols and words of other languages are always refused. A name that is only like a known one is refused if it has a unit,
     or if the known one is required.
     """
-    guesses = {own: meant(own, {**_QUANTITIES, **_PLAIN}) for own in unknown[:MOST_GUESSED]}
+    guesses = {own: meant(own, {**_QUANTITIES, **_PLAIN, "specimen": None}) for own in unknown[:MOST_GUESSED]}
     plain = any(column in _PLAIN for column in header)
     in_si = not plain and (any(column in _SI for column in header) or any(guess.unit for guess in guesses.values()))
     form = {meaning.quantity: (column, meaning) for column, meaning in {**_BOTH, **(_SI if in_si else _PLAIN)}.items()}
+    form["specimen"] = ("specimen", _Column("specimen"))
     said = []
     for own, guess in guesses.items():
         lacking = [one for one in guess.quantities if one in form and form[one][0] not in header]

@@ -15,6 +15,8 @@ from slippulse_jax.inference.search import Minimum
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
 """Probability of χ² under which model and σ together are said not to describe the data."""
+SCATTERED = 0.05
+"""Probability of χ², or of the largest pull, below which it is remarked on."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
 PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
 
@@ -129,8 +131,9 @@ def _no_scatter(j: int, e: Evidence, _: dict) -> Verdict | None:
     )
 
 
-def _singular(j: int, e: Evidence, _: dict) -> Verdict | None:
-    if e.problem.p > 1 and e.roots and e.roots[0].singular[j]:
+def _singular(j: int, e: Evidence, intervals: dict) -> Verdict | None:
+    bounded = any(not (piece.open_low and piece.open_high) for piece in intervals[LEVELS[-1]])
+    if e.problem.p > 1 and e.roots and e.roots[0].singular[j] and not bounded:
         return Verdict(Identifiability.UNINFORMATIVE, undetermined(e.problem, e.best))
     return None
 
@@ -196,7 +199,11 @@ def _wrinkle(j: int, e: Evidence) -> float:
 
 def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:
     if not e.roots or e.roots[0].singular[j]:
-        return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
+        one, ranges = e.problem.parameters.free[j], intervals[LEVELS[-1]]
+        if len(ranges) < 2:
+            return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
+        named = " and ".join(f"{one.value(piece.low):.4g} to {one.value(piece.high):.4g}" for piece in ranges)
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {named} {one.unit}".rstrip())
     covariance = e.roots[0].covariance
     pieces = intervals[LEVELS[0]]
     if not pieces:
