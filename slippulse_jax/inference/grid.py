@@ -51,9 +51,19 @@ class Grid:
 
     def _at(self, nodes: Int[np.ndarray, "n d"]) -> Float[np.ndarray, "n m"]:
         """Values at nodes, computing those that are not known yet, all at once."""
-        distinct, own = np.unique(nodes, axis=0, return_inverse=True)
+        distinct, own = distinct_rows(nodes)
         keys = list(map(tuple, distinct.tolist()))
         new = [key for key in keys if key not in self.known]
         if new:
             self.known.update(zip(new, self.compute(np.array(new) * self.spacing), strict=True))
-        return np.array([self.known[key] for key in keys])[own.ravel()]
+        return np.array([self.known[key] for key in keys])[own]
+
+
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows, and which of them each row is: by a hash of the bits of a row, several times as fast as sorting rows."""
+    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
+        different, own = np.unique(rows, axis=0, return_inverse=True)
+        return different, own.ravel()
+    return rows[first], own

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.events import whole_over_front
+from slippulse_jax.inference.grid import distinct_rows
 from slippulse_jax.inference.parameters import STIFFNESSES, Event, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack
@@ -219,16 +220,6 @@ def by_differences(
     return Prediction(value[own], slopes)
 
 
-def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows, and which of them each row is: by a hash of the bits of a row, ten times as fast as sorting rows."""
-    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
-    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
-    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
-        different, own = np.unique(rows, axis=0, return_inverse=True)
-        return different, own.ravel()
-    return rows[first], own
-
-
 def displacements(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
     """Displacement of the pushed edge at nucleation, in u_s = f_s/k; exact derivatives."""
     return _at_nucleation(0, inputs, wanted)
@@ -427,10 +418,10 @@ def attainable_of(
             low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
     # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
     inputs = inputs.of_front
-    distinct, own = np.unique(np.column_stack([inputs.table(), low, high]), axis=0, return_inverse=True)
+    distinct, own = distinct_rows(np.column_stack([inputs.table(), low, high]))
     given = Inputs.from_table(inputs.names, distinct[:, :-2])
     longest, where = longest_length(given, distinct[:, -2], distinct[:, -1], parameters.event)
-    return longest[own.ravel()], np.exp(where[own.ravel()])
+    return longest[own], np.exp(where[own])
 
 
 def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray, event: Event = "domino") -> tuple[np.ndarray, np.ndarray]:

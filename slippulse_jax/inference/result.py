@@ -16,6 +16,7 @@ from slippulse_jax.inference.bayes import posterior
 from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
+from slippulse_jax.inference.grid import distinct_rows
 from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
@@ -470,6 +471,6 @@ def recursion_status(inputs: Inputs) -> np.ndarray:
         return crack_status(inputs)
     if inputs.log_push is not None:
         return np.where(block_lengths(inputs)[0] > 0, Outcome.ARRESTED, Outcome.NO_DOMINO)
-    distinct, own = np.unique(inputs.table(), axis=0, return_inverse=True)
+    distinct, own = distinct_rows(inputs.table())
     slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
-    return np.asarray(arrests(slider, interface, ends=ends).status)[own.ravel()]
+    return np.asarray(arrests(slider, interface, ends=ends).status)[own]

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slippulse_jax.inference.grid import distinct_rows
 from slippulse_jax.inference.likelihood import Evaluation, Problem
-from slippulse_jax.inference.model import attainable_of, distinct_rows
+from slippulse_jax.inference.model import attainable_of
 from slippulse_jax.inference.optimise import Convergence, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES
 
