@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import slippulse_jax as sp
 from slippulse_jax import Measurements, fit, read_measurements
-from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning
 from slippulse_jax.inference.tables import from_dataframe, measurements_of
 
 SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
@@ -267,3 +268,22 @@ def test_a_fit_takes_a_path_and_gives_a_dataframe(tmp_path):
     assert again.measurements.place(1) == "table, row two"
     assert (list(again.to_dataframe().row), list(table.line)) == (["one", "two"], [2, 3])
     assert "<th>row</th>" in again.measurements._repr_html_()
+
+
+def test_what_design_and_recovery_do_not_use_is_said():
+    """Errors of inputs change the error of a fit; knowledge from the same table is without them, and says so."""
+    m = Measurements(30.0, 0.3, 20.0, 0.5, height_sigma=5.0, provenance=["measured"])
+    with pytest.warns(
+        MeasurementWarning, match="design takes the inputs as exact .* without height_sigma, what lengths of prov"
+    ):
+        known = sp.Knowledge.from_measurements(m)
+    plain = sp.Knowledge.from_measurements(Measurements(30.0, 0.3, 20.0, 0.5))
+    assert known.log_sd == plain.log_sd
+    with pytest.raises(MeasurementError, match="column push_height: recover_profile takes sliders"):
+        sp.recover_profile(Measurements([30.0, 40.0], 0.3, [20.0, 25.0], 0.5, push_height=[3.0, 4.0]), stiffness=0.01)
+
+
+@pytest.mark.parametrize("row", [0.7, np.nan])
+def test_a_gauge_is_of_a_whole_row(row):
+    with pytest.raises(MeasurementError, match="gauges, column row: (0.7|nan): must be the number of a measurement"):
+        Gauges(row=[row], position=[1.0], slip=[0.1], slip_sigma=[0.01])

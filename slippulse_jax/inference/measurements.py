@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -90,6 +91,9 @@ class Gauges:
 
     def __post_init__(self) -> None:
         set_columns(self, GAUGE_COLUMNS)
+        if not (self.row == np.round(self.row)).all():
+            i = int(np.argmax(self.row != np.round(self.row)))
+            raise MeasurementError(f"{self.source}, column row: {self.row[i]:g}: must be the number of a measurement")
         object.__setattr__(self, "row", self.row.astype(int))
         for name in READINGS:
             if getattr(self, name) is not None and getattr(self, f"{name}_sigma") is None:
@@ -416,11 +420,20 @@ class Measurements:
         return np.zeros(len(self)) if column is None else column
 
 
-def refuse_ends(m: Measurements, what: str) -> None:
-    """Refuse blocks that end and machines that give way, for what takes neither into account."""
+def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
+    """Refuse blocks that end and machines that give way, for what takes neither into account, and warn of other columns.
+
+    Errors of inputs, those that measured lengths share, and gauges would have changed the errors of the result.
+    """
     for name in ("block_length", "machine_stiffness"):
         if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
             raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
+    errors = [f"{name}_sigma" for name in ("height", "young", "poisson", "correlation_length", "push_height")]
+    unused = [m.columns.get(name, name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
+    unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
+    if unused:
+        text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
+        warnings.warn(text, MeasurementWarning, stacklevel=stacklevel)
 
 
 def set_columns(table: Any, names: Sequence[str]) -> list[str]:

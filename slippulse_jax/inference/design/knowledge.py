@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import data_log_density
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, refuse_ends
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import STIFFNESSES, Body, Inputs, body_of, pushed_at, ratio_per_unit, softest, stiffest
 from slippulse_jax.lattice.events import Event, check_event
@@ -151,6 +151,7 @@ class Knowledge:
             If standard errors are missing, the data are in SI without Young's modulus, or no stiffness gives the data.
         """
         m = measurements
+        check_used(m, "design")
         if m.in_si and m.young is None:
             raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
         ratio, body = ratio_per_unit(m), body_of(m, None, None)
@@ -252,7 +253,6 @@ class Knowledge:
 
 def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, body: Body, event: Event = "domino") -> np.ndarray:
     """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
-    refuse_ends(m, "design")
     sigma = m.sigma
     if not np.isfinite(sigma).all():
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")

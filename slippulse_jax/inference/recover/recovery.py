@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, refuse_ends
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.recover.events import blocks, follow, fronts
 from slippulse_jax.inference.recover.inversion import LEVEL, Found, Problem, Smoothness, mixture, quantile, search
 from slippulse_jax.inference.recover.model import Kind, Look, profile_model
@@ -320,7 +320,11 @@ def _check(
 
 def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     """Lengths and standard errors in λc."""
-    refuse_ends(m, "recover_profile")
+    check_used(m, "recover_profile", stacklevel=4)
+    if m.push_height is not None:
+        raise MeasurementError(
+            f"{m.source}, column {m.columns.get('push_height', 'push_height')}: recover_profile takes sliders"
+        )
     if m.length_sigma is None or not np.isfinite(m.length_sigma).all():
         raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
     kinds = np.array(m.kind)
