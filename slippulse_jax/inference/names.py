@@ -50,7 +50,8 @@ _ERROR = re.compile(
 )
 _BETWEEN = re.compile(r"[\s()\[\]{}/.,:-]+")
 _UNITS = {unit.casefold().replace("µ", "μ"): unit.replace("µ", "u") for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS)}
-_NOT_READ = ("in", "inch", "ft", "dm", "km", "psi", "n", "kn")
+_PER = re.compile(r"_(k?n_per_m{1,2})$", re.IGNORECASE)
+_NOT_READ = ("in", "inch", "ft", "dm", "km", "psi", "n", "kn", "n_per_m", "kn_per_m", "n_per_mm", "kn_per_mm")
 ALIKE = 0.8
 """Likeness, by difflib, from which on a name is taken for a typing error."""
 LONGEST = 60
@@ -76,12 +77,13 @@ def meant(column: str, known: Iterable[str]) -> Meant:
     if len(column) > LONGEST:
         return Meant()
     name = _BETWEEN.sub("_", normalize("NFKC", column)).strip("_")
-    rest, _, last = name.rpartition("_")
-    unit = _UNITS.get(last.casefold(), last if last.casefold() in _NOT_READ else "") if rest else ""
-    if unit:
-        name = rest.removesuffix("_in")
     word = _ERROR.sub("", name).strip("_")
     error = "_sigma" * (word != name)
+    per = _PER.search(word)
+    rest, _, last = (word[: per.start()], "", per[1]) if per else word.rpartition("_")
+    unit = _UNITS.get(last.casefold(), last if last.casefold() in _NOT_READ else "") if rest or error else ""
+    if unit:
+        word = rest.removesuffix("_in")
     known = list(known)
     folded = word.casefold()
     found = SYMBOLS.get(word) or _MEANT.get(folded) or ((folded,) if folded in known else ())

@@ -104,28 +104,6 @@ _PLAIN = {
 _QUANTITIES = {meaning.quantity: column for column, meaning in {**_BOTH, **_SI}.items()}
 MOST_GUESSED = 50
 """Unknown columns of which a meaning is sought."""
-_UNITS = {
-    "m",
-    "dm",
-    "cm",
-    "mm",
-    "um",
-    "µm",
-    "nm",
-    "in",
-    "pa",
-    "kpa",
-    "mpa",
-    "gpa",
-    "psi",
-    "n_per_m",
-    "kn_per_m",
-    "n_per_mm",
-    "n",
-}
-"""Units by which an unknown column counts as a misnamed quantity: refused, not kept as a remark."""
-_ERROR = re.compile(r"_(error|err|std|sd|stderr|uncertainty)(?=_|$)", flags=re.IGNORECASE)
-"""Other words for a standard error."""
 _TEXT = ("specimen", "provenance", "kind", "label", "push_control")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
@@ -257,7 +235,6 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
         meant = folded.get(column.casefold(), column)
         if meant != column and meant not in header:
             raise MeasurementError(f"{where}, column {column}: did you mean {meant}? Upper and lower case count in units")
-    _refuse_other_units(header, where)
     only_si = [column for column in _SI if column in header]
     only_plain = [column for column in _PLAIN if column in header]
     if only_si and only_plain:
@@ -285,22 +262,6 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
         for own, column, factor in zip(given, header, factors, strict=True)
         if column in known
     }
-
-
-def _refuse_other_units(header: list[str], where: str) -> None:
-    """A known quantity in a unit that is not read, or without one, must not pass for a column of remarks."""
-    stems = {meaning.quantity: column for column, meaning in _SI.items()} | {"sigma": "length_sigma_mm"}
-    for column in [column for column in header if column not in {*_SI, *_PLAIN, *_BOTH}]:
-        sigma = _ERROR.sub("_sigma", column)
-        known = _ALIASES.get(sigma, (sigma,))[0]
-        if sigma != column and known not in header and known in {*_SI, *_PLAIN, *_BOTH}:
-            raise MeasurementError(f"{where}, column {column}: did you mean {sigma}?")
-        for stem, known in stems.items():
-            if column == stem or column.startswith(f"{stem}_") and column.removeprefix(f"{stem}_").casefold() in _UNITS:
-                plain = known.removesuffix("_mm")
-                other = f", or {plain} in λc" if plain in _PLAIN else ""
-                unread = "? This unit is not converted" if column.removeprefix(f"{stem}_") not in UNITS_OF_LENGTH else "?"
-                raise MeasurementError(f"{where}, column {column}: did you mean {known}{other}{unread}")
 
 
 def _refuse_misnamed(unknown: list[str], header: list[str], where: str) -> None:
