@@ -24,6 +24,7 @@ from slippulse_jax.inference.parameters import (
     stiffest,
 )
 from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, SCATTERED, Identifiability
+from slippulse_jax.theory import length_ceiling
 from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domin
     plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any() and event != "crack":
         poisson = m.poisson[plateau][0]
-        ceiling = np.sqrt(2 * (1 + poisson)) * np.log(2)
+        ceiling = float(length_ceiling(poisson))
         of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
         yield (
             f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "

@@ -258,8 +258,7 @@ def _roots(result: "FitResult") -> list[str]:
 
 
 def _quality(result: "FitResult") -> str:
-    plain = set(result.measurements.kind) == {"length"} and result.problem.loss.name == "normal"
-    name = "chi-squared" if plain and result.parameters.discrepancy is None else "deviance"
+    name = "chi-squared" if result.problem.plain else "deviance"
     if result.scaled and result.identifiability is Identifiability.NO_SCATTER:
         return "Fit: no size of errors is taken from the scatter: there is none"
     if result.scaled:

@@ -32,17 +32,12 @@ from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.status import Outcome
 
-MOTION_OUTCOMES = (Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.TIME_OVER, Outcome.INVALID)
-"""Possible outcomes of a simulation.
-
-In this order: at rest, the last contact broke, still moving at the end, invalid.
-"""
-
 
 class Motion(NamedTuple):
     """Final state and energies of a simulation.
 
-    Displacements are in u_s, times in √(m/K), energies in K u_s².
+    Displacements are in u_s, times in √(m/K), energies in K u_s². The status is an `Outcome`: ARRESTED (at rest), RAN_THROUGH
+    (the last contact broke), TIME_OVER (still moving at the end) or INVALID.
     """
 
     state: State

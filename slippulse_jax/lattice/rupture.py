@@ -44,25 +44,12 @@ from slippulse_jax.status import Outcome
 BREAKS_PER_SITE = 20
 """Default limit on the breaks of a rupture, per site."""
 
-RUPTURE_OUTCOMES = (
-    Outcome.ARRESTED,
-    Outcome.NOTHING_BROKE,
-    Outcome.RAN_THROUGH,
-    Outcome.LIMIT,
-    Outcome.SINGULAR,
-    Outcome.NOT_CONVERGED,
-    Outcome.INVALID,
-)
-"""Possible outcomes of a rupture.
-
-`RAN_THROUGH` in a semi-infinite chain means that more sites must be resolved.
-"""
-
 
 class Rupture(NamedTuple):
     """Record of one rupture.
 
-    Displacements are in u_s, stresses in σ_s, energy in K u_s².
+    Displacements are in u_s, stresses in σ_s, energy in K u_s². The status is an `Outcome`: ARRESTED, NOTHING_BROKE,
+    RAN_THROUGH (in a semi-infinite chain more sites must then be resolved), LIMIT, SINGULAR, NOT_CONVERGED or INVALID.
     """
 
     state: State  # after the rupture
