@@ -16,8 +16,10 @@ from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.inference.blocks import block_grid, block_lengths
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request
+from slippulse_jax.inference.result import recursion_status
 from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.lattice.blocks import tall_length
+from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,6 +107,64 @@ def test_soft_blocks_have_no_precursor():
     for height in (400.0, 4000.0):
         lengths = [float(sp.precursor_length(sp.Block(height, b / (2.6 * height), 0.3), sites=1024)) for b in (0.0117, 0.0134)]
         assert lengths[1] > 3 * lengths[0]
+
+
+def at_prestress(height, b, push, prestress):
+    return sp.Block(height, b / (2.6 * height), 0.3, sp.Push(push)), sp.Interface(prestress)
+
+
+@pytest.mark.parametrize(
+    ("b", "push", "prestress", "known"),
+    # every contact of a block of H/λc = 5000; of 3000; the limit by 240 and 480
+    [(10.0, 0.1, 0.4, 1.1969), (1.0, 0.1, 0.55, 1.606), (1.0, 0.1, 0.53, 1.07)],
+)
+def test_prestressed_tall_blocks_have_the_length_of_every_contact(b, push, prestress, known):
+    """Known values followed every contact, up to 8192."""
+    found, off = tall_length(*at_prestress(5000.0, b, push, prestress))
+    assert float(found) / 5000 == pytest.approx(known, rel=0.025)
+    assert float(off) < 0.03 * float(found)
+
+
+@pytest.mark.parametrize(("b", "prestress"), [(10.0, 0.5), (10.0, 0.53), (10.0, 0.6), (10.0, 0.8), (1.0, 0.56)])
+def test_tall_blocks_whose_event_does_not_stop_are_refused(b, prestress):
+    """Coarser contacts would stop it: after 2.1, 2.9, 3.9, 0 and 1.4 heights."""
+    with pytest.raises(ValueError, match=r"the event of Block\(height=5000.* farther than can be followed; .* may never stop"):
+        sp.precursor_length(*at_prestress(5000.0, b, 0.1, prestress))
+
+
+def test_a_tall_block_on_falling_thresholds_is_refused():
+    """Its length was NaN."""
+    block, _ = at_prestress(5000.0, 1.0, 0.1, 0.0)
+    with pytest.raises(ValueError, match="reaches beyond 16 heights, farther .* falling thresholds"):
+        sp.precursor_length(block, sp.Interface(0.0, -1e-4))
+
+
+@pytest.mark.parametrize(("height", "b", "prestress"), [(30.0, 10.0, 0.6), (20.0, 10.0, 0.7), (120.0, 1.0, 0.56)])
+def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
+    """By contacts of their own; the taller, the sooner."""
+    block, interface = at_prestress(height, b, 0.1, prestress)
+    with pytest.raises(ValueError, match="reaches beyond 4096 contacts, farther than can be followed"):
+        sp.precursor_length(block, interface)
+    with pytest.raises(ValueError, match="farther than can be followed"):
+        tall_length(block, interface)
+
+
+def test_events_that_do_not_stop_are_inf_in_bulk():
+    interface = {"poisson": 0.3, "push_height": 0.1, "prestress": [0.3, 0.6]}
+    found = sp.sweep(height=[30.0, 5000.0], stiffness=0.1, **interface, outputs="block_precursor_length")
+    assert np.isinf(found.block_precursor_length.sel(prestress=0.6)).all()
+    assert np.isfinite(found.block_precursor_length.sel(prestress=0.3)).all()
+
+
+def test_a_fit_of_lengths_where_no_event_stops():
+    m = sp.Measurements(
+        height=[30.0, 40.0], poisson=0.3, length=[20.0, 30.0], length_sigma=0.5, push_height=[3.0, 4.0], prestress=0.8
+    )
+    with pytest.raises(ValueError, match="the front never stops anywhere in the range searched"):
+        sp.fit(m, bounds=(0.02, 0.03))
+    inputs = inputs_of([30.0, 40.0], 2.0, 0.1)._replace(prestress=np.array([0.8, 0.8]))
+    assert np.isinf(block_lengths(inputs)[0]).all()
+    assert (recursion_status(inputs) == Outcome.RUN_AWAY).all()
 
 
 @pytest.mark.parametrize(("b", "decay"), [(0.1, 5.193), (0.3, 3.105), (1, 1.896), (3, 1.373), (10, 1.140), (1e9, 1.027)])

@@ -25,7 +25,10 @@ TABLE = Path(__file__).with_name("block_lengths.npz")
 
 
 def block_lengths(inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """ℓ, in λc, of whole events of blocks, 0 where no domino starts; and how far each may be off."""
+    """ℓ, in λc, of whole events of blocks, and how far each may be off.
+
+    It is 0 where no domino starts, and inf where the event does not stop at any node around.
+    """
     height = np.exp(inputs.log_height)
     b = np.log(2 * (1 + inputs.poisson)) + inputs.log_stiffness + inputs.log_height
     width = np.exp(inputs.log_push_width)
@@ -33,7 +36,7 @@ def block_lengths(inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.nda
     kind = patch + 2 * inputs.push_force
     at = (1 / height, b, inputs.poisson, inputs.prestress, np.exp(inputs.log_push), np.where(patch, width, 0), kind)
     found, error = block_grid()(np.stack(at, axis=1)).T
-    return found * height, error * height
+    return np.where(np.isnan(found), np.inf, found) * height, error * height
 
 
 def _nodes(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:

@@ -470,7 +470,8 @@ def recursion_status(inputs: Inputs) -> np.ndarray:
     if inputs.friction is not None:
         return crack_status(inputs)
     if inputs.log_push is not None:
-        return np.where(block_lengths(inputs)[0] > 0, Outcome.ARRESTED, Outcome.NO_DOMINO)
+        found = block_lengths(inputs)[0]
+        return np.select([np.isinf(found), found > 0], [Outcome.RUN_AWAY, Outcome.ARRESTED], Outcome.NO_DOMINO)
     distinct, own = distinct_rows(inputs.table())
     slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
     return np.asarray(arrests(slider, interface, ends=ends).status)[own]

@@ -41,6 +41,10 @@ TALL = 500.0
 """H/λc above which a length is extrapolated from coarser blocks."""
 COARSE, FOLLOWED, ENOUGH = 60.0, 256, 90
 """Contacts of a coarser block over the height of its push at first, those resolved, and how many its event breaks at least."""
+FARTHER = 2048
+"""Contacts followed of a prestressed event that is not alike on contacts of two sizes."""
+FAR = 20
+"""Heights after which an event on coarser contacts is not followed."""
 ALIKE = 0.1
 """Relative difference of the lengths of an event on contacts of two sizes up to which it is the same event."""
 TOGETHER = 4
@@ -248,6 +252,16 @@ def length(block: Block, interface: Interface | Profile | None, rule: BreakRule 
     return by_forward_mode(one)(numbers)
 
 
+class NotFollowed(ValueError):
+    """An event that does not stop within what can be followed."""
+
+    def __init__(self, block: Block, why: str) -> None:
+        super().__init__(
+            f"the event of {block} {why}, farther than can be followed; under a prestress of half the threshold or more, "
+            "or on falling thresholds, it may never stop"
+        )
+
+
 Found = TypeVar("Found", Array, BlockPrecursor)
 
 
@@ -280,9 +294,9 @@ def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[
         if not np.isposinf(found.length if isinstance(found, BlockPrecursor) else found):
             return event_on(given, count) if traced else found
         count *= MORE
-    raise ValueError(  # under a wide smooth rule for ever
-        f"{block} or its event reaches beyond {MOST} contacts: take a coarser one of the same b, as precursor_length does"
-    )
+    if contacts is not None:
+        raise ValueError(f"{block} reaches beyond {MOST} contacts: take a coarser one of the same b")
+    raise NotFollowed(block, f"reaches beyond {count // MORE} contacts")  # under a wide smooth rule for ever
 
 
 def checked_sites(block: Block, sites: Numbers | None) -> int:
@@ -315,26 +329,88 @@ def _coarser(body: tuple[Block, Interface | None], height: float) -> tuple[Block
     return contacts, eqx.tree_at(lambda x: x.threshold_slope, interface, interface.threshold_slope * larger)
 
 
-Look = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Lengths, contacts broken and statuses on `FOLLOWED` contacts of some of many blocks, taken at other H/λc."""
+Look = Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Lengths, contacts broken and statuses of some of many blocks, taken at other H/λc, on so many contacts."""
+
+
+class Body(NamedTuple):
+    """What decides on how coarse contacts events of many blocks are looked at."""
+
+    height: Float[np.ndarray, " n"]
+    push_height: Float[np.ndarray, " n"]
+    prestress: Float[np.ndarray, " n"]
+    threshold_slope: Float[np.ndarray, " n"]
+
+
+class Views(NamedTuple):
+    """Events of many blocks on coarser contacts, `fine` at H/λc = `height` and `rough` at half of it, in contacts."""
+
+    height: Float[np.ndarray, " n"]
+    sites: Int[np.ndarray, " n"]  # contacts followed
+    fine: Float[np.ndarray, " n"]  # inf where the event does not stop within what can be followed
+    rough: Float[np.ndarray, " n"]  # as `fine` where `height` is that of the block
 
 
 def _coarse_heights(
-    tall: Float[np.ndarray, " n"], push_height: Float[np.ndarray, " n"], look: Look
-) -> tuple[np.ndarray, np.ndarray]:
-    """H/λc at which `FOLLOWED` contacts show each event and it breaks `ENOUGH`, at most that of the block; and ℓ there."""
-    height, length, most = np.minimum(tall, COARSE / push_height), np.zeros(len(tall)), tall.copy()
-    left = np.arange(len(tall))
+    body: Body, left: Int[np.ndarray, " m"], look: Look, sites: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """H/λc at which so many contacts show each event, at most that of the block; ℓ there; and whether finer ones did not.
+
+    Of `FOLLOWED` contacts it breaks `ENOUGH` where it can. An event that passes all contacts on ones so large that they reach
+    over `FAR` heights has no length (inf): still larger ones would be what stops it.
+    """
+    finer, tall = sites / FOLLOWED, body.height
+    height, length, most = np.minimum(tall, COARSE * finer / body.push_height), np.zeros(len(tall)), tall.copy()
+    every = left
     while len(left):
         now = height[left]
-        length[left], broken, status = look(left, now)
+        length[left], broken, status = look(left, now, sites)
         through = status == Outcome.RAN_THROUGH
-        few = ~through & (now < most[left]) & (broken < ENOUGH)
+        few = ~through & (now < most[left]) & (broken < ENOUGH * finer)
         most[left[through]] = now[through] / 1.5
-        grown = now * np.clip(1.5 * ENOUGH / np.maximum(broken, 1), 1.5, 16.0)
-        height[left] = np.where(through | few, np.minimum(np.where(through, now, grown), most[left]), now)
-        left = left[through | few]
-    return height, length
+        grown = now * np.clip(1.5 * ENOUGH * finer / np.maximum(broken, 1), 1.5, 16.0)
+        again = few | (through & (now * FAR >= 1.5 * sites))
+        height[left] = np.where(again, np.minimum(np.where(through, now, grown), most[left]), now)
+        left = left[again]
+    return height[every], length[every], (most < tall)[every]
+
+
+def _views(body: Body, look: Look) -> Views:
+    """Look at each event on `FOLLOWED` contacts, and at one that may run away on `FARTHER` where these do not decide.
+
+    Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
+    finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
+    to 2φ/(1 + R_ii), R_ii > 0: without a prestress of half the threshold, or falling thresholds, every front stops.
+    """
+    falling = body.threshold_slope < 0
+    lasting, endless = (body.prestress > 0) | falling, (2 * body.prestress >= 1) | falling
+    # what runs away on the largest contacts needs no look at smaller ones; falling thresholds end before the last of them
+    first, left = np.minimum(body.height, FOLLOWED / FAR), np.arange(len(body.height))
+    found = Views(first, np.full(len(left), FOLLOWED), np.full(len(left), np.inf), np.full(len(left), np.inf))
+    away = np.nonzero(endless & ~falling)[0]
+    if len(away):
+        away = away[look(away, first[away], FOLLOWED)[2] == Outcome.RAN_THROUGH]
+        left = np.setdiff1d(left, away)
+    for sites in (FOLLOWED, FARTHER):
+        height, fine, bounded = _coarse_heights(body, left, look, sites)
+        rough = fine.copy()
+        coarse = np.isfinite(fine) & (height < body.height[left])
+        if coarse.any():
+            rough[coarse] = look(left[coarse], height[coarse] / 2, sites)[0]
+        unlike = coarse & ~_alike(fine, 2 * rough)
+        if sites == FARTHER:
+            fine = np.where(unlike & bounded & endless[left], np.inf, fine)
+        for column, values in zip(found, (height, sites, fine, rough), strict=True):
+            column[left] = values
+        left = left[unlike & lasting[left]]
+        if not len(left):
+            break
+    return found
+
+
+def _alike(fine: Any, rough: Any) -> Any:
+    with np.errstate(invalid="ignore"):  # where there is no length
+        return abs(fine - rough) <= ALIKE * fine
 
 
 def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, Any]:
@@ -346,24 +422,37 @@ def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, An
     """
     fine, rough = fine * tall / height, rough * tall * 2 / height
     correction = (fine - rough) * (1 - height / tall)
-    alike = abs(fine - rough) <= ALIKE * fine
+    alike = _alike(fine, rough)
     return fine + correction * alike, abs(correction) * (1 - 0.75 * alike)
 
 
 def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array]:
-    """ℓ of one tall block from coarser ones of the same b, and how far it may be off."""
+    """ℓ of one tall block from coarser ones of the same b, and how far it may be off.
+
+    Raises
+    ------
+    ValueError
+        If the event does not stop within what can be followed.
+    """
     known = _known((block, interface))
 
-    def look(_: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        found = record(*_coarser(known, float(height[0])), FOLLOWED)
+    def look(_: np.ndarray, height: np.ndarray, sites: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found = record(*_coarser(known, float(height[0])), sites)
         return np.array([found.length]), np.array([found.contacts_broken]), np.array([found.status])
 
     at = 1.0 if known[0].push.height is None else known[0].push.height
-    height = _coarse_heights(np.array([known[0].height]), np.array([at]), look)[0][0]
+    carried = (0.0, 0.0) if known[1] is None else (known[1].prestress, known[1].threshold_slope)
+    view = _views(Body(*(np.array([x], dtype=float) for x in (known[0].height, at, *carried))), look)
+    height, sites = float(view.height[0]), int(view.sites[0])
+    if np.isposinf(view.fine[0]):
+        grows = np.isfinite(view.rough[0])
+        raise NotFollowed(
+            block, "becomes ever longer on ever finer contacts" if grows else f"reaches beyond {sites / height:.2g} heights"
+        )
     if height == known[0].height:
-        found = length(block, interface, sites=FOLLOWED)
+        found = length(block, interface, sites=sites)
         return found, jnp.zeros_like(found)
-    pair = [length(*_coarser((block, interface), one), sites=FOLLOWED) for one in (height, height / 2)]
+    pair = [length(*_coarser((block, interface), one), sites=sites) for one in (height, height / 2)]
     return extrapolated(pair[0], pair[1], height, block.height)
 
 
@@ -379,14 +468,14 @@ class Lanes(NamedTuple):
     push_width: Float[np.ndarray, " n"]  # NaN where the push covers everything above
 
 
-@partial(jax.jit, static_argnames=("patch", "control"))
-def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control) -> tuple[Array, Array, Array]:
-    """Lengths, contacts broken and statuses of `TOGETHER` blocks."""
+@partial(jax.jit, static_argnames=("patch", "control", "sites"))
+def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control, sites: int) -> tuple[Array, Array, Array]:
+    """Lengths, contacts broken and statuses of a few blocks."""
 
     def one(lane: Array) -> tuple[Array, Array, Array]:
         height, stiffness, poisson, prestress, slope, at, width = lane
         push = Push(at, width if patch else None, control)
-        found = _record(Block(height, stiffness, poisson, push), Interface(prestress, slope), FOLLOWED)
+        found = _record(Block(height, stiffness, poisson, push), Interface(prestress, slope), sites)
         return found.length, found.contacts_broken, found.status
 
     return jax.vmap(one, 1)(lanes)
@@ -398,13 +487,14 @@ def _look(lanes: Lanes, control: Control) -> Look:
     patch = not np.isnan(lanes.push_width).any()
     given[-1] = np.nan_to_num(given[-1])
 
-    def look(which: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def look(which: np.ndarray, height: np.ndarray, sites: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        together = TOGETHER if sites == FOLLOWED else 1
         larger = lanes.height[which] / height
         numbers = given[:, which]
         numbers[0], numbers[1], numbers[4] = height, numbers[1] * larger, numbers[4] * larger
-        padded = np.resize(np.arange(len(which)), -(-len(which) // TOGETHER) * TOGETHER)
+        padded = np.resize(np.arange(len(which)), -(-len(which) // together) * together)
         with jax.enable_x64(True):
-            parts = [_events(numbers[:, part], patch, control) for part in np.split(padded, len(padded) // TOGETHER)]
+            parts = [_events(numbers[:, part], patch, control, sites) for part in np.split(padded, len(padded) // together)]
         length, broken, status = (np.concatenate(column)[: len(which)] for column in zip(*parts, strict=True))
         lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RAN_THROUGH))
         if lost.any():
@@ -417,19 +507,22 @@ def _look(lanes: Lanes, control: Control) -> Look:
 
 
 def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ of many blocks from coarser ones, 0 where no domino starts, and how far each may be off; shapes (n,)."""
-    look = _look(lanes, control)
-    height, fine = _coarse_heights(lanes.height, lanes.push_height, look)
-    found, error = fine, np.zeros(len(fine))
-    coarse = np.nonzero(height < lanes.height)[0]
+    """ℓ of many blocks from coarser ones, and how far each may be off.
+
+    Lengths are 0 where no domino starts. Where the event does not stop within what can be followed they are inf, off by H:
+    what blocks beside it may be off by.
+    """
+    view = _views(Body(lanes.height, lanes.push_height, lanes.prestress, lanes.threshold_slope), _look(lanes, control))
+    found, error = view.fine, np.where(np.isinf(view.fine), lanes.height, 0)
+    coarse = np.nonzero(np.isfinite(view.fine) & (view.height < lanes.height))[0]
     if len(coarse):
-        rough = look(coarse, height[coarse] / 2)[0]
-        found[coarse], error[coarse] = extrapolated(fine[coarse], rough, height[coarse], lanes.height[coarse])
+        of = (x[coarse] for x in (view.fine, view.rough, view.height, lanes.height))
+        found[coarse], error[coarse] = extrapolated(*of)
     return found, error
 
 
 def lengths(lanes: Lanes, control: Control) -> np.ndarray:
-    """ℓ of many blocks, each as `precursor_length` has it to rounding; shape (n,)."""
+    """ℓ of many blocks, each as `precursor_length` has it to rounding, inf where that refuses; shape (n,)."""
     found = np.empty(len(lanes.height))
     for patch in (False, True):
         own = np.isfinite(lanes.push_width) == patch
@@ -438,12 +531,15 @@ def lengths(lanes: Lanes, control: Control) -> np.ndarray:
             found[tall] = tall_lengths(Lanes(*(x[tall] for x in lanes)), control)[0]
         if short.size:
             some = Lanes(*(x[short] for x in lanes))
-            found[short], _, status = _look(some, control)(np.arange(len(short)), some.height)
+            found[short], _, status = _look(some, control)(np.arange(len(short)), some.height, FOLLOWED)
             for i in short[status == Outcome.RAN_THROUGH]:
                 height, stiffness, poisson, prestress, slope, at, width = (float(x[i]) for x in lanes)
                 block = Block(height, stiffness, poisson, Push(at, width if patch else None, control))
-                with jax.enable_x64(True):
-                    found[i] = precursor_length(block, Interface(prestress, slope), None)
+                try:
+                    with jax.enable_x64(True):
+                        found[i] = precursor_length(block, Interface(prestress, slope), None)
+                except NotFollowed:
+                    found[i] = np.inf
     return found
 
 

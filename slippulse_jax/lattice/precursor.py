@@ -218,6 +218,8 @@ def precursor_length(
     ------
     FrontNotArrested
         If a single front, called outside ``jit``, was given up. A batch warns instead, and says which.
+    ValueError
+        If the event of a block does not stop within what can be followed.
 
     Notes
     -----
