@@ -15,7 +15,7 @@ from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.result import recursion_status
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.plot.labels import axis_label, printed, symbol
+from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import ABOVE, PAGE, Colours, axes, colours, dashed_where, drawn, handles_of, new_figure
 from slippulse_jax.status import Outcome
 
@@ -330,7 +330,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     visible = []
     for color, i in zip((*c.data[:-1], c.ink), shown, strict=False):  # the last two blues would be taken for each other
         together = np.nonzero(at == at[i])[0]
-        name = f"{symbol(along, '' if m.in_si else unit)} = {at[i] * scale[i]:.4g}{' mm' if m.in_si else ''}"
+        name = equation(along, float(at[i] * scale[i]), unit)
         name += f" ({len(together)}×)" if len(together) > 1 else ""
         share = _lengths_over(result, theta[:, None], i, at[i : i + 1])[:, 0] / m.height[i]
         again = _breaks_again(result, _inputs_at(result, theta[:, None], i, at[i : i + 1]))[:, 0]

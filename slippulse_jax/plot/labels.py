@@ -32,7 +32,12 @@ NAMES = {
 UNITS = {"λc": r"\lambda_c", "lambda_c": r"\lambda_c", "σ_s": r"\sigma_s", "sigma_s": r"\sigma_s", "u_s": "u_s"}
 """Units of the model."""
 
-COMBINED = {"1/λc": r"$1/\lambda_c$", "σ_s per site": r"$\sigma_s$ per site", "lambda_c/sigma_s": r"$\lambda_c/\sigma_s$"}
+COMBINED = {
+    "um": "µm",
+    "1/λc": r"$1/\lambda_c$",
+    "σ_s per site": r"$\sigma_s$ per site",
+    "lambda_c/sigma_s": r"$\lambda_c/\sigma_s$",
+}
 
 
 def symbol(name: str, unit: str = "") -> str:
@@ -55,6 +60,20 @@ def axis_label(name: str, unit: str = "") -> str:
     if not sign:
         return in_unit(words, unit)
     return f"{words}, {symbol(name, unit)}" if unit in UNITS else in_unit(f"{words}, {symbol(name)}", unit)
+
+
+def equation(name: str, value: float, unit: str = "") -> str:
+    """A quantity and its value, for legends.
+
+    Examples
+    --------
+    >>> equation("height", 2.5, "cm")
+    '$H$ = 2.5 cm'
+    >>> equation("load", 2.5, "u_s")
+    '$U/u_s$ = 2.5'
+    """
+    after = "" if unit in UNITS else f" {printed(unit)}".rstrip()
+    return f"{symbol(name, unit)} = {value:.4g}{after}"
 
 
 def in_unit(words: str, unit: str) -> str:
