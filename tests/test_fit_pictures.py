@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slippulse_jax import Measurements, fit, plot
+from slippulse_jax import Measurements, Parameter, fit, plot
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHTS = (2.5, 5.0, 7.5)
 
@@ -59,3 +60,70 @@ def test_heights_of_the_push_are_in_the_unit_of_the_table():
     _, right, below = plot.fit(fit(pd.read_csv(cm), "areal_stiffness")).axes
     assert texts(right)[:2] == ["$h$ = 1 cm", "$h$ = 1.5 cm"]
     assert below.get_xlabel() == "height of the push, $h$ (cm)"
+
+
+def specimens(**columns):
+    """Three specimens, of which the first is the stiffest."""
+    height, each = np.array([20.0, 40.0, 80.0]), {"Z": 0.012, "Y": 0.009, "X": 0.006}
+    tables = [{"specimen": name, "height_mm": height, "length_mm": lengths_of(height, k)} for name, k in each.items()]
+    known = {"length_sigma_mm": 0.3, "poisson": 0.3, "correlation_length_mm": 1.0, "young_GPa": 3.0}
+    return pd.concat(map(pd.DataFrame, tables), ignore_index=True).assign(**(known | columns))
+
+
+EACH = Parameter("stiffness", each="specimen")
+
+
+def test_curve_and_points_of_a_specimen_share_name_and_colour():
+    figure = plot.fit(fit(specimens(), [EACH]))
+    left = figure.axes[0]
+    assert [name for name in texts(left) if name[0] in "XYZ"] == [
+        *(f"{name}: best fit" for name in "ZYX"), *(f"{name} ± σ" for name in "ZYX")
+    ]  # fmt: skip
+    lines = {line.get_label(): line for line in left.lines}
+    for points in left.containers:
+        assert points[0].get_color() == lines[points.get_label().replace(" ± σ", ": best fit")].get_color()
+    title = figure.get_suptitle()
+    assert [title.count(f"[{name}] = ") for name in "XYZ"] == [1, 1, 1]
+    assert "…" not in title
+    assert max(map(len, title.split("\n"))) <= 100
+
+
+def test_the_title_says_what_was_fitted_beside():
+    exact, known = (plot.fit(fit(specimens(**one), [EACH])).get_suptitle() for one in ({}, {"poisson_sigma": 0.02}))
+    assert "E = 3 GPa, ν = 0.3, λc = 1000 µm" in exact
+    assert "ν = 0.3 ± 0.019 (fitted)" in known  # one for each specimen
+    with_prior = fit(specimens(), ["stiffness", Parameter("young", prior=(3e9, 2e8))])
+    assert with_prior.identifiability is Identifiability.POOR_FIT
+    assert "E = 3.00 ± 0.20 GPa (stated), ν = 0.3" in plot.fit(with_prior).get_suptitle()
+
+
+def test_an_input_with_a_prior_has_no_profile_beside_a_result():
+    result = fit(specimens(), [EACH, Parameter("young", prior=(3e9, 2e8))])
+    figure = plot.fit(result)
+    assert [ax.get_xlabel()[-3:] for ax in figure.axes[1:-1]] == ["[Z]", "[Y]", "[X]"]
+    said = figure.axes[1].get_legend().get_title().get_text().replace("\n", " ")
+    assert said == "3 of 4 parameters; all by sp.plot.fit_profiles(result)"
+    assert "E = 3.00 ± 0.20 GPa (fitted)" in figure.get_suptitle()
+    assert "Young" in "".join(ax.get_xlabel() for ax in plot.fit_profiles(result).axes)
+
+
+def test_the_only_parameter_is_drawn_although_a_prior_holds_it():
+    m = Measurements(height=[20.0, 40.0], poisson=0.3, length=lengths_of([20.0, 40.0], 0.01), length_sigma=8.0)
+    assert len(plot.fit(fit(m, [Parameter("stiffness", prior=(0.01, 1e-4))])).axes) == 3
+
+
+def test_fitted_lengths_off_the_curve_are_marked():
+    """Where each height has an error of its own."""
+    made = specimens(height_sigma_mm=4.0)[:3]
+    made["length_mm"] += [0.0, 6.0, 0.0]
+    result = fit(made, "areal_stiffness")
+    ax = plot.fit_lengths(result)
+    (ticks,) = (line for line in ax.lines if line.get_label() == "fitted (own inputs)")
+    (curve,) = (line for line in ax.lines if line.get_label() == "best fit")
+    x, y = ticks.get_data()
+    fitted = result.to_dataframe()["length_fitted_mm"].to_numpy()
+    assert set(y) <= set(fitted)
+    assert 40.0 in x
+    assert np.abs(np.interp(x, *curve.get_data()) - y).min() > 0.01 * ax.get_ylim()[1]
+    exact = plot.fit_lengths(fit(specimens()[:3], "areal_stiffness"))
+    assert "fitted (own inputs)" not in texts(exact)

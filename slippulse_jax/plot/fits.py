@@ -31,9 +31,17 @@ BAND_LEVEL = 0.95
 MOST_CURVES = 6
 MOST_PROFILES = 4
 """Profiles beside the lengths; more would be too small to read."""
+HELD_BY_PRIOR = 0.5
+"""Standard error, over that of the prior, above which it is the prior that holds a parameter."""
 WIDEST_LEGEND = 54
 """Characters beside each other in a legend of two columns."""
 MARKERS = "osD^v<>P"
+MOST_VALUES = 4
+"""Parameters in a title."""
+TITLE = 100
+"""Characters in a line of a title."""
+CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
+"""What a title says of the material, by column: symbol, size and unit."""
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
@@ -41,10 +49,11 @@ GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress aft
 def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """Draw a fit: lengths against height with residuals below, and length versus stiffness or the profiles.
 
-    A single stiffness is drawn against the lengths; of several parameters the profiles of the first four are drawn, and
-    `fit_profiles` draws all. The title has the result, the material and the specimens. With `ax`, the panels take its place.
+    A single stiffness is drawn against the lengths. Of several parameters the profiles of the first four are drawn, without
+    those that a prior holds if there are others; `fit_profiles` draws all. The title has the result, the material and the
+    specimens. With `ax`, the panels take its place.
     """
-    names = result.names[:MOST_PROFILES]
+    names = _determined(result)[:MOST_PROFILES]
     with new_figure(PAGE, max(3.9, 1.5 + 1.35 * len(names)), ax) as figure:
         figure.suptitle("\n".join(_title(result)), x=0.01, ha="left", fontsize="medium")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
@@ -63,6 +72,17 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     return figure
 
 
+def _determined(result: "FitResult") -> list[str]:
+    """Names of the requested parameters that are not inputs, held by their prior; all where no other is left."""
+    q, covariance = result.parameters, result.covariance
+
+    def is_held(j: int) -> bool:
+        prior = q.free[j].prior_sigma
+        return bool(np.isfinite(prior)) and (covariance is None or covariance[j, j] > (HELD_BY_PRIOR * prior) ** 2)
+
+    return [name for name in result.names if not is_held(q.index(name))] or result.names
+
+
 def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
     """Draw the profiles of some parameters one below the other, under one legend."""
     first, said = panels[0][1], set()
@@ -78,34 +98,68 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
         every = result.measurements.option("--profiles FILE", "sp.plot.fit_profiles(result)")
         legend = first.get_legend()
         assert legend is not None
-        legend.set_title(textwrap.fill(f"{len(panels)} of {len(result.names)} parameters; all by {every}", 60))
+        legend.set_title(textwrap.fill(f"{len(panels)} of {len(result.names)} parameters; all by {every}", 48))
         legend.set_alignment("left")
 
 
 def _title(result: "FitResult") -> Iterator[str]:
     """The result, and what it was fitted to."""
-    shown = {one.label: one for one in result.parameters.free}
-    given = result.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED)
-    values = []
-    for name in result.names[:2]:
-        one, value = shown[name], value_with_error(result.values[name], result.stderrs[name])
-        values.append(f"{one.symbol}{name.removeprefix(one.name)} = {value} {one.unit}".rstrip())
-    more = ", …" * (len(result.names) > 2)
-    yield textwrap.fill((", ".join(values) + more) if given else result.identifiability.value, 100)
-    m = result.measurements
-    constants = [("E", m.young, 1e-9, " GPa"), ("ν", m.poisson, 1, ""), ("λc", m.correlation_length, 1e6, " µm")]
-    material = [
-        f"{name} = {_ends_of(x * unit)}{text}" for name, x, unit, text in constants if x is not None
-    ]  # fmt: skip
+    m, one_of = result.measurements, {one.label: one for one in result.parameters.free}
+    if result.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
+        values = []
+        for name in [name for name in result.names if not _is_constant(one_of[name])] or result.names:
+            one, value = one_of[name], value_with_error(result.values[name], result.stderrs[name])
+            values.append(f"{one.symbol}{name.removeprefix(one.name)} = {value} {one.unit}".rstrip())
+        yield from _in_lines(values[:MOST_VALUES] + ["…"] * (len(values) > MOST_VALUES))
+    else:
+        yield textwrap.fill(result.identifiability.value, TITLE)
     specimens = list(dict.fromkeys(m.specimen))
     named = f", {len(specimens)} specimens" if len(specimens) > 1 else f", {specimens[0]}" if specimens else ""
     tested = f"; chi-squared {result.deviance:.3g} for {result.testable_dof} degrees of freedom" * (result.p_value is not None)
-    yield f"{', '.join(material)}; {len(m)} length{'s' * (len(m) > 1)}{named}{tested}"
+    material, data = ", ".join(_constants(result)), f"{len(m)} length{'s' * (len(m) > 1)}{named}{tested}"
+    yield from _in_lines([material, data], "; ")
 
 
-def _ends_of(x: np.ndarray) -> str:
+def _in_lines(parts: list[str], between: str = ", ") -> list[str]:
+    """Join the parts, with a new line where the title would be too wide."""
+    lines = [""]
+    for part in filter(None, parts):
+        if lines[-1] and len(lines[-1]) + len(part) > TITLE:
+            lines.append("")
+        lines[-1] += between * bool(lines[-1]) + part
+    return lines
+
+
+def _is_constant(one: "Free") -> bool:
+    """Whether it is a constant of the material that was stated with an error."""
+    return one.name in CONSTANTS and np.isfinite(one.prior_sigma)
+
+
+def _constants(result: "FitResult") -> Iterator[str]:
+    """E, ν and λc; with ± where they were stated with an error, as fitted or, where there is no sound fit, as stated."""
+    q, covariance = result.parameters, None if _rejected(result) else result.covariance
+    for name, (sign, size, unit) in CONSTANTS.items():
+        stated = getattr(result.measurements, name)
+        each = [j for j, one in enumerate(q.free) if one.name == name]
+        if stated is None or not all(_is_constant(q.free[j]) for j in each):
+            continue  # what has no prior is a result
+        if not each:
+            yield f"{sign} = {_ends_of(stated * size)}{unit}"
+            continue
+        if covariance is None:
+            theta, error = [q.free[j].prior_mean for j in each], np.array([q.free[j].prior_sigma for j in each])
+        else:
+            theta, error = result.theta[each], np.sqrt(np.diag(covariance)[each])
+        value = np.array([q.free[j].value(t) for j, t in zip(each, theta, strict=True)]) * size
+        error = error * (value if q.free[each[0]].log else size)
+        text = value_with_error(value[0], error[0]) if len(each) == 1 else f"{_ends_of(value, 3)} ± {error.max():.2g}"
+        yield f"{sign} = {text}{unit} ({'stated' if covariance is None else 'fitted'})"
+
+
+def _ends_of(x: np.ndarray, digits: int = 4) -> str:
     """One number, or the least and the largest."""
-    return f"{x.min():.4g}" if np.ptp(x) <= 1e-9 * np.abs(x).max() else f"{x.min():.4g} to {x.max():.4g}"
+    low, high = (f"{end:.{digits}g}" for end in (x.min(), x.max()))
+    return low if low == high else f"{low} to {high}"
 
 
 def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
@@ -184,7 +238,8 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw measured lengths against height, and the fitted curve.
 
     Against the height of the push where one block was pushed at several. With its 95 % band, and the longest lengths possible.
-    The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on.
+    The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark the
+    fitted lengths that lie off it, where inputs differ between the points of a curve.
     """
     from matplotlib.patches import Patch
 
@@ -220,6 +275,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     label = f"{BAND_LEVEL:.0%} band" + " (thinner than the line)" * narrow
     band = Patch(color=c.blue if len(groups) == 1 else c.ink, alpha=0.25, lw=0, label=label)
     _draw_data(result, ax, scale)
+    _draw_fitted(result, ax, 0.01 * top)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
@@ -266,6 +322,19 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
             ax.errorbar(x[whole], *ends, fmt="none", elinewidth=3, color=color, label=label, **style)
         if beyond.any():
             ax.plot(x[beyond], y[beyond], "^", color=color, ms=6, label=once("at least this long: no arrest seen"))
+
+
+def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
+    """Mark the fitted lengths that are farther than `visible` from the curve, whose inputs are a mean over its points."""
+    scale, at, c, groups = result.measurements.unit[0], _abscissa(result)[1], colours(ax), _groups(result)
+    x, label = _apart(at * scale), "fitted (own inputs)"
+    for number, rows in enumerate(groups):
+        fitted, curve = result.fitted.length[rows], _lengths_at(result, result.theta, rows, at[rows])
+        off = rows[np.isfinite(fitted) & (np.abs(fitted - curve) * scale[rows] > visible)]
+        if len(off):
+            color = c.data[number % len(c.data)] if len(groups) > 1 else c.blue
+            ax.plot(x[off], result.fitted.length[off] * scale[off], "_", ms=6, mew=2, color=color, zorder=4, label=label)
+            label = None
 
 
 def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np.ndarray]]:
@@ -539,14 +608,15 @@ def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
-    """Group the measurements that lie on one curve: all but the abscissa the same.
+    """Group the measurements that lie on one curve: all but the abscissa the same. In the order of the table.
 
     Inputs with an error are those fitted where every curve then has two heights, else those stated.
     """
     stated = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
     at = _abscissa(result)[1]
     fitted = _alike(result, result.theta)
-    return fitted if all(np.ptp(at[rows]) > 0 for rows in fitted) else _alike(result, np.array(stated))
+    found = fitted if all(np.ptp(at[rows]) > 0 for rows in fitted) else _alike(result, np.array(stated))
+    return sorted(found, key=lambda rows: rows[0])
 
 
 def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
@@ -561,14 +631,19 @@ def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
 
 
 def _group_names(result: "FitResult") -> list[str]:
-    """Name the curves by what differs between them."""
+    """Name the curves by specimen where each has one, and by what differs between those of one name."""
     groups = _groups(result)
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
     numbers = {"$k/K$": np.exp(one.log_stiffness), "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
     if one.log_push is not None:
         numbers["$h/H$"] = np.exp(one.log_push)
-    differ = {name: x for name, x in numbers.items() if np.ptp(x) > 1e-9 * np.abs(x).max()}
-    return [", ".join([_best(result), *(f"{name} = {x[i]:.3g}" for name, x in differ.items())]) for i in range(len(groups))]
+    specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
+    owners = [set(specimen[rows]) for rows in groups]
+    alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
+    names = [f"{min(owner)}: {_best(result)}" if alone else _best(result) for owner in owners]
+    alike = [np.array(names) == name for name in set(names)]
+    differ = {name: x for name, x in numbers.items() if any(np.ptp(x[which]) > 1e-9 * np.abs(x).max() for which in alike)}
+    return [", ".join([name, *(f"{number} = {x[i]:.3g}" for number, x in differ.items())]) for i, name in enumerate(names)]
 
 
 def _rejected(result: "FitResult") -> bool:
