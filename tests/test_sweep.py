@@ -201,7 +201,7 @@ def test_pictures_mark_where_the_edge_breaks_again():
     found = sp.sweep(height=[10.0, 25.0], stiffness=stiffness, poisson=0.3, outputs=("length", "status"))
     ax = Figure().subplots()
     plot.sweep(found, ax=ax)
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "edge breaks again"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "edge breaks\nagain"]
     (dashed,) = (line for line in ax.lines if line.get_linestyle() == "--")
     first = np.flatnonzero(found.status.sel(height=25) == Outcome.REBREAK)[0]
     assert np.flatnonzero(np.isfinite(dashed.get_ydata()))[0] == first - 1

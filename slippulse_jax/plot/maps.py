@@ -1,7 +1,7 @@
 """Pictures of sweeps: maps, and families of lines."""
 
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,12 +14,18 @@ if TYPE_CHECKING:
 
     import xarray as xr
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.contour import ContourSet
+    from matplotlib.figure import Figure
 
 UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
 
 WIDEST = 44
 """Characters in a line of the label of a colour bar."""
+
+NARROW = 16
+"""Characters in a line of a legend beside the lines."""
 
 LINES = 8
 """Largest number of lines in a family; an axis with more values makes a map."""
@@ -66,7 +72,7 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
         for name in NAMES
         if name in column.coords and not column[name].ndim
     ]
-    above = ax.get_legend() is not None and not len(ax.lines)  # that of a map
+    above = ax.get_legend() is not None and (not len(ax.lines) or len(axes) == 1)  # where no family is at the side
     ax.set_title(", ".join(fixed), fontsize="medium", pad=16 if above else None)
     return ax
 
@@ -83,47 +89,118 @@ def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str
     members = [column.isel(one) for one in every]
     least, most = (0.4, 1.0) if style.colours(ax) is style.DARK else (0.0, 0.9)
     colours = mpl.colormaps["cividis"](np.linspace(least, most, len(members)))
-    for one, member, colour in zip(every, members, colours, strict=True):
-        label = None if family is None else f"{float(member[family]):.4g}"
+    labels = [None] if family is None else _short(column[family].values)
+    for one, member, colour, label in zip(every, members, colours, labels, strict=True):
         x, y = member[along].values, np.where(np.isfinite(member.values), member.values, np.nan)
         style.dashed_where(ax, x, y, again.isel(one).values, color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
+    _label_decades(ax.xaxis)
     ax.set(xlabel=_axis(along), ylabel=_label(column))
     handles = style.handles_of(ax, again=bool(again.any()))
     if handles:
-        title = None if family is None else _axis(family)
-        ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # lines leave no room inside
+        if family is None:
+            ax.legend(handles=handles, **style.ABOVE)
+        else:  # lines leave no room inside
+            look = {"fontsize": "small", "title_fontsize": "small", "handlelength": 1.2, "alignment": "left"}
+            side = ax.legend(
+                handles=handles, title=fill(_axis(family), NARROW), bbox_to_anchor=(1, 1), loc="upper left", **look
+            )
+            for text in side.get_texts():
+                text.set_text(fill(text.get_text(), NARROW))
 
 
 def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: str, horizontal: str) -> None:
+    from matplotlib.colors import LogNorm
     from matplotlib.patches import Patch
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator
 
     x, y = column[horizontal].values, column[vertical].values
     shown = column.transpose(vertical, horizontal).values.astype(float)
     shown = np.ma.masked_invalid(shown)  # fronts that never stop, or were given up, stay blank
-    mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="cividis", rasterized=True)
-    if shown.count() and np.ptp(shown) > 0 and column.dtype.kind == "f":
-        levels = MaxNLocator(7).tick_values(shown.min(), shown.max())
+    is_float = column.dtype.kind == "f"
+    positive = shown.compressed()[shown.compressed() > 0]
+    decades = is_float and bool(positive.size) and shown.min() >= 0 and spans_decades(positive)
+    # over four decades at most, with the lowest colour for what is smaller, such as lengths of zero
+    low = max(positive.min(), 1e-4 * positive.max()) if decades else shown.min()
+    norm = LogNorm(low, positive.max(), clip=True) if decades else None
+    mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="cividis", norm=norm, rasterized=True)
+    for axis, set_scale, values in ((ax.xaxis, ax.set_xscale, x), (ax.yaxis, ax.set_yscale, y)):
+        _scale(set_scale, values)
+        _label_decades(axis)
+    labelled = None
+    if is_float and shown.count() and np.ptp(shown) > 0:
+        subs = (1, 2, 5) if shown.max() < 1e3 * low else (1, 3)
+        locator = LogLocator(subs=subs, numticks=9) if decades else MaxNLocator(7)
+        levels = np.asarray(locator.tick_values(low, shown.max()))
         levels = levels[(levels > shown.min()) & (levels < shown.max())]  # not the edge of a plain of zeros
-        lines = ax.contour(x, y, shown, levels=levels, colors="white", linewidths=0.7)
-        ax.clabel(lines, fontsize="small")
+        labelled = ax.contour(x, y, shown, levels=levels, colors="white", linewidths=0.7)
     if again.any():
         shaded = again.transpose(vertical, horizontal).values
         hatched = ax.contourf(x, y, shaded, levels=[0.5, 1.5], colors="none", hatches=["//"])
         hatched.set(edgecolor=(1, 1, 1, 0.5), linewidth=0)
         key = Patch(facecolor=mesh.cmap(0.5), edgecolor="white", hatch="//", label=AGAIN)
         ax.legend(handles=[key], **style.ABOVE)
-    _scale(ax.set_xscale, x)
-    _scale(ax.set_yscale, y)
     ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))
-    ax.figure.colorbar(mesh, ax=ax, label=fill(_label(column), WIDEST))
+    extend = "min" if decades and shown.min() < low else "neither"
+    bar = ax.figure.colorbar(mesh, ax=ax, label=fill(_label(column), WIDEST), extend=extend)
+    _label_decades(bar.ax.yaxis)
+    if labelled is not None:
+        _label_contours(ax, labelled)
+
+
+def _label_contours(ax: "Axes", lines: "ContourSet") -> None:
+    """Label contours where a label fits: on the longest line of its level, away from the frame and from other labels."""
+    cast("Figure", ax.figure.figure).draw_without_rendering()  # for the layout to be final
+    frame = ax.get_window_extent()
+    center = np.add(frame.p0, frame.p1) / 2
+    em = 10 * ax.figure.dpi / 72
+    taken: list[np.ndarray] = []
+    for level, path in zip(lines.levels, lines.get_paths(), strict=True):
+        half = np.array([0.3 * len(f"{level:g}") + 0.5, 0.9]) * em  # of the label, upright or not
+        room = np.array([half.max(), half.max()])
+        at = ax.transData.transform(path.vertices)
+        free = np.all((at > frame.min + room) & (at < frame.max - room), axis=1)
+        for other in taken:
+            free &= np.hypot(*(at - other).T) > 2 * half.max()
+        if free.any():
+            middle = at[free][np.argmin(np.hypot(*((at[free] - center) / frame.size).T))]
+            taken.append(middle)
+            ax.clabel(lines, [level], fontsize="small", manual=[tuple(ax.transData.inverted().transform(middle))])
+
+
+def spans_decades(values: np.ndarray) -> bool:
+    """Whether values are positive and span more than a factor of 30, so that their scale should be logarithmic."""
+    return bool(values.min() > 0 and values.max() / values.min() > 30)
 
 
 def _scale(set_scale: Any, values: np.ndarray) -> None:
-    """Choose a logarithmic scale for positive values that span more than a factor of 30."""
-    if values.min() > 0 and values.max() / values.min() > 30:
+    """Choose a logarithmic scale for positive values that span decades."""
+    if spans_decades(values):
         set_scale("log")
+
+
+def _label_decades(axis: "Axis") -> None:
+    """Label the decades of a logarithmic axis, up to five; and 2 and 5 times them where it has fewer than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if axis.get_scale() != "log":
+        return
+    low, high = np.log10(axis.get_view_interval())
+    few = np.floor(high + 1e-6) - np.ceil(low - 1e-6) < 1
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
+    if few:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _short(values: np.ndarray) -> list[str]:
+    """Values in as few digits as tell them apart, three or more."""
+    written: list[str] = []
+    for digits in range(3, 17):
+        written = [f"{float(f'{value:.{digits}g}'):.{digits + 3}g}" for value in values]
+        if len(set(written)) == len(values):
+            break
+    return written
 
 
 def _axis(name: str) -> str:
