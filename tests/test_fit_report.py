@@ -317,6 +317,9 @@ def test_intervals_by_simulation_are_called_so(tmp_path):
     for result in (by_default, asked):
         assert result.calibrated
         assert "95% interval (calibrated)" in result.report()
+    drawn = [line for line in sp.plot.profile(by_default, "stiffness").lines if line.get_label() == "_interval"]
+    pieces = [piece for every in by_default.intervals["stiffness"].values() for piece in every]
+    assert [tuple(line.get_xdata()) for line in drawn] == [piece[:2] for piece in pieces]
     by_default.save(tmp_path / "fit.json")
     assert sp.load_fit(tmp_path / "fit.json").calibrated
     plain = sp.fit(lengths(), intervals="profile")

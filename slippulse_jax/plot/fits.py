@@ -462,7 +462,8 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
 def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the profile of the deviance along one parameter.
 
-    All others are fitted anew; lines mark the levels of its intervals. Dashed as in `fit_lengths`.
+    All others are fitted anew; lines mark the levels of its intervals, and how far these reach where they are those of
+    simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -482,7 +483,11 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
         ax.plot(one.value(theta), parabola, color=c.grey, ls="-.", lw=1, label="from covariance")
     for level in (0.6827, BAND_LEVEL):
         height = result.rise(level)
-        ax.axhline(height, color=c.ink, lw=0.8, ls=":")
+        if result.calibrated:
+            for piece in result.intervals[name].get(level, []):
+                ax.plot(piece[:2], [height, height], color=c.ink, lw=1.5, label="_interval")
+        else:
+            ax.axhline(height, color=c.ink, lw=0.8, ls=":")
         ax.annotate(f"{level:.0%}", (1, height), (2, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
                     va="center", fontsize="small", color=c.ink)  # fmt: skip
     below = curve.node[rise < limit]
