@@ -70,6 +70,14 @@ def forget_compiled_programs():
 
 
 @pytest.fixture(autouse=True)
+def figures_are_closed():
+    """Close what a test has drawn: pyplot keeps every figure, and warns of more than twenty."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
+@pytest.fixture(autouse=True)
 def compiler_flags_stay():
     """Processes that later tests start would inherit them, and compile other programs than this one."""
     before = os.environ.get("XLA_FLAGS")
