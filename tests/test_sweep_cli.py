@@ -128,8 +128,10 @@ def test_store_that_vanishes(tmp_path, monkeypatch):
         (["--height", "10", *GRID[4:]], "Missing option '--stiffness'"),
         (
             [*GRID[:5], "0.2,0.3", "--figure", "s.png"],
-            "not 3 (poisson, stiffness, height): give one value of the others, such as --poisson 0.2, or draw the .nc of --out",
+            "such as --poisson 0.2; or write --out FILE.nc and draw "
+            'sp.plot.sweep(xarray.open_dataset("FILE.nc").sel(poisson=0.2)) in Python',
         ),
+        ([*GRID[:5], "0.2,0.3", "--store", "s", "--figure", "s.png"], 'sp.plot.sweep(sp.open_sweep("s").sel(poisson=0.2))'),
         ([*GRID, "--points", "--figure", "s.png"], "not 0 (none): leave out --points"),
         (["--height", "10", "--stiffness", "0.03", "--poisson", "0.3", "--figure", "s.png"], "such as --height 10:50:41"),
     ],

@@ -108,7 +108,7 @@ def command(
     if share and scheduler:
         raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
     if figure is not None:
-        _check_drawable(values, points)
+        _check_drawable(values, points, store)
     with _client(scheduler) if scheduler else nullcontext() as client:
         found = _sweep(
             store,
@@ -125,7 +125,7 @@ def command(
     _hand_over(found, out, figure, as_json, store)
 
 
-def _check_drawable(values: dict[str, Any], points: bool) -> None:
+def _check_drawable(values: dict[str, Any], points: bool, store: str | None) -> None:
     """Refuse a figure that could not be drawn, before anything is computed."""
     from slippulse_jax.plot.maps import not_drawn
 
@@ -134,9 +134,14 @@ def _check_drawable(values: dict[str, Any], points: bool) -> None:
     if points:
         raise click.UsageError(not_drawn([], "leave out --points"))
     if len(axes) > 2:
-        chosen = " ".join(f"--{name.replace('_', '-')} {float(values[name][0])!r}" for name in axes[:-2])
-        also = "or draw the .nc of --out in Python after .sel(…)"
-        raise click.UsageError(not_drawn(axes, f"give one value of the others, such as {chosen}, {also}"))
+        first = {name: repr(float(values[name][0])) for name in axes[:-2]}
+        chosen = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in first.items())
+        selected = ", ".join(f"{name}={value}" for name, value in first.items())
+        stored = 'write --out FILE.nc and draw sp.plot.sweep(xarray.open_dataset("FILE.nc")'
+        if store is not None:
+            stored = f'draw sp.plot.sweep(sp.open_sweep("{store}")'
+        also = f"or {stored}.sel({selected})) in Python"
+        raise click.UsageError(not_drawn(axes, f"give one value of the others, such as {chosen}; {also}"))
     if not axes:
         raise click.UsageError(not_drawn(axes, "give several values of a parameter, such as --height 10:50:41"))
 
