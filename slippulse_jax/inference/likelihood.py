@@ -509,7 +509,7 @@ class Problem:
         return jacobian.T @ jacobian, jacobian
 
     def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
-        """The same problem with σ of all data, or of lengths alone, `factor` times as large."""
+        """The problem with σ of all data, or of lengths alone, `factor` times as large."""
 
         def scaled(block: Block) -> Block:
             return block._replace(data=block.data._replace(sigma=factor * block.data.sigma))
@@ -518,7 +518,7 @@ class Problem:
         return dataclasses.replace(self, blocks=(scaled(self.blocks[0]), *kept))
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """The same problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
+        """The problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
         blocks = tuple(
             block._replace(data=block.data._replace(value=values[block.observable], weight=weights[block.observable]))
             for block in self.blocks

@@ -410,7 +410,7 @@ def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray,
 def attainable_of(
     parameters: ParameterSet, theta: np.ndarray, rows: np.ndarray, inputs: Inputs
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same for other `inputs`, whose stiffness is that of the measurements `rows`; in true λc, without offset."""
+    """Find the longest length for other `inputs`, with the stiffness of the measurements `rows`; in true λc, without offset."""
     low, high = np.array(inputs.log_stiffness), np.array(inputs.log_stiffness)
     for i, one in enumerate(parameters.free):
         if one.name in STIFFNESSES:

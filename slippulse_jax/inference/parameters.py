@@ -62,7 +62,7 @@ class Inputs(NamedTuple):
 
     @property
     def endless(self) -> "Inputs":
-        """The same with blocks without end, whose edge is held."""
+        """The inputs of blocks without end, whose edge is held."""
         return self._replace(log_sites=None, log_machine=None)
 
     @classmethod
@@ -559,7 +559,7 @@ def pushed(
 def pushed_at(
     inputs: Inputs, height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
 ) -> Inputs:
-    """The same inputs of blocks that are pushed; the last axis of the inputs is that of the pushes."""
+    """Add how blocks are pushed to inputs; the last axis of the inputs is that of the pushes."""
     push = pushed(height, at, width, control)
     return inputs._replace(**{name: np.broadcast_to(x, inputs.poisson.shape) for name, x in push.items()})
 

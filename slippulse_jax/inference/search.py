@@ -147,7 +147,7 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:
-    """Return a point of little deviance, from a coarse grid or sample; shape (p,)."""
+    """Return a point of little deviance, from a coarse grid, or a sample by `seed` of many parameters; shape (p,)."""
     q = problem.parameters
     if problem.p > SCANNED:
         starts = _starts(problem, seed)

@@ -73,6 +73,7 @@ def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) ->
     ----------
     j : int
     evidence : Evidence
+        What the search found.
     intervals : dict
         Allowed ranges of θ_j at `LEVELS`.
     """
