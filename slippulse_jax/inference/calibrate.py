@@ -73,7 +73,6 @@ def calibrated(
         Of a scan; needed with two parameters.
     seed : int
         Of the simulations, `SIMULATIONS` per value looked at.
-
     """
     if problem.p == 1:
         return {0: _simulated(problem, levels, 0, _along(problem), seed)}

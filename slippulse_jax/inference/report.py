@@ -416,7 +416,7 @@ def _bodies(result: "FitResult") -> list[str]:
     """What the choice of a body is worth: the stiffness that the same lengths give with the paper's slider."""
     slider = result.as_slider
     if slider is None:
-        return ["", "The same lengths with the slider: none gives them"] if result.parameters.body == "block" else []
+        return ["", "The same lengths with the slider: no fit was found"] if result.parameters.body == "block" else []
     rows = ["", "The same lengths with"]
     for name in result.names:
         if any(name.startswith(one) for one in STIFFNESSES):
@@ -698,7 +698,8 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
     shared = pulled.keys() & {"offset", "model_factor"}
     together = len(set(result.measurements.specimen)) > 1 and any(name in STIFFNESSES for name in result.names)
     checks = ["check what is stated of this and its error"] * bool(pulled.keys() - shared)
-    checks += ["the specimens may differ in stiffness (--each-specimen stiffness)"] * together
+    each = result.measurements.option("--each-specimen stiffness", 'free=[sp.Parameter("stiffness", each="specimen")]')
+    checks += [f"the specimens may differ in stiffness ({each})"] * together
     checks += ["the lengths do not vary with the height as those of the model do"] * bool(shared)
     yield f"the lengths pull {which}, farther than chance would: {'; or '.join(checks)}"
 

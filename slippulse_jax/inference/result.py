@@ -269,7 +269,7 @@ class FitResult:
     def as_slider(self) -> "FitResult | None":
         """The same fit with the paper's slider for the body, of a fit of a block.
 
-        None where the body is a slider, and where no slider gives these lengths.
+        None where the body is a slider, and where no fit of a slider is found.
         """
         if self.parameters.body == "slider":
             return None

@@ -36,9 +36,9 @@ Without a column of σ the errors are taken as equal, and their size from the sc
     a name for the precursor, by which the table of gauges refers to it (`read_gauges`)
 
 Lengths may be given in ``m``, ``cm``, ``mm``, ``um`` or ``nm``, and Young's modulus in ``Pa``, ``kPa``, ``MPa`` or ``GPa``, by
-the ending of the column's name. Other columns are kept and named in the report, and have no effect; but one named as a quantity
-of these in a unit that is not read, or in none, is refused, and so is one that seems to mean a quantity that the table lacks
-(`slippulse_jax.inference.names`). Lines that start with ``#`` are comments.
+the ending of the column's name. Other columns are kept and named in the report, and have no effect; but one that seems to mean
+a quantity that the table lacks, in another language or unit, is refused (`slippulse_jax.inference.names`). Lines that start
+with ``#`` are comments.
 
 Columns are separated by commas, semicolons or tabs; between semicolons and tabs all numbers of a table may have decimal commas.
 """
