@@ -93,8 +93,10 @@ def arrest_kernel(max_contacts: int) -> Kernel:
 
     def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         state = _until_all_arrest(parameters, max_contacts, with_edge=True).state
-        length, (broken,), (edge,) = _length(state, max_contacts), state.front.position, state.front.edge
-        status = outcome(broken, _stress_and_excess(_opened(state))[1][0], edge - 1, endless=jnp.isposinf(length))
+        length, opened = _length(state, max_contacts), _opened(state)
+        (broken,), (edge,) = state.front.position, state.front.edge
+        (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
+        status = outcome(broken, ahead, edge - 1, endless=jnp.isposinf(length))
         return broken.astype(jnp.int32), length, status, edge
 
     return arrests
@@ -122,18 +124,16 @@ def _until_all_arrest(
     with_edge: bool = False,
     right: RightEnd = "semi-infinite",
 ) -> Now:
-    def start(*fields: Number) -> Now:
-        return _nucleate(fields, with_rates, max_contacts if with_edge else None, right)
-
+    nucleate = functools.partial(_nucleate, with_rates=with_rates, most=max_contacts if with_edge else None, right=right)
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
 
-    def two_turns(now: Now) -> Now:
-        return Now(*in_one_loop(_turn, *in_one_loop(_turn, *now)))
-
     def some_go(now: Now) -> Bool[Array, ""]:
-        return jnp.any(_goes(_opened(now.state))[0] & (now.state.front.position[0] < max_contacts))
+        state = _opened(now.state)
+        (goes,) = _goes(state, _stress_and_excess(state, _echo(state))[1])
+        return jnp.any(goes & (now.state.front.position[0] < max_contacts))
 
-    return lax.while_loop(some_go, two_turns, in_one_loop(start, *parameters, *ends))
+    begun = in_one_loop(nucleate, *parameters, *ends)
+    return lax.while_loop(some_go, lambda now: Now(*in_one_loop(_turn, *in_one_loop(_turn, *now))), begun)
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
@@ -180,7 +180,7 @@ def _closed(front: Front) -> Front:
     return Front(*(None if x is None else x.tolist() for x in half))
 
 
-def _nucleate(fields: tuple[Number, ...], with_rates: bool, most: int | None, right: RightEnd) -> Now:
+def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightEnd) -> Now:
     """A lane whose contact 0 has broken, at its threshold exactly; with `most`, the stress on it too."""
     none, one = jnp.zeros_like(fields[0]), jnp.ones_like(fields[0])
     *numbers, end = fields if len(fields) > 3 else (*fields, None)
@@ -223,20 +223,19 @@ def _echo(state: State) -> Any:
     return None if lane.last is None else 1 + lane.echo * _exp((lane.last - front.position) * lane.rate)
 
 
-def _stress_and_excess(state: State) -> tuple[Any, Any]:
+def _stress_and_excess(state: State, echo: Any) -> tuple[Any, Any]:
     """On the contact ahead, and of the former over its threshold; of arrays."""
     front, lane = state
-    t = stress_ahead(front, _echo(state))
+    t = stress_ahead(front, echo)
     if lane.prestress is None:
         return t, t - 1
     t = lane.prestress + t
     return t, t - (1 + lane.slope * front.position)
 
 
-def _goes(state: State) -> Any:
-    """Whether the contact ahead breaks; of arrays."""
-    (excess,) = _stress_and_excess(state)[1]
-    goes = _array([excess >= 0])
+def _goes(state: State, excess: Any) -> Any:
+    """Whether the contact ahead breaks, by how far its stress exceeds its threshold; of arrays."""
+    goes = _array([excess[0] >= 0])
     for last in (state.lane.end, state.lane.most):
         goes = goes if last is None else goes & _less(state.front.position, last)
     return goes
@@ -253,8 +252,9 @@ def _turn(state: State, rates: tuple[State, ...]) -> Now:
 def _break(state: State) -> Front:
     """Break the contact ahead, where it breaks."""
     front, lane = state = _opened(state)
-    t, excess = _stress_and_excess(state)
-    goes, after = _goes(state), advance(lane, front, t, _echo(state))._replace(behind=excess)
+    echo = _echo(state)
+    t, excess = _stress_and_excess(state, echo)
+    goes, after = _goes(state, excess), advance(lane, front, t, echo)._replace(behind=excess)
     kept = (None if new is None else _where(goes, new, old) for new, old in zip(after, front, strict=True))
     return _closed(Front(*kept)._replace(reflected=after.reflected, reach=after.reach))  # no use where it has arrested
 
@@ -279,13 +279,15 @@ def _tangent(f: Callable[[State], Any], state: State, rate: State) -> Any:
 def _crossing(state: State) -> Float[Array, " lanes"]:
     """ℓ, of a front that has arrested."""
     opened = _opened(state)
-    (length,) = straight_line(opened.front.position - 1, opened.front.behind, _stress_and_excess(opened)[1])
+    _, ahead = _stress_and_excess(opened, _echo(opened))
+    (length,) = straight_line(opened.front.position - 1, opened.front.behind, ahead)
     return length
 
 
 def _length(state: State, max_contacts: int) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
-    broken, (ahead,) = state.front.position[0], _stress_and_excess(_opened(state))[1]
+    broken, opened = state.front.position[0], _opened(state)
+    (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
     endless = jnp.nan if state.lane.end is None else jnp.where(broken >= state.lane.end[0], jnp.inf, jnp.nan)
     going = ahead >= 0
     if state.lane.last is not None and state.lane.end is not None:
