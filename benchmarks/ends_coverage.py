@@ -16,8 +16,8 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
+from slippulse_jax.inference.model import regime
 from slippulse_jax.inference.parameters import Inputs
-from slippulse_jax.inference.result import regime
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))

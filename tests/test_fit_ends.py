@@ -11,9 +11,8 @@ from oracles import dense_chain
 import slippulse_jax as sp
 from slippulse_jax.inference.likelihood import log_density
 from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.model import displacements, forces, lengths, slips, stresses
+from slippulse_jax.inference.model import displacements, forces, lengths, regime, slips, stresses
 from slippulse_jax.inference.parameters import Inputs
-from slippulse_jax.inference.result import regime
 from slippulse_jax.status import Outcome
 
 HEIGHT, TRUTH = np.array([12.0, 16.0, 20.0]), 0.0126

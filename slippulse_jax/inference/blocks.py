@@ -30,11 +30,10 @@ def block_lengths(inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.nda
     It is 0 where no domino starts, and inf where the event does not stop at any node around.
     """
     height = np.exp(inputs.log_height)
-    b = np.log(2 * (1 + inputs.poisson)) + inputs.log_stiffness + inputs.log_height
     width = np.exp(inputs.log_push_width)
     patch = np.isfinite(width)
     kind = patch + 2 * inputs.push_force
-    at = (1 / height, b, inputs.poisson, inputs.prestress, np.exp(inputs.log_push), np.where(patch, width, 0), kind)
+    at = (1 / height, inputs.log_b, inputs.poisson, inputs.prestress, np.exp(inputs.log_push), np.where(patch, width, 0), kind)
     found, error = block_grid()(np.stack(at, axis=1)).T
     return np.where(np.isnan(found), np.inf, found) * height, error * height
 

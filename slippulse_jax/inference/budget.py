@@ -147,7 +147,7 @@ def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | No
     if stderr is None:
         return None
     q = result.parameters
-    unit = result.values[name] if q.free[q.index(name)].log else 1.0
+    unit = result.values[name] if q.named(name).log else 1.0
     return float(np.hypot(stderr, unit * np.linalg.norm([one.by(name) for one in moved.values()])))
 
 
@@ -161,7 +161,7 @@ def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> I
     if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value):
         return None
     ends = np.array(pieces[0][:2])
-    if result.parameters.free[result.parameters.index(name)].log:
+    if result.parameters.named(name).log:
         low, high = value * np.exp(BOTH_WAYS * np.hypot(np.log(ends / value), by))
     else:
         low, high = value + BOTH_WAYS * np.hypot(ends - value, by)

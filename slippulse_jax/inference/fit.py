@@ -19,7 +19,7 @@ from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
 from slippulse_jax.inference.hints import slips, slips_of_priors
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
-from slippulse_jax.inference.model import attainable, lengths, straight_lengths
+from slippulse_jax.inference.model import attainable, lengths, recursion_status, regime, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
     Body,
@@ -32,7 +32,7 @@ from slippulse_jax.inference.parameters import (
     parameter_set,
 )
 from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
-from slippulse_jax.inference.result import FitResult, common_ratio, recursion_status, regime, root_of, stated_sigma
+from slippulse_jax.inference.result import FitResult, root_of
 from slippulse_jax.inference.scatter import Scatter, scatter_about
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.tables import measurements_of
@@ -153,7 +153,7 @@ def fit(
     named = {one.name for one in wanted}
     wanted += [one for one in errors_of_measuring(measurements, size_known=not scaled) if one.name not in named]
     parameters = parameter_set(measurements, wanted, event, body)
-    errors = stated_sigma(measurements)
+    errors = measurements.stated_sigma
     problem = make_problem(measurements, parameters, Loss(loss), errors)
     _check_scaled(measurements, problem, scaled)
     _check_calibrated(problem, intervals, scaled)
@@ -251,11 +251,11 @@ def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) 
     def converted(found: Intervals, unit: Callable[[float], float]) -> Intervals:
         return {level: [p._replace(low=unit(p.low), high=unit(p.high)) for p in every] for level, every in found.items()}
 
-    result = {name: converted(found, q.free[q.index(name)].value) for name, found in pieces.items()}
-    moving, ratio = np.flatnonzero(q.inputs.log_stiffness.slope[0]), common_ratio(q, best)
+    result = {name: converted(found, q.named(name).value) for name, found in pieces.items()}
+    moving, ratio = np.flatnonzero(q.inputs.log_stiffness.slope[0]), q.common_ratio(best)
     if ratio is not None and "stiffness" not in result and len(moving) == 1 and q.names[moving[0]] in result:
         moves = int(moving[0])
-        factor = ratio / float(q.free[moves].value(best[moves]))
+        factor = ratio / q.free[moves].value(best[moves])
         result["stiffness"] = converted(result[q.names[moves]], lambda x: x * factor)
     return result
 

@@ -406,6 +406,11 @@ class Measurements:
         return np.full(len(self), np.nan) if self.length_sigma is None else self.length_sigma
 
     @property
+    def stated_sigma(self) -> np.ndarray:
+        """The same, and 1 where none is given."""
+        return np.ones(len(self)) if self.length_sigma is None else self.length_sigma
+
+    @property
     def distinct(self) -> int:
         """Number of different measurements: lines copied from another count once."""
         columns = [

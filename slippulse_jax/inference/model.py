@@ -32,6 +32,7 @@ from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged, Outcome
+from slippulse_jax.theory import block_decay_length
 
 LANES = 256
 """Lanes of a chunk."""
@@ -115,12 +116,12 @@ def _whole_lengths(inputs: Inputs) -> np.ndarray:
 
 def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
     """H/λc, k/K, ν, φ, ε."""
-    return np.stack([np.exp(inputs.log_height), np.exp(inputs.log_stiffness), *inputs[2:5]])
+    return np.stack([np.exp(inputs.log_height), inputs.ratio, *inputs[2:5]])
 
 
 def _lengths(inputs: Inputs) -> np.ndarray:
     if inputs.log_width is not None:
-        slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
+        slider = _slider(inputs)
         return _all_found(bulk.lengths(slider, rule=SmoothBreak(np.exp(inputs.log_width))), inputs, "under the smooth rule")
     ended = np.isfinite([x for x in (inputs.log_sites, inputs.log_machine) if x is not None]).any(axis=0)
     if ended.any():
@@ -167,12 +168,17 @@ def straight_lengths(inputs: Inputs, event: Event = "domino") -> np.ndarray:
 
 def recursion_inputs(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
     """Sliders, interfaces and ends for the recursion."""
-    slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
+    slider = _slider(inputs)
     relaxed = not (inputs.prestress.any() or inputs.threshold_slope.any())
-    return slider, None if relaxed else Interface(inputs.prestress, inputs.threshold_slope), _ends(inputs, np.exp)
+    return slider, None if relaxed else Interface(inputs.prestress, inputs.threshold_slope), _ends(inputs)
 
 
-def _ends(inputs: Inputs, exp: Callable = jnp.exp) -> Ends:
+def _slider(inputs: Inputs, exp: Callable = np.exp) -> Slider:
+    """Slider of the inputs; of traced ones by JAX's ``exp``."""
+    return Slider(exp(inputs.log_height), exp(inputs.log_stiffness), inputs.poisson)
+
+
+def _ends(inputs: Inputs, exp: Callable = np.exp) -> Ends:
     """Free end and machine; where there is none, one so far, or so stiff, that every digit is that without it."""
     most = np.log(NO_END)
     sites, machine = (x if x is None else exp(x.clip(max=most)) for x in (inputs.log_sites, inputs.log_machine))
@@ -235,8 +241,8 @@ def _nucleation(inputs: Inputs) -> Float[Array, " 2"]:
 
     The displacement is that of the edge, whatever pushes it.
     """
-    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
-    ends = _ends(inputs._replace(log_machine=None))
+    slider = _slider(inputs, jnp.exp)
+    ends = _ends(inputs._replace(log_machine=None), jnp.exp)
     modes = lattice_modes(slider, ends)
     force = modes.drive / modes.gap
     if ends.sites is not None:  # there and, from the free end, back again: 1 + r + … + r^{2N − 1}
@@ -311,10 +317,10 @@ def _readings_of(names: tuple[str, ...], numbers: bytes, shape: tuple[int, ...])
 def _after(front: Inputs, stopped: np.ndarray, count: int) -> np.ndarray:
     """Slip and stress of the first `count` contacts, shape (2, fronts, count)."""
     with jax.enable_x64(True):
-        slider = Slider(np.exp(front.log_height), np.exp(front.log_stiffness), front.poisson)
+        slider = _slider(front)
         if front.friction is not None:
             return np.stack(_fields_after_crack(slider, front.friction, front.prestress, stopped, count))
-        return np.stack(_fields_after(slider, _ends(front, np.exp), front.prestress, stopped, count))
+        return np.stack(_fields_after(slider, _ends(front), front.prestress, stopped, count))
 
 
 @partial(jax.jit, static_argnums=4)
@@ -372,9 +378,9 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
     stopped = jnp.where(inputs.counted > 0, inputs.counted, free)
     place = jnp.exp(inputs.log_position)
     left = jnp.floor(place).astype(jnp.int32)
-    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    slider = _slider(inputs, jnp.exp)
     if inputs.friction is None:
-        fields = readings(slider, inputs.prestress, stopped, sites, _ends(inputs))
+        fields = readings(slider, inputs.prestress, stopped, sites, _ends(inputs, jnp.exp))
     else:
         at = partial(crack.fields, slider, inputs.friction, inputs.prestress, stopped)
         fields = jax.vmap(at)(jnp.arange(sites, dtype=place.dtype))
@@ -385,7 +391,7 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
 
 def traced_length(inputs: Inputs, relaxed: bool) -> Array:
     """ℓ* of one lane as a JAX function, or ℓ where the block ends or the machine gives way."""
-    slider = Slider(jnp.exp(inputs.log_height), jnp.exp(inputs.log_stiffness), inputs.poisson)
+    slider = _slider(inputs, jnp.exp)
     if inputs.friction is not None:
         return crack.length(slider, inputs.friction, inputs.prestress)[0]
     interface = None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
@@ -393,7 +399,7 @@ def traced_length(inputs: Inputs, relaxed: bool) -> Array:
     stated = [x for x in (inputs.log_sites, inputs.log_machine) if x is not None]
     if not stated:
         return exact
-    straight = quantity("length", slider, interface, _ends(inputs), DEFAULT_MAX_CONTACTS)
+    straight = quantity("length", slider, interface, _ends(inputs, jnp.exp), DEFAULT_MAX_CONTACTS)
     return jnp.where(jnp.isfinite(jnp.stack(stated)).any(), straight, exact)
 
 
@@ -429,7 +435,7 @@ def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray, event: Eve
 
     Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
     """
-    rising = np.log(RISING) - np.log(2 * (1 + inputs.poisson)) - inputs.log_height
+    rising = np.log(RISING) + inputs.log_stiffness - inputs.log_b
     low = np.minimum(np.maximum(low, rising), high)
     best, where = np.empty(len(low)), np.empty(len(low))
     for count in (129, 17, 17, 17, 17):
@@ -442,3 +448,38 @@ def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray, event: Eve
         step = (high - low) / (count - 1)
         low, high = np.maximum(where - step, low), np.minimum(where + step, high)
     return best, where
+
+
+def recursion_status(inputs: Inputs) -> np.ndarray:
+    """Outcome of each front by the recursion, which breaks its contacts one by one, or of each event; shape (n,)."""
+    inputs = inputs.of_front
+    if inputs.friction is not None:
+        return crack_status(inputs)
+    if inputs.log_push is not None:
+        found = block_lengths(inputs)[0]
+        return np.select([np.isinf(found), found > 0], [Outcome.RUN_AWAY, Outcome.ARRESTED], Outcome.NO_DOMINO)
+    distinct, own = distinct_rows(inputs.table())
+    slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
+    return np.asarray(bulk.arrests(slider, interface, ends=ends).status)[own]
+
+
+class Regime(NamedTuple):
+    """Where in the model's range each row of the inputs lies."""
+
+    b: np.ndarray  # areal stiffness times H over the shear modulus
+    slow_decay_length: np.ndarray  # 1/κ_2, or that of an edge load of a block, in λc
+    edge_stiffness: np.ndarray  # of a block without end, pushed at its edge, in K
+
+
+def regime(inputs: Inputs) -> Regime:
+    """Find b and 1/κ_2 of each row of the inputs."""
+    with jax.enable_x64(True):
+        slider = _slider(inputs)
+        k1, k2, a1, a2 = (np.asarray(x) for x in (slider.kappa_1, slider.kappa_2, slider.alpha_1, slider.alpha_2))
+        # the layer is free at the edge: in amplitudes of u_t, A_1 α_1 κ_1 + A_2 α_2 κ_2 = 0 (continuum)
+        first, second = a2 * k2, -a1 * k1
+        stiffness = np.asarray(slider.K_L) * (first * k1 + second * k2) / (first + second)
+        decay = np.asarray(slider.slow_decay_length)
+        if inputs.log_push is not None:
+            decay = np.exp(inputs.log_height) * block_decay_length(np.asarray(slider.b), inputs.poisson)
+        return Regime(np.asarray(slider.b), decay, stiffness)

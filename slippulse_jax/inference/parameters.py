@@ -79,6 +79,22 @@ class Inputs(NamedTuple):
         return cls(*np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers)))
 
     @property
+    def log_b(self) -> Any:
+        """Ln b, of the areal stiffness times H over the shear modulus."""
+        return np.log(2 * (1 + self.poisson)) + self.log_stiffness + self.log_height
+
+    @property
+    def ratio(self) -> Any:
+        """k/K."""
+        return np.exp(self.log_stiffness)
+
+    @property
+    def common_ratio(self) -> float | None:
+        """k/K where it is one number, to rounding."""
+        ratio = self.ratio
+        return float(ratio[0]) if np.ptp(ratio) <= 1e-12 * ratio[0] else None
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the inputs that are there."""
         return tuple(name for name, value in self._asdict().items() if value is not None)
@@ -251,6 +267,14 @@ class ParameterSet:
             raise ValueError(f"{name!r} is not fitted here: one of {', '.join(self.names)}")
         return self.names.index(name)
 
+    def named(self, name: str) -> Free:
+        """The parameter called `name`; raises as `index` does."""
+        return self.free[self.index(name)]
+
+    def values(self, theta: np.ndarray, *, nuisance: bool = False) -> dict[str, float]:
+        """Requested parameters at θ, shape (p,), by label, in their units; or those fitted because of their errors."""
+        return {one.label: one.value(t) for one, t in zip(self.free, theta, strict=True) if one.nuisance == nuisance}
+
     @property
     def low(self) -> np.ndarray:
         """Lower limits of θ."""
@@ -265,9 +289,10 @@ class ParameterSet:
         """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
         return at(self.inputs, theta)
 
-    def ratio(self, theta: np.ndarray) -> np.ndarray:
-        """k/K of each measurement, shape (n,)."""
-        return np.exp(self.inputs.log_stiffness(theta))
+    def common_ratio(self, theta: np.ndarray) -> float | None:
+        """k/K at θ where a stiffness is fitted and k/K is the same for all measurements."""
+        fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
+        return self.inputs_at(theta).common_ratio if fitted else None
 
 
 def at(inputs: Inputs, theta: Any) -> Inputs:

@@ -58,7 +58,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in result.directions
         ],
         "roots": [_root(root, result) for root in result.roots],
-        "searched": {one.label: [float(one.value(one.low)), float(one.value(one.high))] for one in q.free},
+        "searched": {one.label: [one.value(one.low), one.value(one.high)] for one in q.free},
         "chi2": result.deviance,
         "dof": result.dof,
         "p_value": result.p_value,
@@ -158,7 +158,7 @@ def _root(root: "Root", result: "FitResult") -> dict[str, Any]:
     return {
         "values": root.values,
         "stderr": root.stderrs,
-        "stiffness": float(root.ratio[0]) if np.ptp(root.ratio) <= 1e-12 * root.ratio[0] else None,
+        "stiffness": root.inputs.common_ratio,
         "delta_chi2": root.deviance - result.deviance,
         "rebreaks": root.rebreaks,
     }

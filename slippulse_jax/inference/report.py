@@ -159,7 +159,7 @@ def _values(result: "FitResult") -> list[str]:
 
 def _ratios(result: "FitResult") -> str:
     """k/K of all measurements, and why it is not one number."""
-    ratio, m = result.parameters.ratio(result.theta), result.measurements
+    ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
     low, high = f"{ratio.min():.4g}", f"{ratio.max():.4g}"
     differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
     why = "as λc and E differ between measurements" if differ else "one for each specimen"
@@ -219,9 +219,9 @@ def _inputs(result: "FitResult") -> list[str]:
     rows, shown = [f"  what has an error of its own, fitted beside{each}:"], _shown(result)
     for one, t, pull in pulls:
         stated = value_with_error(
-            float(one.value(one.prior_mean)), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
+            one.value(one.prior_mean), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
         )
-        fitted = format_number(float(one.value(t)), 5)
+        fitted = format_number(one.value(t), 5)
         rows.append(f"    {shown[one.label]}: stated {stated} {one.unit}".rstrip() + f", fitted {fitted} ({pull:+.2f} σ)")
     return rows
 
@@ -372,7 +372,7 @@ def _budget(result: "FitResult") -> list[str]:
         return []
     names = list(next(iter(moved.values())).slope)
     q = result.parameters
-    free = {name: q.free[q.index(name)] for name in names}
+    free = {name: q.named(name) for name in names}
     heads = ["input", "if larger by", *(f"moves {_symbol(name, one.symbol)} by" for name, one in free.items())]
     rows = [heads]
     for name, one in moved.items():
@@ -408,7 +408,7 @@ def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[f
 
 
 def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
-    unit = result.parameters.free[result.parameters.index(name)].unit
+    unit = result.parameters.named(name).unit
     return f"{interval(piece, result.values[name])} {unit}".rstrip()
 
 
@@ -420,7 +420,7 @@ def _bodies(result: "FitResult") -> list[str]:
     rows = ["", "The same lengths with"]
     for name in result.names:
         if any(name.startswith(one) for one in STIFFNESSES):
-            free = result.parameters.free[result.parameters.index(name)]
+            free = result.parameters.named(name)
             for body, found in (("this block", result), ("the slider", slider)):
                 value = value_with_error(found.values[name], found.stderrs[name])
                 verdict = found.verdicts[name].identifiability
@@ -438,7 +438,7 @@ def _unstated(result: "FitResult") -> list[str]:
     }
     rows = [*_of_measuring(result), *_of_a_block(result)]
     for name, moved in result.unstated_ends.items():
-        free = {one: result.parameters.free[result.parameters.index(one)] for one in moved}
+        free = {one: result.parameters.named(one) for one in moved}
         changes = [
             f"{_symbol(one, free[one].symbol)} by " + (f"{np.expm1(by):+.1%}" if free[one].log else f"{by:+.2g}")
             for one, by in moved.items()
@@ -474,7 +474,7 @@ def _of_measuring(result: "FitResult") -> Iterator[str]:
         return
     adds = []
     for name, slope in moved.slope.items():
-        one = result.parameters.free[result.parameters.index(name)]
+        one = result.parameters.named(name)
         adds.append(f"± {abs(slope) * MODEL_ERROR:{'.0%' if one.log else '.2g'}} to {_symbol(name, one.symbol)}")
     offset, fitted = ("", "it") if result.scaled else ("an offset and ", "both")
     yield (
@@ -561,14 +561,14 @@ def _probability(p_value: float) -> str:
 def _searched(result: "FitResult") -> list[str]:
     rows = []
     stated = np.array([one.prior_mean if one.nuisance else one.high for one in result.parameters.free])
-    stiffest = result.parameters.ratio(stated).max()
+    stiffest = result.parameters.inputs_at(stated).ratio.max()
     for one in result.parameters.free:
         if one.nuisance:
             continue
-        low, high = (format_number(float(one.value(x)), 2) for x in (one.low, one.high))
+        low, high = (format_number(one.value(x), 2) for x in (one.low, one.high))
         prior = ""
         if math.isfinite(one.prior_sigma):
-            mean = float(one.value(one.prior_mean))
+            mean = one.value(one.prior_mean)
             prior = f"; prior {value_with_error(mean, one.prior_sigma * (mean if one.log else 1))}"
         top = f" (k/K up to {stiffest:.3g})" if "areal" in one.name else ""
         rows.append(f"  range   {_symbol(one.label, one.symbol)} from {low} to {high} {one.unit}".rstrip() + top + prior)
@@ -707,7 +707,7 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
 def _of_shape(result: "FitResult") -> Iterator[str]:
     """Parameters whose 68 % interval is another one than value ± standard error."""
     for name in result.names:
-        if math.isfinite(result.parameters.free[result.parameters.index(name)].prior_sigma):
+        if math.isfinite(result.parameters.named(name).prior_sigma):
             continue  # an input, of which the user has said what is known
         pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
         by = _sides(result.values[name], result.stderrs[name], pieces[0]) if len(pieces) == 1 else None
@@ -718,7 +718,7 @@ def _of_shape(result: "FitResult") -> Iterator[str]:
             why = "the interval is that of simulated measurements"
         elif result.rise.dof is not None and max(by) / min(by) < 1 + UNEVEN:
             why = f"the size of σ is known from {_plural(result.dof, 'degree')} of freedom only"
-        one = result.parameters.free[result.parameters.index(name)]
+        one = result.parameters.named(name)
         ends = _shown_interval(result, name, pieces[0])
         yield (
             f"{_symbol(name, one.symbol)}: publish the 68 % interval, {ends}, rather than ±: "

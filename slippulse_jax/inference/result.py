@@ -7,30 +7,24 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.bayes import posterior
-from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
-from slippulse_jax.inference.grid import distinct_rows
 from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
-from slippulse_jax.inference.model import crack_status, recursion_inputs
+from slippulse_jax.inference.model import Regime, recursion_status, regime
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet, parameter_set
 from slippulse_jax.inference.profile import Curve, Interval, Rise
 from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
 from slippulse_jax.inference.report import html_of, notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
-from slippulse_jax.lattice.lengths import arrests
-from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged, Outcome
-from slippulse_jax.theory import block_decay_length
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +44,7 @@ class Root:
     @property
     def ratio(self) -> np.ndarray:
         """k/K of each measurement, shape (n,)."""
-        return np.exp(self.inputs.log_stiffness)
+        return self.inputs.ratio
 
     @functools.cached_property
     def rebreaks(self) -> bool:
@@ -65,15 +59,6 @@ class Fitted:
     length: np.ndarray  # in λc
     contacts_broken: np.ndarray
     status: np.ndarray  # `Outcome`
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Regime:
-    """Where in the model's range each measurement lies, at the best fit."""
-
-    b: np.ndarray  # areal stiffness times H over the shear modulus
-    slow_decay_length: np.ndarray  # 1/κ_2, or that of an edge load of a block, in λc
-    edge_stiffness: np.ndarray  # of a block without end, pushed at its edge, in K
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,7 +135,7 @@ class FitResult:
     @property
     def inputs(self) -> dict[str, float]:
         """Fitted values of the inputs that came with errors of their own."""
-        return {one.label: float(one.value(t)) for one, t in zip(self.parameters.free, self.theta, strict=True) if one.nuisance}
+        return self.parameters.values(self.theta, nuisance=True)
 
     @functools.cached_property
     def _at_best(self) -> Minimum:
@@ -169,8 +154,7 @@ class FitResult:
     @property
     def sigma(self) -> np.ndarray:
         """Standard error of each length in λc, as stated or of the size taken from the scatter; shape (n,)."""
-        m = self.measurements
-        return stated_sigma(m) * (self.scatter or 1.0)
+        return self.measurements.stated_sigma * (self.scatter or 1.0)
 
     @property
     def stderrs(self) -> dict[str, float | None]:
@@ -210,7 +194,7 @@ class FitResult:
         Errors that both share cancel. The error is None where one of the two has none.
         """
         q, errors = self.parameters, self.stderrs
-        each = [q.index(name) for name in self.names if q.free[q.index(name)].name in STIFFNESSES]
+        each = [q.index(name) for name in self.names if q.named(name).name in STIFFNESSES]
         found: dict[tuple[str, str], tuple[float, float | None]] = {}
         for i, j in itertools.combinations(each, 2):
             above, below = q.names[j], q.names[i]
@@ -372,7 +356,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     content = read_record(path)
     measurements, request, found = measurements_of_record(content), from_request(content["request"]), content["search"]
     parameters = parameter_set(measurements, request["free"], request["event"], request["body"])
-    sigma, scatter = stated_sigma(measurements), content["sigma_scaled_by"]
+    sigma, scatter = measurements.stated_sigma, content["sigma_scaled_by"]
     between = found["between_contacts"] and np.array(found["between_contacts"], dtype=float)
     problem = make_problem(
         measurements, parameters, Loss(request["loss"]), sigma if between is None else np.hypot(sigma, between)
@@ -385,9 +369,8 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
 
     def root(one: dict[str, Any]) -> Root:
         theta = np.array(one["theta"])
-        values = {q.label: float(q.value(t)) for q, t in zip(parameters.free, theta, strict=True) if not q.nuisance}
         covariance = finite_or_inf(one["covariance"])
-        return Root(values, one["stderr"], theta, one["deviance"], covariance, parameters.inputs_at(theta))
+        return Root(parameters.values(theta), one["stderr"], theta, one["deviance"], covariance, parameters.inputs_at(theta))
 
     return FitResult(
         measurements=measurements,
@@ -417,15 +400,10 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     )
 
 
-def stated_sigma(m: Measurements) -> np.ndarray:
-    """Standard error of each length in λc as it is stated; 1 where none is."""
-    return np.ones(len(m)) if m.length_sigma is None else m.sigma
-
-
 def root_of(problem: Problem, one: Minimum) -> Root:
     """Convert a minimum over θ to the units of the parameters."""
     q = problem.parameters
-    values = {p.label: float(p.value(t)) for p, t in zip(q.free, one.theta, strict=True) if not p.nuisance}
+    values = q.values(one.theta)
     errors: dict[str, float | None] = dict.fromkeys(values)
     for j, p in enumerate(q.free):
         spread = float(np.sqrt(one.covariance[j, j]))
@@ -436,42 +414,7 @@ def root_of(problem: Problem, one: Minimum) -> Root:
 
 def named_values(q: ParameterSet, theta: np.ndarray) -> dict[str, float]:
     """Requested parameters at θ by label, in units; k/K too where a stiffness is fitted and k/K is one number."""
-    values = {one.label: float(one.value(t)) for one, t in zip(q.free, theta, strict=True) if not one.nuisance}
-    ratio = common_ratio(q, theta)
+    values, ratio = q.values(theta), q.common_ratio(theta)
     if ratio is not None:
         values.setdefault("stiffness", ratio)
     return values
-
-
-def common_ratio(q: ParameterSet, theta: np.ndarray) -> float | None:
-    """k/K where a stiffness is fitted and k/K is the same for all measurements."""
-    ratio = q.ratio(theta)
-    fitted = any("stiffness" in one.label for one in q.free if not one.nuisance)
-    return float(ratio[0]) if fitted and np.ptp(ratio) <= 1e-12 * ratio[0] else None
-
-
-def regime(inputs: Inputs) -> Regime:
-    """Find b and 1/κ_2 of each row of the inputs."""
-    with jax.enable_x64(True):
-        slider = Slider(np.exp(inputs.log_height), np.exp(inputs.log_stiffness), inputs.poisson)
-        k1, k2, a1, a2 = (np.asarray(x) for x in (slider.kappa_1, slider.kappa_2, slider.alpha_1, slider.alpha_2))
-        # the layer is free at the edge: in amplitudes of u_t, A_1 α_1 κ_1 + A_2 α_2 κ_2 = 0 (continuum)
-        first, second = a2 * k2, -a1 * k1
-        stiffness = np.asarray(slider.K_L) * (first * k1 + second * k2) / (first + second)
-        decay = np.asarray(slider.slow_decay_length)
-        if inputs.log_push is not None:
-            decay = np.exp(inputs.log_height) * block_decay_length(np.asarray(slider.b), inputs.poisson)
-        return Regime(np.asarray(slider.b), decay, stiffness)
-
-
-def recursion_status(inputs: Inputs) -> np.ndarray:
-    """Outcome of each front by the recursion, which breaks its contacts one by one, or of each event; shape (n,)."""
-    inputs = inputs.of_front
-    if inputs.friction is not None:
-        return crack_status(inputs)
-    if inputs.log_push is not None:
-        found = block_lengths(inputs)[0]
-        return np.select([np.isinf(found), found > 0], [Outcome.RUN_AWAY, Outcome.ARRESTED], Outcome.NO_DOMINO)
-    distinct, own = distinct_rows(inputs.table())
-    slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
-    return np.asarray(arrests(slider, interface, ends=ends).status)[own]

@@ -9,11 +9,10 @@ from scipy.special import ndtri
 
 from slippulse_jax.inference.bayes import theta_of
 from slippulse_jax.inference.measurements import READINGS
-from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths
+from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, recursion_status
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import value_with_error
-from slippulse_jax.inference.result import recursion_status
 from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import ABOVE, PAGE, Colours, axes, colours, dashed_where, drawn, handles_of, new_figure
@@ -468,7 +467,7 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     ax = axes(ax)
     c = colours(ax)
     curve = result.curves[name]
-    one = result.parameters.free[result.parameters.index(name)]
+    one = result.parameters.named(name)
     limit = 2.2 * result.rise(BAND_LEVEL)
     rise = curve.deviance - result.deviance
     again = np.any(_breaks_again(result, result.parameters.inputs_at(curve.theta)), axis=1)
@@ -493,7 +492,7 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     below = curve.node[rise < limit]
     if len(below) > 1:
         pad = 0.1 * (below[-1] - below[0])
-        ax.set_xlim(float(one.value(max(one.low, below[0] - pad))), float(one.value(min(one.high, below[-1] + pad))))
+        ax.set_xlim(one.value(max(one.low, below[0] - pad)), one.value(min(one.high, below[-1] + pad)))
         if one.log and below[-1] - below[0] > np.log(10):
             ax.set_xscale("log")
     ax.set_ylim(0, limit)
@@ -639,7 +638,7 @@ def _group_names(result: "FitResult") -> list[str]:
     """Name the curves by specimen where each has one, and by what differs between those of one name."""
     groups = _groups(result)
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
-    numbers = {"$k/K$": np.exp(one.log_stiffness), "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
+    numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
     if one.log_push is not None:
         numbers["$h/H$"] = np.exp(one.log_push)
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
