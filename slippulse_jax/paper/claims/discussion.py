@@ -251,8 +251,9 @@ def simulation() -> Finding:
     one, static = chain(fig2(), sites=200), int(first_precursor(fig2()).contacts_broken)
     damped = {g: _broken(one, g, SelfHealing())[0] for g in (0.3, 0.1, 0.0)}
     crack = [_broken(one, 0.1, CrackLike(friction))[0] for friction in (0.3, 0.5, 0.7)]
+    rounding = 10.0 ** np.ceil(np.log10(max(apart, 1e-16)))  # its digits differ between machines
     text = (
-        f"breaks far apart in time: the same state to {apart:.1e} u_s (H/λc = 10). Instantaneous breaks: Λ = "
+        f"breaks far apart in time: the same state to {rounding:.0e} u_s (H/λc = 10). Instantaneous breaks: Λ = "
         f"{', '.join(map(str, damped.values()))} at damping {', '.join(f'{g:g}' for g in damped)} √(K/m), against {static}. Contacts that "
         f"repin only when their slip rate vanishes (friction 0.3, 0.5, 0.7 σ_s): Λ = {', '.join(map(str, crack))}, which "
         "depends on the thresholds, as the paper says of crack-like models"
