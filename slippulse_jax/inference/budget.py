@@ -15,7 +15,7 @@ from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.verdict import LEVELS, Identifiability
+from slippulse_jax.inference.verdict import GIVEN, LEVELS
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -47,9 +47,6 @@ OF_A_SPECIMEN = ("height", "push_height")
 """Inputs that are measured of each specimen by itself."""
 
 BOTH_WAYS = np.array([-1.0, 1.0])
-
-GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
-"""Verdicts with a value that an input can move."""
 
 
 class Moved(NamedTuple):

@@ -14,10 +14,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.profile import Curve, Interval
-from slippulse_jax.inference.search import Cells
+from slippulse_jax.inference.profile import Curve, Interval, Intervals, pieces_of
+from slippulse_jax.inference.search import SLACK, Cells, Minimum
 
 SIMULATIONS = {1: 2000, 2: 500}
 """By the number of fitted parameters."""
@@ -27,6 +28,8 @@ MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
 MOST_OTHERS = 80  # values of a second parameter at each of the first
 ONE_THREAD = 4 * 2**16
 """Multiplications for which OpenBLAS takes one thread: whole products, which it gave to two, took ten times as long."""
+STRAIGHT = 1.15
+"""Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
 HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration; the cells of a scan reach farther
 
 
@@ -43,13 +46,47 @@ class Table(NamedTuple):
 class Calibration(NamedTuple):
     """Result of simulations along one parameter."""
 
-    intervals: dict[float, list[Interval]]
+    intervals: Intervals
     covered: tuple[float, float]  # share of estimates within 1 and 1.96 standard errors, at the best value
 
 
 def can_be_calibrated(problem: Problem) -> bool:
     """Whether this is a fit of one or two parameters to values with Gaussian errors."""
     return problem.p <= 2 and problem.plain
+
+
+def to_be_simulated(
+    problem: Problem, wanted: str, minima: list[Minimum], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
+) -> bool:
+    """Whether intervals are to be found by simulation: as wanted, or where valleys compete or one is no parabola.
+
+    Parameters
+    ----------
+    problem : Problem
+    wanted : {"auto", "profile", "calibrated"}
+    minima : list of Minimum
+        Best first.
+    deviance : float
+        The least.
+    pieces : dict
+        Profile-likelihood intervals of each θ_j.
+    best : array, shape (p,)
+    """
+    if wanted == "calibrated":
+        return True
+    if wanted == "profile" or not can_be_calibrated(problem) or not minima:
+        return False
+    if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
+        return True
+    for j, found in pieces.items():
+        level, last = max(found.items())
+        if not last or minima[0].singular[j]:
+            return False
+        reach = np.sqrt(chdtri(1, 1 - level) * minima[0].covariance[j, j])
+        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
+        if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
+            return True
+    return False
 
 
 def calibrated(
@@ -202,5 +239,4 @@ def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
     ]  # fmt: skip
     open_low, open_high = bool(inside[0]), bool(inside[-1])
     ends = [float(node[0])] * open_low + ends + [float(node[-1])] * open_high
-    pairs = list(zip(ends[::2], ends[1::2], strict=True))
-    return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
+    return pieces_of(ends, open_low, open_high)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.profile import Interval, pieces_of
 from slippulse_jax.inference.search import first_edges
 
 HALVINGS = 48  # of a bracket of the scan: to rounding
@@ -63,11 +63,5 @@ def allowed_by_counts(problem: Problem) -> Allowed:
         return Allowed([], block.measurement[~holds[best]].tolist())
     starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
     stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
-    last = len(ends) - 2
-    return Allowed(
-        [
-            Interval(float(ends[a]), float(ends[b + 1]), bool(a == 0), bool(b == last))
-            for a, b in zip(starts, stops, strict=True)
-        ],
-        [],
-    )
+    own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]
+    return Allowed(pieces_of(own, bool(inside[0]), bool(inside[-1])), [])

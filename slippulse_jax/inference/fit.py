@@ -9,54 +9,42 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
-from scipy.special import chdtrc
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.blocks import block_lengths
-from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated
+from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
 from slippulse_jax.inference.hints import slips, slips_of_priors
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
-from slippulse_jax.inference.model import attainable, lengths, recursion_status, regime, straight_lengths
+from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
     Body,
     Event,
     Inputs,
     Parameter,
-    ParameterSet,
     body_of,
     errors_of_measuring,
     parameter_set,
 )
-from slippulse_jax.inference.profile import Curve, Interval, Rise, allowed, profile
+from slippulse_jax.inference.profile import Curve, Intervals, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, root_of
 from slippulse_jax.inference.scatter import Scatter, scatter_about
 from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
 from slippulse_jax.inference.tables import measurements_of
-from slippulse_jax.inference.verdict import LEVELS, Evidence, Identifiability, Verdict, judge
-from slippulse_jax.status import Outcome
+from slippulse_jax.inference.verdict import LEVELS, Evidence, judge, trusted
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Intervals = dict[float, list[Interval]]
-"""Pieces by confidence level."""
 
 SIGMAS = ("absolute", "relative")
 INTERVALS = ("auto", "profile", "calibrated")
 MOST_ROOTS = 4  # followed along a profile
 SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
-WITHIN = 7
-"""Values within a piece of an interval at which is asked whether a contact breaks again."""
 BETWEEN = 0.5
 """Difference between ℓ* and the straight-line length, in σ, from which on the fit allows for it."""
-STRAIGHT = 1.15
-"""Ratio of a profile's 95 % limit to that of a parabola from which on the intervals are simulated."""
-COVERED = (0.64, 0.93)
-"""Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
 
 
 def fit(
@@ -184,29 +172,37 @@ def fit(
                 explored = _explore(shown, method, max_steps, seed)
     minima, curves, best, deviance, unconverged, cells = explored
     rise = _rise(problem, scatter)
-    near = [one for one in minima if one.deviance <= deviance + rise(LEVELS[-1])]
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
     limits = {level: deviance + rise(level) for level in LEVELS}
     pieces = {j: allowed(problem, j, curves[j], limits) for j in asked}
     if counts is not None:
         pieces = {0: dict.fromkeys(LEVELS, counts.pieces)}
-    dof = _testable(problem, scaled)
-    longest, longest_at = attainable(parameters, best)
-    evidence = Evidence(problem, near, best, deviance, dof, rise, longest, scatter and scatter.closest)
-    # counts at odds are named; how deep the search came into that misfit says nothing
-    lost = [] if counts else [message for value, message in unconverged if value <= deviance + rise(LEVELS[-1])]
-    verdicts = {j: _verdict(j, evidence, pieces[j], lost) for j in asked}
-    simulated = counts is None and _to_be_simulated(problem, intervals, scaled, minima, deviance, pieces, best)
-    if counts is not None:
-        verdicts = {0: _verdict_of_counts(measurements, parameters, counts)}
-    elif simulated:
+    reported, covered = pieces, {}
+    if counts is None and not scaled and to_be_simulated(problem, intervals, minima, deviance, pieces, best):
         with _progress(problem) as shown:
             found = calibrated(shown, LEVELS, curves=curves, cells=cells, seed=seed)
-        pieces = {j: one.intervals for j, one in found.items()}
-        verdicts = {j: _simulated(verdicts[j], found[j].covered) for j in asked}
-    verdicts = {j: _alone(j, verdicts[j], minima, deviance, parameters) for j in asked}
-    verdicts = {j: _one_front(problem, verdicts[j], pieces[j][LEVELS[-1]], curves[j]) for j in asked}
-    pieces = {j: _trusted(verdicts[j], pieces[j], deviance, dof) for j in asked}
+        reported, covered = ({j: one.intervals for j, one in found.items()}, {j: one.covered for j, one in found.items()})
+    longest, longest_at = attainable(parameters, best)
+    evidence = Evidence(
+        measurements=measurements,
+        problem=problem,
+        minima=minima,
+        best=best,
+        deviance=deviance,
+        dof=_testable(problem, scaled),
+        rise=rise,
+        attainable=longest,
+        curves=curves,
+        profiled=pieces,
+        reported=reported,
+        covered=covered,
+        # counts at odds are named; how deep the search came into that misfit says nothing
+        lost=[] if counts else [message for value, message in unconverged if value <= limits[LEVELS[-1]]],
+        closest=scatter and scatter.closest,
+        at_odds=counts and counts.at_odds,
+    )
+    verdicts = {j: judge(j, evidence) for j in asked}
+    reported = {j: trusted(j, verdicts[j], evidence) for j in asked}
     names = parameters.names
     return FitResult(
         measurements=measurements,
@@ -214,19 +210,19 @@ def fit(
         request=request,
         theta=best,
         deviance=deviance,
-        roots=[root_of(problem, one) for one in near],
+        roots=[root_of(problem, one) for one in evidence.roots],
         curves={names[j]: curves[j] for j in asked},
-        intervals=_in_units(problem, best, {names[j]: pieces[j] for j in asked}),
+        intervals=_in_units(problem, best, {names[j]: reported[j] for j in asked}),
         verdicts={names[j]: verdicts[j] for j in asked},
         rise=rise,
         scatter=scatter and scatter.factor,
-        testable_dof=dof,
-        unconverged=lost,
+        testable_dof=evidence.dof,
+        unconverged=evidence.lost,
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
         complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
-        calibrated=simulated,
+        calibrated=bool(covered),
     )
 
 
@@ -376,98 +372,6 @@ def _of_counts(problem: Problem, counts: Allowed) -> Explored:
     return Explored(roots, {0: profile(problem, 0, roots, middle)}, middle[0], float(value.min()), [], None)
 
 
-def _verdict_of_counts(m: Measurements, q: ParameterSet, counts: Allowed) -> Verdict:
-    """Whether one value, a range, several or none give all counts."""
-    if not counts.pieces:
-        where = ", ".join(m.place(i) for i in counts.at_odds)
-        others = "the others agree without" if len(counts.at_odds) < len(m) else "nor any one of them:"
-        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives all counts; {others} {where}")
-    if len(counts.pieces) > 1:
-        one = q.free[0]
-        ranges = " and ".join(f"{one.value(a):.4g} to {one.value(b):.4g}" for a, b, _, _ in counts.pieces)
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {ranges} {one.unit}".rstrip())
-    (piece,) = counts.pieces
-    if piece.open_low and piece.open_high:
-        return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
-    if piece.open_low or piece.open_high:
-        return Verdict(Identifiability.ONE_SIDED, "the counts bound it on one side only")
-    return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
-
-
-def _to_be_simulated(
-    problem: Problem,
-    intervals: str,
-    scaled: bool,
-    minima: list[Minimum],
-    deviance: float,
-    pieces: dict[int, Intervals],
-    best: np.ndarray,
-) -> bool:
-    """Whether intervals and standard errors are to be found by simulation."""
-    if intervals == "calibrated":
-        return True
-    if intervals == "profile" or scaled or not can_be_calibrated(problem) or not minima:
-        return False
-    if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
-        return True
-    for j, found in pieces.items():
-        last = found[LEVELS[-1]]
-        if not last or minima[0].singular[j]:
-            return False
-        reach = 1.96 * np.sqrt(minima[0].covariance[j, j])
-        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
-        if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
-            return True
-    return False
-
-
-def _alone(j: int, verdict: Verdict, minima: list[Minimum], deviance: float, q: ParameterSet) -> Verdict:
-    """Withhold a standard error where another valley, hardly worse, lies far beyond it."""
-    if verdict.identifiability is not Identifiability.IDENTIFIED:
-        return verdict
-    best = minima[0]
-    far = 5 * np.sqrt(best.covariance[j, j])
-    for one in minima[1:]:
-        if one.deviance <= deviance + SLACK and abs(one.theta[j] - best.theta[j]) > far:
-            value = f"{q.free[j].value(one.theta[j]):.4g} {q.free[j].unit}".rstrip()
-            return Verdict(
-                Identifiability.SKEWED,
-                f"another valley, at {value}, is worse by a deviance of only {one.deviance - deviance:.3g}; use the intervals",
-            )
-    return verdict
-
-
-def _one_front(problem: Problem, verdict: Verdict, pieces: list[Interval], curve: Curve) -> Verdict:
-    """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
-    number = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL)
-    q = problem.parameters
-    if verdict.identifiability not in number or q.smooth or q.event != "domino" or not pieces:
-        return verdict
-    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
-    inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
-    again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1).any(axis=1)
-    if not again.any():
-        return verdict
-    share = "everywhere in the 95 % interval" if again.all() else "within the 95 % interval"
-    b = regime(inputs).b.max()
-    return Verdict(
-        Identifiability.REBREAKS,
-        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "
-        "goes on, and the length fitted is that of the front alone",
-    )
-
-
-def _simulated(verdict: Verdict, covered: tuple[float, float]) -> Verdict:
-    """Withhold a standard error that would not cover."""
-    if verdict.identifiability is not Identifiability.IDENTIFIED or all(a >= b for a, b in zip(covered, COVERED, strict=True)):
-        return verdict
-    return Verdict(
-        Identifiability.SKEWED,
-        f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them in "
-        f"{covered[1]:.0%}; use the intervals",
-    )
-
-
 def _explore_scaled(
     problem: Problem, m: Measurements, method: str, max_steps: int, seed: int
 ) -> tuple[Problem, Scatter, Explored]:
@@ -547,22 +451,3 @@ def _merged(problem: Problem, roots: list[Minimum], more: list[Minimum]) -> list
         if not any(same(one.theta, one.deviance, other, problem) for other in kept):
             kept.append(one)
     return sorted(kept, key=lambda root: root.deviance)
-
-
-def _verdict(j: int, evidence: Evidence, intervals: dict[float, list[Interval]], lost: list[str]) -> Verdict:
-    if lost:
-        return Verdict(Identifiability.NOT_CONVERGED, lost[0])
-    return judge(j, evidence, intervals)
-
-
-def _trusted(
-    verdict: Verdict, intervals: dict[float, list[Interval]], deviance: float, dof: int | None
-) -> dict[float, list[Interval]]:
-    """Drop the intervals that would measure a misfit, not the parameter."""
-    if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
-        return dict.fromkeys(intervals, [])
-    if verdict.identifiability is Identifiability.AT_MAXIMUM:
-        # around a maximum that the data lie far above, the rise measures the misfit
-        probability = float(chdtrc((dof or 0) + 1, deviance))
-        return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
-    return intervals

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.budget import GIVEN
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.model import longest_length
@@ -23,7 +22,7 @@ from slippulse_jax.inference.parameters import (
     softest,
     stiffest,
 )
-from slippulse_jax.inference.verdict import IMPROBABLE, PLATEAU, SCATTERED, Identifiability
+from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, PLATEAU, SCATTERED, Identifiability
 from slippulse_jax.theory import length_ceiling
 from slippulse_jax.units import UNITS_OF_LENGTH
 

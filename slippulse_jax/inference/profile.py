@@ -35,6 +35,16 @@ class Interval(NamedTuple):
     open_high: bool
 
 
+Intervals = dict[float, list[Interval]]
+"""The pieces of an interval, in increasing order, by confidence level."""
+
+
+def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interval]:
+    """Intervals between ends in increasing order, of which the first and last may be those of the range searched."""
+    pairs = list(zip(ends[::2], ends[1::2], strict=True))
+    return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
+
+
 @dataclasses.dataclass(frozen=True)
 class Rise:
     """Rise of the deviance at the ends of an interval, by confidence level.
@@ -175,7 +185,7 @@ def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
     return curve
 
 
-def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> dict[float, list[Interval]]:
+def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> Intervals:
     """Intervals of θ_j with a deviance below each limit, in increasing order.
 
     Parameters
@@ -197,10 +207,7 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
         used += count
         open_low, open_high = bool(inside[0]), bool(inside[-1])
         own = [float(curve.node[0])] * open_low + own + [float(curve.node[-1])] * open_high
-        pairs = list(zip(own[::2], own[1::2], strict=True))
-        result[level] = [
-            Interval(low, high, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (low, high) in enumerate(pairs)
-        ]
+        result[level] = pieces_of(own, open_low, open_high)
     return result
 
 

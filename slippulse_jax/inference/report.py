@@ -8,7 +8,6 @@ import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.inference.budget import (
-    GIVEN,
     OF_A_SPECIMEN,
     Moved,
     push_is_unstated,
@@ -21,7 +20,7 @@ from slippulse_jax.inference.hints import of_attainable, slips
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
+from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
 from slippulse_jax.shown import html
 from slippulse_jax.theory import rebreaking_b
 

@@ -2,15 +2,19 @@
 
 import dataclasses
 import enum
+import functools
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.profile import Interval, Rise
-from slippulse_jax.inference.search import Minimum
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model import recursion_status
+from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
+from slippulse_jax.inference.profile import Curve, Interval, Intervals, Rise
+from slippulse_jax.inference.search import SLACK, Minimum
+from slippulse_jax.status import Outcome
 
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
@@ -18,6 +22,10 @@ IMPROBABLE = 1e-3
 SCATTERED = 0.05
 """Probability of χ², or of the largest pull, below which it is remarked on."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
+COVERED = (0.64, 0.93)
+"""Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
+WITHIN = 7
+"""Values within a piece of an interval at which is asked whether a contact breaks again."""
 PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
 
 
@@ -45,6 +53,10 @@ GRAVITY = (
 )  # fmt: skip
 
 
+GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
+"""Verdicts with a value that an input can move."""
+
+
 class Verdict(NamedTuple):
     """Verdict on one parameter, with its reason."""
 
@@ -52,32 +64,39 @@ class Verdict(NamedTuple):
     reason: str = ""
 
 
+SOUND = Verdict(Identifiability.IDENTIFIED)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence for a verdict."""
+    """Evidence for the verdicts on a fit; what is said of a parameter by its index."""
 
+    measurements: Measurements
     problem: Problem
-    roots: list[Minimum]  # not excluded at 95 %, best first
-    best: np.ndarray  # θ of least deviance, a root or not
+    minima: list[Minimum]  # best first
+    best: np.ndarray  # θ of least deviance, a minimum or not
     deviance: float
     dof: int | None  # where χ² can be judged
     rise: Rise
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
-    closest: float | None = None  # distance of the lengths from the fit, relative to them, where that is no scatter
+    curves: dict[int, Curve]  # profiles
+    profiled: dict[int, Intervals]  # by profile likelihood, or those that counts allow
+    reported: dict[int, Intervals]  # the same, or those of simulated measurements
+    covered: dict[int, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
+    lost: list[str]  # messages of the starts that did not converge and might matter
+    closest: float | None  # distance of the lengths from the fit, relative to them, where that is no scatter
+    at_odds: list[int] | None  # of counts that hold or do not: those at odds with the others
+
+    @functools.cached_property
+    def roots(self) -> list[Minimum]:
+        """Minima not excluded at 95 %."""
+        return [one for one in self.minima if one.deviance <= self.deviance + self.rise(LEVELS[-1])]
 
 
-def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) -> Verdict:
-    """Whether there is a number for parameter j to report with a standard error, and if not, why.
-
-    Parameters
-    ----------
-    j : int
-    evidence : Evidence
-        What the search found.
-    intervals : dict
-        Allowed ranges of θ_j at `LEVELS`.
-    """
-    for test in (
+def judge(j: int, evidence: Evidence) -> Verdict:
+    """Whether there is a number for parameter j to report with a standard error, and if not, why."""
+    tests = (
+        _lost,
         _nothing_responds,
         _everything_allowed,
         _at_an_end,
@@ -88,21 +107,40 @@ def judge(j: int, evidence: Evidence, intervals: dict[float, list[Interval]]) ->
         _not_alone,
         _open,
         _not_normal,
-    ):
-        verdict = test(j, evidence, intervals)
-        if verdict is not None:
-            return verdict
-    return Verdict(Identifiability.IDENTIFIED)
+        _not_covered,
+        _another_valley,
+    )
+    of_counts = evidence.at_odds is not None
+    verdict = _counted(evidence) if of_counts else next(filter(None, (test(j, evidence) for test in tests)), SOUND)
+    if verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL):
+        return _breaks_again(j, evidence) or verdict
+    return verdict
 
 
-def _nothing_responds(j: int, e: Evidence, _: dict) -> Verdict | None:
+def trusted(j: int, verdict: Verdict, evidence: Evidence) -> Intervals:
+    """The intervals of parameter j without those that would measure a misfit, not the parameter."""
+    intervals = evidence.reported[j]
+    if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
+        return dict.fromkeys(intervals, [])
+    if verdict.identifiability is Identifiability.AT_MAXIMUM:
+        # around a maximum that the data lie far above, the rise measures the misfit
+        probability = float(chdtrc((evidence.dof or 0) + 1, evidence.deviance))
+        return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
+    return intervals
+
+
+def _lost(j: int, e: Evidence) -> Verdict | None:
+    return Verdict(Identifiability.NOT_CONVERGED, e.lost[0]) if e.lost else None
+
+
+def _nothing_responds(j: int, e: Evidence) -> Verdict | None:
     if not e.problem.predict(e.best).any():
         return Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
     return None
 
 
-def _everything_allowed(j: int, e: Evidence, intervals: dict) -> Verdict | None:
-    pieces = intervals[LEVELS[-1]]
+def _everything_allowed(j: int, e: Evidence) -> Verdict | None:
+    pieces = e.profiled[j][LEVELS[-1]]
     if len(pieces) == 1 and pieces[0].open_low and pieces[0].open_high:
         told = undetermined(e.problem, e.best)
         why = f"; {told}" if told else ""
@@ -110,7 +148,7 @@ def _everything_allowed(j: int, e: Evidence, intervals: dict) -> Verdict | None:
     return None
 
 
-def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
+def _misfit(j: int, e: Evidence) -> Verdict | None:
     if _above_maximum(e):
         return None  # said more precisely by `_beyond_maximum`
     if e.dof and chdtrc(e.dof, e.deviance) < IMPROBABLE:
@@ -122,7 +160,7 @@ def _misfit(j: int, e: Evidence, _: dict) -> Verdict | None:
     return None
 
 
-def _no_scatter(j: int, e: Evidence, _: dict) -> Verdict | None:
+def _no_scatter(j: int, e: Evidence) -> Verdict | None:
     if e.closest is None:
         return None
     return Verdict(
@@ -132,8 +170,8 @@ def _no_scatter(j: int, e: Evidence, _: dict) -> Verdict | None:
     )
 
 
-def _singular(j: int, e: Evidence, intervals: dict) -> Verdict | None:
-    bounded = any(not (piece.open_low and piece.open_high) for piece in intervals[LEVELS[-1]])
+def _singular(j: int, e: Evidence) -> Verdict | None:
+    bounded = any(not (piece.open_low and piece.open_high) for piece in e.profiled[j][LEVELS[-1]])
     if e.problem.p > 1 and e.roots and e.roots[0].singular[j] and not bounded:
         return Verdict(Identifiability.UNINFORMATIVE, undetermined(e.problem, e.best))
     return None
@@ -147,7 +185,7 @@ def _above_maximum(e: Evidence) -> bool:
     return bool((e.problem.predict(e.roots[0].theta)[0] > PLATEAU * e.attainable).any())
 
 
-def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
+def _beyond_maximum(j: int, e: Evidence) -> Verdict | None:
     if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
         return None
     block = e.problem.blocks[0]
@@ -158,7 +196,7 @@ def _beyond_maximum(j: int, e: Evidence, _: dict) -> Verdict | None:
     )
 
 
-def _at_an_end(j: int, e: Evidence, _: dict) -> Verdict | None:
+def _at_an_end(j: int, e: Evidence) -> Verdict | None:
     q = e.problem.parameters
     reach = 1e-6 * (q.high[j] - q.low[j])
     for end, at in (("lower", q.low[j]), ("upper", q.high[j])):
@@ -169,14 +207,14 @@ def _at_an_end(j: int, e: Evidence, _: dict) -> Verdict | None:
     return None
 
 
-def _open(j: int, e: Evidence, intervals: dict) -> Verdict | None:
-    if any(piece.open_low or piece.open_high for piece in intervals[LEVELS[-1]]):
+def _open(j: int, e: Evidence) -> Verdict | None:
+    if any(piece.open_low or piece.open_high for piece in e.profiled[j][LEVELS[-1]]):
         return Verdict(Identifiability.ONE_SIDED, "the data bound it on one side only")
     return None
 
 
-def _not_alone(j: int, e: Evidence, intervals: dict) -> Verdict | None:
-    q, pieces = e.problem.parameters, intervals[LEVELS[-1]]
+def _not_alone(j: int, e: Evidence) -> Verdict | None:
+    q, pieces = e.problem.parameters, e.profiled[j][LEVELS[-1]]
     one = q.free[j]
     inner = [root for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
     values = sorted({float(f"{one.value(root.theta[j]):.4g}"): None for root in inner})
@@ -198,15 +236,14 @@ def _wrinkle(j: int, e: Evidence) -> float:
     return float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j]))
 
 
-def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:
+def _not_normal(j: int, e: Evidence) -> Verdict | None:
     if not e.roots or e.roots[0].singular[j]:
-        one, ranges = e.problem.parameters.free[j], intervals[LEVELS[-1]]
+        one, ranges = e.problem.parameters.free[j], e.profiled[j][LEVELS[-1]]
         if len(ranges) < 2:
             return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
-        named = " and ".join(f"{one.value(piece.low):.4g} to {one.value(piece.high):.4g}" for piece in ranges)
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {named} {one.unit}".rstrip())
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {_ranges(one, ranges)}")
     covariance = e.roots[0].covariance
-    pieces = intervals[LEVELS[0]]
+    pieces = e.profiled[j][LEVELS[0]]
     if not pieces:
         return Verdict(Identifiability.SKEWED, "the likelihood has no interval at 68 %")
     one = np.sqrt(e.rise(LEVELS[0]) * covariance[j, j])
@@ -221,6 +258,74 @@ def _not_normal(j: int, e: Evidence, intervals: dict) -> Verdict | None:
             f"{widths[0]:.2g} and {widths[1]:.2g} curvature standard errors); use the intervals",
         )
     return None
+
+
+def _not_covered(j: int, e: Evidence) -> Verdict | None:
+    covered = e.covered.get(j, (1.0, 1.0))
+    if all(share >= least for share, least in zip(covered, COVERED, strict=True)):
+        return None
+    return Verdict(
+        Identifiability.SKEWED,
+        f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them in "
+        f"{covered[1]:.0%}; use the intervals",
+    )
+
+
+def _another_valley(j: int, e: Evidence) -> Verdict | None:
+    """Withhold a standard error where another valley, hardly worse, lies far beyond it."""
+    best, one = e.minima[0], e.problem.parameters.free[j]
+    far = 5 * np.sqrt(best.covariance[j, j])
+    for other in e.minima[1:]:
+        if other.deviance <= e.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
+            value = f"{one.value(other.theta[j]):.4g} {one.unit}".rstrip()
+            worse = other.deviance - e.deviance
+            return Verdict(
+                Identifiability.SKEWED,
+                f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals",
+            )
+    return None
+
+
+def _breaks_again(j: int, e: Evidence) -> Verdict | None:
+    """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
+    q, pieces, curve = e.problem.parameters, e.reported[j][LEVELS[-1]], e.curves[j]
+    if q.smooth or q.event != "domino" or not pieces:
+        return None
+    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
+    inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
+    again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1).any(axis=1)
+    if not again.any():
+        return None
+    share = "everywhere in the 95 % interval" if again.all() else "within the 95 % interval"
+    b = np.exp(inputs.log_b).max()
+    return Verdict(
+        Identifiability.REBREAKS,
+        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "
+        "goes on, and the length fitted is that of the front alone",
+    )
+
+
+def _counted(e: Evidence) -> Verdict:
+    """Whether one value, a range, several or none give all counts."""
+    m, one, pieces = e.measurements, e.problem.parameters.free[0], e.profiled[0][LEVELS[-1]]
+    if not pieces:
+        at_odds = e.at_odds or []
+        where = ", ".join(m.place(i) for i in at_odds)
+        others = "the others agree without" if len(at_odds) < len(m) else "nor any one of them:"
+        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives all counts; {others} {where}")
+    if len(pieces) > 1:
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(one, pieces)}")
+    (piece,) = pieces
+    if piece.open_low and piece.open_high:
+        return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
+    if piece.open_low or piece.open_high:
+        return Verdict(Identifiability.ONE_SIDED, "the counts bound it on one side only")
+    return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
+
+
+def _ranges(one: Free, pieces: list[Interval]) -> str:
+    each = " and ".join(f"{one.value(piece.low):.4g} to {one.value(piece.high):.4g}" for piece in pieces)
+    return f"{each} {one.unit}".rstrip()
 
 
 def gravest(verdicts: dict[str, Verdict]) -> str:
