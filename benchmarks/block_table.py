@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.blocks import SPACING, TABLE, block_grid
+from slippulse_jax.inference.interpolation import BLOCK_SPACING, TABLE, block_grid
 from slippulse_jax.inference.parameters import BLOCK_FROM, BLOCK_TO
 
 POISSON = (0.3, 0.4, 0.2)
@@ -21,10 +21,10 @@ AT_ONCE = 112
 
 def wanted(patches: bool) -> np.ndarray:
     """Nodes, the most usual first, (n, 7)."""
-    low, high = (round(np.log(b) / SPACING[1]) for b in (BLOCK_FROM, BLOCK_TO))
+    low, high = (round(np.log(b) / BLOCK_SPACING[1]) for b in (BLOCK_FROM, BLOCK_TO))
     width, kind, least = (1, 1, 0.1) if patches else (0, 0, 0.0)
     place = [
-        (i, j, round(poisson / SPACING[2]), 0, round(height / SPACING[4]), width, kind)
+        (i, j, round(poisson / BLOCK_SPACING[2]), 0, round(height / BLOCK_SPACING[4]), width, kind)
         for height, poisson, i, j in itertools.product(HEIGHTS, POISSON, (0, 1), range(low - 1, high + 2))
         if least / 2 < height < 1 - least / 2
     ]
@@ -38,7 +38,7 @@ def main() -> None:
     missing = [node for node in wanted(asked.parse_args().patches).tolist() if tuple(node) not in block_grid().known]
     for start in range(0, len(missing), AT_ONCE):
         nodes = np.array(missing[start : start + AT_ONCE])
-        block_grid()(nodes * np.array(SPACING))
+        block_grid()(nodes * np.array(BLOCK_SPACING))
         known = block_grid().known
         node, content = np.array(sorted(known), dtype=np.int16), io.BytesIO()
         value = np.array([known[tuple(x)] for x in node.tolist()], dtype=np.float32)

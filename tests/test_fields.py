@@ -308,9 +308,15 @@ def test_coverage(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", recover_coverage.KINDS)
 def test_coverage_campaign(kind):
-    found = recover_coverage.coverage(500, kind, seed=6)
-    for held in (found.held(), found.held("edge"), found.held(determined=True)):
-        assert (abs(held.share - [0.6827, 0.95]) < 3 * np.maximum(held.error, [0.02, 0.01])).all(), held
+    """Intervals hold what they say on the average over smooth profiles; where events start at the edge, at least that.
+
+    Which events start there is known of the truth alone, and those that start inside hold a prestress too seldom.
+    """
+    found, said = recover_coverage.coverage(500, kind, seed=6), np.array([0.6827, 0.95])
+    for held in (found.held(), found.held(determined=True)):
+        assert (abs(held.share - said) < 3 * np.maximum(held.error, [0.02, 0.01])).all(), held
+    edge = found.held("edge")
+    assert (edge.share > said - 3 * np.maximum(edge.error, [0.02, 0.01])).all(), edge
     assert found.given_up < 50
 
 

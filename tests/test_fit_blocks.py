@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
-from slippulse_jax.inference.blocks import block_grid, block_lengths
+from slippulse_jax.inference.interpolation import block_grid, block_lengths
 from slippulse_jax.inference.model import recursion_status
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.events import whole_over_front
+from slippulse_jax.inference.interpolation import whole_over_front
 from slippulse_jax.inference.likelihood import log_density
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs

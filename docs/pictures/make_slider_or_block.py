@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.blocks import block_lengths
+from slippulse_jax.inference.interpolation import block_lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
 
 HERE = Path(__file__).resolve().parent

@@ -150,9 +150,8 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
     for block in problem.blocks:
         mu = problem.predict(result.theta, block.observable)[0]
         sigma = block.data.sigma
-        if q.discrepancy is not None:
-            own = np.exp(result.theta[q.discrepancy]) * block.data.value[0]
-            sigma = np.where(block.data.has_discrepancy, np.hypot(sigma, own), sigma)
+        if q.discrepancy is not None and block.data.has_discrepancy:
+            sigma = np.hypot(sigma, np.exp(result.theta[q.discrepancy]) * block.data.value[0])
         student = problem.loss.name == "student"
         noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
         drawn = mu + sigma * noise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slippulse_jax.inference.blocks import packaged_b
+from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
@@ -20,31 +20,40 @@ from slippulse_jax.inference.verdict import GIVEN, LEVELS
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-STEPS = {"height": 1e-3, "length": 1e-3, "young": 1e-3, "poisson": -1e-3, "correlation_length": -1e-3, "push_height": 1e-3}
-"""Relative change of an input for a fit, of ν the change itself: upward where H/λc then grows, so that it stays above one."""
+
+class Usual(NamedTuple):
+    """An input whose error is stated seldom."""
+
+    symbol: str
+    error: float  # usual error, relative but of ν
+    upward: bool = True  # whether H/λc grows with it, or stays
+    of_a_specimen: bool = False  # measured of each specimen by itself
+
+
+USUAL = {
+    "height": Usual("H", 0.01, of_a_specimen=True),
+    "length": Usual("every length", 0.01),
+    "young": Usual("E", 0.05),
+    "poisson": Usual("ν", 0.02, upward=False),
+    "correlation_length": Usual("λc", float(np.log(2)), upward=False),
+    "push_height": Usual("height of the push", 0.05, of_a_specimen=True),
+}
+"""By column: a gauge's reading, the scale of a camera, tables of a material. λc is seldom known better than by a factor 2."""
+
+STEP = 1e-3
+"""Change of an input for a fit, relative but of ν: the way in which H/λc does not fall, lest it come below one."""
 
 WIDEST = 0.05
 """Largest such change for a fit of a block, either way: interpolated lengths bend in steps, so usual errors are taken whole."""
 
-USUAL = {
-    "height": 0.01,
-    "length": 0.01,
-    "young": 0.05,
-    "poisson": 0.02,
-    "correlation_length": float(np.log(2)),
-    "push_height": 0.05,
+SUPPOSED = {
+    "block_length": ("a block that ends at 4/κ₂", 4.0),
+    "machine_stiffness": ("a machine ten times as stiff as the block", 10.0),
 }
-"""Usual errors of the inputs, relative but for ν: a gauge's reading, the scale of a camera, tables of a material. λc is seldom
-known better than to a factor of two."""
-
-SUPPOSED = {"block_length": 4.0, "machine_stiffness": 10.0}
-"""Length of a block over 1/κ_2, and stiffness of a machine over the block's, supposed where the table states none."""
+"""What is supposed where the table states none: in words, and over 1/κ_2 or the stiffness of the block."""
 
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is supposed to be pushed where the table does not say, over H."""
-
-OF_A_SPECIMEN = ("height", "push_height")
-"""Inputs that are measured of each specimen by itself."""
 
 BOTH_WAYS = np.array([-1.0, 1.0])
 
@@ -74,13 +83,13 @@ def budget(result: "FitResult") -> dict[str, Moved]:
     found = {}
     for name in exact if names else ():
         if result.parameters.body == "slider":
-            step = STEPS[name]
+            step = STEP if USUAL[name].upward else -STEP
             each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
         else:
-            step = min(USUAL[name], WIDEST)
+            step = min(USUAL[name].error, WIDEST)
             up, down = (_refitted(result, _moved(m, name, by), name, by) for by in (step, -step))
             each = (up - down) / (2 * step)
-        found[name] = Moved(USUAL[name], {one: float(each[result.parameters.index(one)]) for one in names})
+        found[name] = Moved(USUAL[name].error, {one: float(each[result.parameters.index(one)]) for one in names})
     return found
 
 
@@ -100,7 +109,7 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
     for name, size in supposed.items() if names and plain else ():
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
             continue
-        ended = dataclasses.replace(m, **{name: SUPPOSED[name] * size})
+        ended = dataclasses.replace(m, **{name: SUPPOSED[name][1] * size})
         moved = _refitted(result, ended, name, 0.0) - result.theta
         found[name] = {one: float(moved[result.parameters.index(one)]) for one in names}
     return found
@@ -168,13 +177,13 @@ def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> I
 def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: dict[str, Moved]) -> float | None:
     """Standard error of the ratio of two stiffnesses with those of the inputs taken as exact; None where there is none.
 
-    What is measured of each specimen (`OF_A_SPECIMEN`) is as independent as they are; the rest moves both.
+    What is measured of each specimen by itself is as independent as they are; the rest moves both.
     """
     ratio, error = result.stiffness_ratios[labels]
     if error is None or not all(label in one.slope for one in moved.values() for label in labels):
         return None
     above, below = (np.array([one.by(label) for one in moved.values()]) for label in labels)
-    own = np.array([name in OF_A_SPECIMEN for name in moved])
+    own = np.array([USUAL[name].of_a_specimen for name in moved])
     return float(np.hypot(error, ratio * np.linalg.norm(np.where(own, np.hypot(above, below), above - below))))
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
-from slippulse_jax.inference.blocks import block_lengths
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
 from slippulse_jax.inference.hints import slips, slips_of_priors
+from slippulse_jax.inference.interpolation import block_lengths
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths

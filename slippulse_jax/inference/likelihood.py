@@ -80,9 +80,8 @@ class Loss:
     def expected(self) -> float:
         """Mean deviance of one datum whose errors are as the loss supposes."""
         if self.name == "huber":
-            c = HUBER_AT
-            density = float(np.exp(-(c**2) / 2) / np.sqrt(2 * np.pi))
-            return 2 * float(ndtr(c)) - 1 + 2 * c * density - 2 * c**2 * (1 - float(ndtr(c)))
+            slope, variance = _huber_moments()
+            return 2 * slope - variance
         if self.name == "student":
             return (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))
         return 1.0
@@ -220,7 +219,7 @@ class Data(NamedTuple):
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
     sigma: np.ndarray  # (n,)
     weight: np.ndarray  # (R, n), how often a datum counts
-    has_discrepancy: np.ndarray  # (n,), whether the model's own error, relative to the value, adds to σ
+    has_discrepancy: bool  # whether the model's own error, relative to the value, adds to σ
 
 
 class Terms(NamedTuple):
@@ -250,19 +249,11 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
     """
     value, weight = data.value[lane], data.weight[lane]
     log_scatter = np.full(mu.shape, -np.inf)
-    if log_discrepancy is not None:
+    if log_discrepancy is not None and data.has_discrepancy:
         with np.errstate(divide="ignore"):
-            own = log_discrepancy[:, None] + np.log(np.abs(value))
-        log_scatter = np.where(data.has_discrepancy, own, log_scatter)
-    sigma = np.broadcast_to(data.sigma, mu.shape)
-    columns = np.empty((4, *mu.shape))
-    for kind in COSTS:
-        there = data.kind == kind
-        if there.any():
-            given = [x[:, there] for x in (mu, value, sigma, log_scatter)]
-            found = over_lanes(_derivatives(kind, loss), [x.ravel() for x in given], LAYOUT)
-            columns[:, :, there] = np.reshape(found, (4, *given[0].shape))
-    variance = sigma**2 + np.exp(2 * log_scatter)
+            log_scatter = log_discrepancy[:, None] + np.log(np.abs(value))
+    columns = _costs(mu, value, data, loss, log_scatter)
+    variance = data.sigma**2 + np.exp(2 * log_scatter)
     plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
     information = np.where(data.kind == "length", plain, columns[2])
     share = np.exp(2 * log_scatter) / np.where(variance > 0, variance, 1)  # d ln σ / d ln δ
@@ -271,6 +262,18 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
         log_discrepancy_slope=weight * columns[3],
         log_discrepancy_information=weight * 2 * share**2,
     )
+
+
+def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss, log_scatter: np.ndarray) -> np.ndarray:
+    """Cost of each datum and its derivatives as by `_derivatives`, each by its kind; shape (4, B, n)."""
+    given = np.broadcast_arrays(mu, value, data.sigma, log_scatter)
+    columns = np.empty((4, *mu.shape))
+    for kind in COSTS:
+        there = data.kind == kind
+        if there.any():
+            found = over_lanes(_derivatives(kind, loss), [x[:, there].ravel() for x in given], LAYOUT)
+            columns[:, :, there] = np.reshape(found, (4, len(mu), there.sum()))
+    return columns
 
 
 class Evaluation(NamedTuple):
@@ -469,20 +472,13 @@ class Problem:
                 total = total + np.where(np.isfinite(mu), cost, np.inf).sum(axis=1)
                 continue
             log_scatter = np.full(mu.shape, -np.inf)
-            if d is not None:
+            if d is not None and data.has_discrepancy:
                 # the scatter that makes the datum most probable: r itself, where the box has it
                 with np.errstate(divide="ignore", invalid="ignore"):
                     best = np.log(np.maximum((mu - value) ** 2 - data.sigma**2, 0)) / 2
                     own = np.clip(best, theta_low[:, [d]] + np.log(np.abs(value)), theta_high[:, [d]] + np.log(np.abs(value)))
-                log_scatter = np.where(data.has_discrepancy, np.nan_to_num(own, nan=-np.inf, neginf=-np.inf), log_scatter)
-            sigma = np.broadcast_to(data.sigma, mu.shape)
-            for kind in COSTS:
-                there = data.kind == kind
-                if there.any():
-                    columns = np.broadcast_arrays(mu, value, sigma, log_scatter)
-                    given = [x[:, there].ravel() for x in columns]
-                    cost = over_lanes(_derivatives(kind, self.loss), given, LAYOUT)[0].reshape(len(mu), -1)
-                    total = total + (data.weight[0][there] * cost).sum(axis=1)
+                log_scatter = np.nan_to_num(own, nan=-np.inf, neginf=-np.inf)
+            total = total + (data.weight[0] * _costs(mu, value, data, self.loss, log_scatter)[0]).sum(axis=1)
         return total
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
@@ -544,7 +540,9 @@ def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
     sites = _sites(problem, block) if block.inputs.log_position is not None else 0
     predicted = jax.vmap(partial(traced, block.observable, relaxed=relaxed, sites=sites))(at(block.inputs, theta))
     mu = predicted[block.rows] * jnp.exp(block.scale(theta)) + block.offset(theta)
-    scatter = jnp.zeros(len(data.sigma)) if d is None else jnp.where(data.has_discrepancy, jnp.exp(theta[d]) * data.value[0], 0)
+    scatter = jnp.zeros(len(data.sigma))
+    if d is not None and data.has_discrepancy:
+        scatter = jnp.exp(theta[d]) * data.value[0]
     total = jnp.zeros(())
     for kind in COSTS:
         there = np.nonzero(data.kind == kind)[0]
@@ -604,7 +602,7 @@ def _block(
         value=value[None],
         sigma=sigma,
         weight=np.ones((1, n)),
-        has_discrepancy=np.full(n, of_length),
+        has_discrepancy=of_length,
     )
     none = Linear(np.zeros(n), np.zeros((n, len(q.free))))
     return Block(

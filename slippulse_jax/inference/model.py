@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Layout, over_lanes
-from slippulse_jax.inference.blocks import block_lengths
-from slippulse_jax.inference.events import whole_over_front
-from slippulse_jax.inference.grid import distinct_rows
+from slippulse_jax.inference.interpolation import block_lengths, distinct_rows, whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Event, Inputs, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.inference.budget import (
-    OF_A_SPECIMEN,
+    SUPPOSED,
+    USUAL,
     Moved,
     push_is_unstated,
     shares_errors,
@@ -354,16 +355,6 @@ def _next_steps(result: "FitResult") -> list[str]:
     return ["", "What to try next", *(f"  - {step}" for step in result.next_steps)] if result.next_steps else []
 
 
-INPUTS = {
-    "height": "H",
-    "length": "every length",
-    "young": "E",
-    "poisson": "ν",
-    "correlation_length": "λc",
-    "push_height": "height of the push",
-}
-
-
 def _budget(result: "FitResult") -> list[str]:
     """What usual errors of the inputs taken as exact would add, and the error with them."""
     moved = result.budget
@@ -377,7 +368,7 @@ def _budget(result: "FitResult") -> list[str]:
     for name, one in moved.items():
         by = {"poisson": f"{one.error:g}", "correlation_length": "a factor 2"}.get(name, f"{one.error:.0%}")
         changes = [f"{one.by(j):+.1%}" if free[j].log else f"{one.by(j):+.2g}" for j in names]
-        rows.append([INPUTS[name], by, *changes])
+        rows.append([USUAL[name].symbol, by, *changes])
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     lines = ["", "Taken as exact, with an error that is usual"]
     lines += ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -397,7 +388,7 @@ def _budget(result: "FitResult") -> list[str]:
 
 def _kept_apart(moved: dict[str, Moved]) -> str:
     """Which errors of inputs two specimens share."""
-    own = [INPUTS[name] for name in moved if name in OF_A_SPECIMEN]
+    own = [USUAL[name].symbol for name in moved if USUAL[name].of_a_specimen]
     return f"{' and '.join(own)} of each specimen on its own, the rest shared" if own else "all shared"
 
 
@@ -431,10 +422,6 @@ def _bodies(result: "FitResult") -> list[str]:
 
 def _unstated(result: "FitResult") -> list[str]:
     """What an end of the block, and a machine that gives way, would move; both lengthen the front, and act one way."""
-    supposed = {
-        "block_length": "a block that ends at 4/κ₂",
-        "machine_stiffness": "a machine ten times as stiff as the block",
-    }
     rows = [*_of_measuring(result), *_of_a_block(result)]
     for name, moved in result.unstated_ends.items():
         free = {one: result.parameters.named(one) for one in moved}
@@ -443,7 +430,7 @@ def _unstated(result: "FitResult") -> list[str]:
             for one, by in moved.items()
         ]
         would = "would be run through" if np.isnan(list(moved.values())).any() else f"would move {', '.join(changes)}"
-        rows.append(f"  {supposed[name]} {would}")
+        rows.append(f"  {SUPPOSED[name][0]} {would}")
     return ["", "Not stated, and not in any error above", *rows] if rows else []
 
 
@@ -613,12 +600,12 @@ def notes(result: "FitResult") -> Iterator[str]:
 def _of_ends(result: "FitResult") -> Iterator[str]:
     m = result.measurements
     if m.block_length is not None:
-        ratio = m.block_length / result.regime.slow_decay_length
-        short = ratio < 4
+        ratio, usual = m.block_length / result.regime.slow_decay_length, SUPPOSED["block_length"][1]
+        short = ratio < usual
         if short.any():
             yield (
-                f"{int(short.sum())} of {len(m)} blocks are shorter than 4/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂): the "
-                "lengths depend on the far end, which is taken to be free"
+                f"{int(short.sum())} of {len(m)} blocks are shorter than {usual:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂)"
+                ": the lengths depend on the far end, which is taken to be free"
             )
 
 
