@@ -14,7 +14,7 @@ from tqdm.auto import tqdm
 from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
 from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
-from slippulse_jax.inference.hints import slips, slips_of_priors
+from slippulse_jax.inference.hints import likely_mistakes, mistaken_priors
 from slippulse_jax.inference.interpolation import block_lengths
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
@@ -22,8 +22,8 @@ from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
     Body,
-    Event,
     Inputs,
+    MeasuredEvent,
     Parameter,
     body_of,
     errors_of_measuring,
@@ -59,7 +59,7 @@ def fit(
     max_steps: int = 60,
     seed: int = 0,
     intervals: str = "auto",
-    event: Event | None = None,
+    event: MeasuredEvent | None = None,
     body: Body | None = None,
 ) -> FitResult:
     """Fit the interface to measured first precursors.
@@ -124,13 +124,13 @@ def fit(
     """
     measurements = measurements_of(measurements)
     wanted = wanted_parameters(free, bounds, fixed)
-    _warn_of_slips(measurements, wanted)
+    _warn_of_mistakes(measurements, wanted)
     body = body_of(measurements, event, body)
     if event is None:
         event = "full" if body == "block" else "domino"
     settings = (
         *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
-        *(("intervals", intervals, INTERVALS), ("event", event, get_args(Event)), ("body", body, get_args(Body))),
+        *(("intervals", intervals, INTERVALS), ("event", event, get_args(MeasuredEvent)), ("body", body, get_args(Body))),
     )
     for name, value, known in settings:
         if value not in list(known):
@@ -226,10 +226,10 @@ def fit(
     )
 
 
-def _warn_of_slips(m: Measurements, wanted: list[Parameter]) -> None:
+def _warn_of_mistakes(m: Measurements, wanted: list[Parameter]) -> None:
     prestressed = any(one.name == "prestress" for one in wanted)
-    for slip in (*slips(m, prestressed=prestressed), *slips_of_priors(m, wanted)):
-        warnings.warn(slip, MeasurementWarning, stacklevel=3)
+    for mistake in (*likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)):
+        warnings.warn(mistake, MeasurementWarning, stacklevel=3)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Hints: likely slips in a table before it is fitted, and what to try after a fit that is rejected."""
+"""Hints: likely mistakes in a table before it is fitted, and what to try after a fit that is rejected."""
 
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -14,8 +14,8 @@ from slippulse_jax.inference.parameters import (
     PARAMETERS,
     STIFFNESSES,
     Body,
-    Event,
     Inputs,
+    MeasuredEvent,
     Parameter,
     ParameterSet,
     parameter_set,
@@ -43,12 +43,14 @@ MUCH = 0.2
 """Share of χ² per degree of freedom that a hint must leave at most, where it does not lead to an accepted fit."""
 MOST_OUTLIERS = 5
 STARTS = 7
-STEPS = 25
+MOST_STEPS = 25
 
 
-def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider", *, prestressed: bool = False) -> Iterator[str]:
-    """Warn of likely slips, and of lengths near or above the longest that any stiffness gives on a slider."""
-    yield from slips(m, prestressed=prestressed)
+def before_fit(
+    m: Measurements, event: MeasuredEvent = "domino", body: Body = "slider", *, prestressed: bool = False
+) -> Iterator[str]:
+    """Warn of likely mistakes, and of lengths near or above the longest that any stiffness gives on a slider."""
+    yield from likely_mistakes(m, prestressed=prestressed)
     # not known yet: a friction, the lengths of a block, what measured lengths share
     if event == "crack" or body == "block" or "measured" in m.provenance:
         return
@@ -57,7 +59,7 @@ def before_fit(m: Measurements, event: Event = "domino", body: Body = "slider", 
     yield from of_attainable(m, longest, event)
 
 
-def slips(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
+def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
     """Name the columns that may have been exchanged, or be in another unit than their names say.
 
     A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
@@ -86,7 +88,7 @@ def slips(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
         yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
 
 
-def slips_of_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
+def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
     """Name the parameters whose priors or values are far from what the table states: theirs are in SI."""
     for one in wanted:
         given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
@@ -103,10 +105,12 @@ def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
     ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
     found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
-    return sorted(found, key=lambda unit: unit == "cm")  # a slip by a factor of 1000 is likelier
+    return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
 
 
-def of_attainable(m: Measurements, attainable: np.ndarray, event: Event = "domino", body: Body = "slider") -> Iterator[str]:
+def of_attainable(
+    m: Measurements, attainable: np.ndarray, event: MeasuredEvent = "domino", body: Body = "slider"
+) -> Iterator[str]:
     """Warn of lengths near or above the longest that any stiffness gives."""
     sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
     lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
@@ -243,7 +247,7 @@ def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[
     problem = make_problem(result.measurements, q, result.problem.loss, result.problem.blocks[0].data.sigma)
     values = dict(zip(old.names, result.theta, strict=True))
     start = np.array([values.get(one.label, values.get(one.label.partition("[")[0], 0.0)) for one in q.free])
-    deviance = 2 * float(minimise(problem, _starts(q, start), q.low, q.high, max_steps=STEPS).value.min())
+    deviance = 2 * float(minimise(problem, _starts(q, start), q.low, q.high, max_steps=MOST_STEPS).value.min())
     yield from _offered(result, deviance, result.problem.p - problem.p, text)
 
 
@@ -269,7 +273,7 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, str]]:
     without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
     starts = _starts(q, result.theta)
     lane = np.repeat(np.arange(count), len(starts))
-    value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=STEPS).value
+    value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
     text = (
         f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: "

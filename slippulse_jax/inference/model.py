@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.inference.interpolation import block_lengths, distinct_rows, whole_over_front
-from slippulse_jax.inference.parameters import STIFFNESSES, Event, Inputs, ParameterSet
+from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, MeasuredEvent, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack
 from slippulse_jax.lattice import lengths as bulk
@@ -35,7 +35,7 @@ from slippulse_jax.theory import block_decay_length
 LANES = 256
 """Lanes of a chunk."""
 
-STEPS = {
+HALF_WIDTHS = {
     "log_height": 1e-4,
     "log_stiffness": 1e-4,
     "poisson": 1e-5,
@@ -53,7 +53,7 @@ STEPS = {
 """Half-widths of central differences."""
 
 FIELD_STEP = 0.1
-"""Factor on `STEPS` for fields, which bend from contact to contact more than a length does."""
+"""Factor on `HALF_WIDTHS` for fields, which bend from contact to contact more than a length does."""
 
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
@@ -75,7 +75,7 @@ class Prediction(NamedTuple):
     slopes: dict[str, Float[np.ndarray, " L"]]
 
 
-def lengths(inputs: Inputs, wanted: Collection[str] = (), event: Event = "domino") -> Prediction:
+def lengths(inputs: Inputs, wanted: Collection[str] = (), event: MeasuredEvent = "domino") -> Prediction:
     """ℓ*, in λc, or ℓ_w of the smooth rule where `log_width` is given; 0 where no domino starts, inf where nothing stops.
 
     The closed form is that of a block without end whose edge is held. Where a block ends or a machine gives way it is ℓ of the
@@ -158,7 +158,7 @@ def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
     return length
 
 
-def straight_lengths(inputs: Inputs, event: Event = "domino") -> np.ndarray:
+def straight_lengths(inputs: Inputs, event: MeasuredEvent = "domino") -> np.ndarray:
     """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
     slider, interface, ends = recursion_inputs(inputs)
     return bulk.lengths(slider, interface, ends=ends, event="full" if event == "full" else "domino")
@@ -188,10 +188,10 @@ def by_differences(
 ) -> Prediction:
     """Values of a model and their derivatives in the `wanted` inputs by central differences, all in one call.
 
-    The steps are `STEPS` times `size`. Two more lengths per derivative cost some 25 µs per lane, the exact derivatives of
+    The steps are `HALF_WIDTHS` times `size`. Two more lengths per derivative cost some 25 µs per lane, the exact derivatives of
     `exact_lengths` 1100 µs, measured with version 0.1.
     """
-    wanted = [name for name in STEPS if name in wanted]
+    wanted = [name for name in HALF_WIDTHS if name in wanted]
     if not wanted:
         return Prediction(values(inputs), {})
     # nodes of a profile are reached from several starts: each distinct row once
@@ -200,7 +200,7 @@ def by_differences(
     shifted = [rows]
     for name in wanted:
         column = names.index(name)
-        step = size * STEPS[name] * (np.exp(-rows[:, 0]) if name == "threshold_slope" else 1.0)
+        step = size * HALF_WIDTHS[name] * (np.exp(-rows[:, 0]) if name == "threshold_slope" else 1.0)
         for sign in (1, -1):
             moved = rows.copy()
             moved[:, column] += sign * step
@@ -428,7 +428,9 @@ def attainable_of(
     return longest[own], np.exp(where[own])
 
 
-def longest_length(inputs: Inputs, low: np.ndarray, high: np.ndarray, event: Event = "domino") -> tuple[np.ndarray, np.ndarray]:
+def longest_length(
+    inputs: Inputs, low: np.ndarray, high: np.ndarray, event: MeasuredEvent = "domino"
+) -> tuple[np.ndarray, np.ndarray]:
     """Maximum of the length over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top.
 
     Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.

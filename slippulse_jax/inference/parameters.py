@@ -17,7 +17,7 @@ from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import machine_ratio
 
-Event = Literal["domino", "full", "crack"]
+MeasuredEvent = Literal["domino", "full", "crack"]
 """What a length is that of: the first front, whose contacts heal; the whole event, in which they may break again; or the front
 of a crack, behind which they slide."""
 Body = Literal["slider", "block"]
@@ -238,7 +238,7 @@ class ParameterSet:
     offset: Linear  # added to a length, in λc
     beyond: Linear  # contacts broken beyond ℓ* when gauges were read
     discrepancy: int | None  # which θ is the logarithm of the model's own relative error
-    event: Event  # what a length is that of
+    event: MeasuredEvent  # what a length is that of
 
     @property
     def body(self) -> Body:
@@ -345,7 +345,7 @@ two-dimensional elasticity, pushed over all but the lowest quarter of its side, 
 
 
 def parameter_set(
-    m: Measurements, wanted: Iterable[str | Parameter], event: Event = "domino", body: Body = "slider"
+    m: Measurements, wanted: Iterable[str | Parameter], event: MeasuredEvent = "domino", body: Body = "slider"
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
@@ -424,10 +424,10 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
 class _Builder:
     """Collects base and slope of every linear map."""
 
-    def __init__(self, m: Measurements, smooth: bool, event: Event, body: Body) -> None:
+    def __init__(self, m: Measurements, smooth: bool, event: MeasuredEvent, body: Body) -> None:
         self.m, self.smooth = m, smooth
         self.body: Body = body
-        self.event: Event = event
+        self.event: MeasuredEvent = event
         if event == "full" and smooth:
             raise ValueError("parameter width: the smooth rule follows one front; leave it out, or event = 'full'")
         of_front = m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None
@@ -558,7 +558,7 @@ class _Builder:
         return result
 
 
-def body_of(m: Measurements, event: Event | None, body: Body | None) -> Body:
+def body_of(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> Body:
     """A block where the measurements say how its side is pushed, unless an event is asked for that only a slider has."""
     if body is not None:
         return body
@@ -656,7 +656,7 @@ def softest(m: Measurements, body: Body = "slider") -> np.ndarray:
     return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
 
 
-def stiffest(m: Measurements, event: Event, body: Body = "slider") -> np.ndarray:
+def stiffest(m: Measurements, event: MeasuredEvent, body: Body = "slider") -> np.ndarray:
     """Largest k/K of each measurement searched by default."""
     most = np.inf if event != "full" else (BLOCK_TO if body == "block" else FULL_TO) / (2 * (1 + m.poisson) * m.height)
     return np.broadcast_to(np.minimum(STIFFEST, most), m.height.shape)
@@ -754,7 +754,7 @@ def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
         )
 
 
-def _check_friction(names: set[str], event: Event) -> None:
+def _check_friction(names: set[str], event: MeasuredEvent) -> None:
     """Check that the friction behind the front is given where there is one, and only there."""
     if event == "crack" and "friction" not in names:
         raise ValueError("event = 'crack': friction is neither fitted nor held; in σ_s, as fixed = {'friction': 0.3}")
@@ -764,7 +764,7 @@ def _check_friction(names: set[str], event: Event) -> None:
         raise ValueError("parameter friction: of contacts that slide behind a crack-like front: needs event = 'crack'")
 
 
-def _check_block(m: Measurements, names: set[str], event: Event) -> None:
+def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None:
     """Check that the measurements say where the side is pushed, and nothing that is not known of a block."""
     if m.push_height is None:
         raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")

@@ -17,7 +17,7 @@ from slippulse_jax.inference.budget import (
     total_interval,
     total_of_ratio,
 )
-from slippulse_jax.inference.hints import of_attainable, slips
+from slippulse_jax.inference.hints import likely_mistakes, of_attainable
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
@@ -45,7 +45,7 @@ UNEVEN_TOTAL = 0.1
 def report(result: "FitResult") -> str:
     """Format a fit: result, intervals, quality, the measurements one by one, notes."""
     m = result.measurements
-    specimens, slipped = len(set(m.specimen)), list(_slips(result))
+    specimens, mistakes = len(set(m.specimen)), list(_mistakes(result))
     counts = _plural(len(m), "measurement") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
     lines = [
         "Interface from first-precursor lengths",
@@ -55,7 +55,7 @@ def report(result: "FitResult") -> str:
         *_held(result),
         "",
         _headline(result),
-        *(f"  but check first: {slip}" for slip in slipped),
+        *(f"  but check first: {one}" for one in mistakes),
         *_values(result),
         *_of_specimens(result),
         *_inputs(result),
@@ -73,7 +73,7 @@ def report(result: "FitResult") -> str:
         *_unstated(result),
         *_unstated_push(result),
     ]
-    if notes_below := [note for note in result.notes if note not in slipped]:
+    if notes_below := [note for note in result.notes if note not in mistakes]:
         lines += ["", "Notes", *(f"  - {note}" for note in notes_below)]
     return "\n".join(lines)
 
@@ -569,8 +569,8 @@ def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
 
 
-def _slips(result: "FitResult") -> Iterator[str]:
-    return slips(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
+def _mistakes(result: "FitResult") -> Iterator[str]:
+    return likely_mistakes(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
 
 
 def notes(result: "FitResult") -> Iterator[str]:
@@ -579,7 +579,7 @@ def notes(result: "FitResult") -> Iterator[str]:
     yield from _of_sigma(result)
     yield from _of_pulls(result)
     yield from _of_shape(result)
-    yield from _slips(result)
+    yield from _mistakes(result)
     yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):

@@ -28,7 +28,7 @@ from slippulse_jax.lattice.rupture import one_rupture
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
-Event = Literal["domino", "full"]
+EventKind = Literal["domino", "full"]
 """What a length is that of: the first front, each contact of which breaks once; or the whole event."""
 
 ROOM = 1.25
@@ -121,8 +121,8 @@ def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
 
 def check_event(event: str) -> None:
     """Refuse an unknown kind of event."""
-    if event not in get_args(Event):
-        raise ValueError(f"event = {event!r}: must be one of {', '.join(map(repr, get_args(Event)))}")
+    if event not in get_args(EventKind):
+        raise ValueError(f"event = {event!r}: must be one of {', '.join(map(repr, get_args(EventKind)))}")
 
 
 def event_lengths(

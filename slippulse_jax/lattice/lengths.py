@@ -16,7 +16,7 @@ from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
-from slippulse_jax.lattice.events import Event, check_event, event_lengths
+from slippulse_jax.lattice.events import EventKind, check_event, event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
 from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
@@ -43,7 +43,7 @@ class Options(TypedDict, total=False):
     sites: Numbers | None
     machine: Numbers | None
     max_contacts: int
-    event: Event
+    event: EventKind
 
 
 @overload
@@ -63,7 +63,7 @@ def precursor_lengths(
     sites: Numbers | None = None,
     machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
-    event: Event = "domino",
+    event: EventKind = "domino",
     derivatives: Literal[0, 1] = 0,
 ) -> np.ndarray | LengthDerivatives:
     """Lengths ℓ of a batch of any size, and their derivatives.
@@ -114,7 +114,7 @@ def lengths(
     rule: BreakRule = HARD,
     ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
-    event: Event = "domino",
+    event: EventKind = "domino",
     derivatives: int = 0,
 ) -> Any:
     """`precursor_lengths` without warnings."""

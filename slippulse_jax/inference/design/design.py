@@ -23,7 +23,7 @@ from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import BIT, label, report, scale_of, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
-from slippulse_jax.lattice.events import Event
+from slippulse_jax.lattice.events import EventKind
 from slippulse_jax.shown import html
 
 MOST_EXPERIMENTS = 12
@@ -264,7 +264,7 @@ def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
         Push(at, width)
 
 
-def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: Event) -> tuple[np.ndarray, np.ndarray]:
+def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind) -> tuple[np.ndarray, np.ndarray]:
     """Length of every candidate at every ln(stiffness), in λc, and dℓ/d ln k, which is 0 where the front never stops.
 
     ℓ* of a slider's front, or the length of the whole event; of a block always that.

@@ -15,7 +15,7 @@ from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import STIFFNESSES, Body, Inputs, body_of, pushed_at, ratio_per_unit, softest, stiffest
-from slippulse_jax.lattice.events import Event, check_event
+from slippulse_jax.lattice.events import EventKind, check_event
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -59,7 +59,7 @@ class Knowledge:
     weight: ArrayLike | None = None
     root: ArrayLike | None = None
     in_si: bool = False
-    event: Event = "domino"
+    event: EventKind = "domino"
     body: Body | None = None
 
     def __post_init__(self) -> None:
@@ -251,7 +251,9 @@ class Knowledge:
         return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
 
 
-def _log_likelihood(theta: np.ndarray, m: Measurements, ratio: np.ndarray, body: Body, event: Event = "domino") -> np.ndarray:
+def _log_likelihood(
+    theta: np.ndarray, m: Measurements, ratio: np.ndarray, body: Body, event: EventKind = "domino"
+) -> np.ndarray:
     """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
     sigma = m.sigma
     if not np.isfinite(sigma).all():

@@ -34,7 +34,7 @@ class Smoothness(NamedTuple):
     length_scale: float  # distance over which it varies, in λc
 
 
-class Posterior(NamedTuple):
+class LinearPosterior(NamedTuple):
     """Posterior of u given linear data, for one `Smoothness`."""
 
     mean: Float[np.ndarray, " k"]  # of u − m
@@ -44,7 +44,7 @@ class Posterior(NamedTuple):
     coefficient: Float[np.ndarray, " n"]  # S⁻¹ z
 
 
-class Problem(NamedTuple):
+class Inversion(NamedTuple):
     """The data, and the prior but for its smoothness."""
 
     model: ProfileModel
@@ -65,7 +65,7 @@ class Problem(NamedTuple):
 class Found(NamedTuple):
     """Outcome of a search."""
 
-    posteriors: list[Posterior]  # of each setting, linearised where the search ended
+    posteriors: list[LinearPosterior]  # of each setting, linearised where the search ended
     weight: np.ndarray  # their probabilities
     prior_misfit: float  # (u − m)ᵀK⁻¹(u − m)
     converged: bool
@@ -101,7 +101,7 @@ def condition(
     design: Float[np.ndarray, "n k"],
     noise: Float[np.ndarray, " n"],
     prior: Float[np.ndarray, "k k"],
-) -> Posterior:
+) -> LinearPosterior:
     """Posterior of u − m given z = G (u − m) + noise.
 
     Parameters
@@ -120,7 +120,7 @@ def condition(
     white = np.linalg.solve(factor, gain.T)  # (n, k): covariance removed is whiteᵀ white
     residual = np.linalg.solve(factor, z)
     coefficient = np.linalg.solve(factor.T, residual)
-    return Posterior(
+    return LinearPosterior(
         mean=gain @ coefficient,
         covariance=prior - white.T @ white,
         resolution=white.T @ np.linalg.solve(factor, design),
@@ -129,7 +129,7 @@ def condition(
     )
 
 
-def mixture(posteriors: list[Posterior], weight: Float[np.ndarray, " h"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mixture(posteriors: list[LinearPosterior], weight: Float[np.ndarray, " h"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance and resolution of posteriors weighted by the probability of their settings."""
     pairs = list(zip(weight, posteriors, strict=True))
     mean = np.sum([w * p.mean for w, p in pairs], axis=0)
@@ -150,7 +150,7 @@ def quantile(
     return (low + high) / 2
 
 
-def search(problem: Problem, settings: list[Smoothness], max_steps: int) -> Found:
+def invert(problem: Inversion, settings: list[Smoothness], max_steps: int) -> Found:
     """Fit under the setting of most evidence, weigh the settings where the search ended, and repeat until it stays the same."""
     priors = [problem.prior(s) for s in settings]
     weight = np.full(len(settings), 1 / len(settings))
@@ -173,7 +173,7 @@ def search(problem: Problem, settings: list[Smoothness], max_steps: int) -> Foun
             return Found(posteriors, weight, float(c @ place), converged, total, place, at)
 
 
-def _descend(problem: Problem, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
+def _descend(problem: Inversion, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
     """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend."""
     measured, sigma = problem.model.measured, problem.sigma
 
@@ -201,7 +201,7 @@ def _descend(problem: Problem, prior: np.ndarray, max_steps: int) -> tuple[np.nd
     return c, max_steps, False
 
 
-def _by_excess(problem: Problem, prior: np.ndarray, steps: int = 6) -> np.ndarray:
+def _by_excess(problem: Inversion, prior: np.ndarray, steps: int = 6) -> np.ndarray:
     """Start of a search: c for which the stress equals the threshold at the measured arrests."""
     c = np.zeros(len(problem.mean))
     for _ in range(steps):

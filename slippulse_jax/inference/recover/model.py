@@ -31,7 +31,7 @@ from slippulse_jax.lattice.front import Front, advance, nucleate, straight_line,
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
-Kind = Literal["threshold", "prestress"]
+ProfileKind = Literal["threshold", "prestress"]
 
 LANES = 8
 """Fronts computed together: one compiled program serves any number of measurements."""
@@ -49,7 +49,7 @@ class Look(NamedTuple):
 class ProfileModel(NamedTuple):
     """One interface under n sliders."""
 
-    kind: Kind
+    kind: ProfileKind
     knots: np.ndarray  # (k,)
     measured: np.ndarray  # (n,) lengths, in λc
     lanes: tuple[np.ndarray, np.ndarray, np.ndarray]  # height, stiffness, poisson, each (n,)
@@ -90,7 +90,7 @@ class ProfileModel(NamedTuple):
 
 
 def profile_model(
-    m: Measurements, kind: Kind, stiffness: np.ndarray, measured: np.ndarray, sites: int, knots: int
+    m: Measurements, kind: ProfileKind, stiffness: np.ndarray, measured: np.ndarray, sites: int, knots: int
 ) -> ProfileModel:
     """Build the model of these measurements, with their prestress and threshold slope as known parts.
 

@@ -32,8 +32,8 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.recover.events import blocks, follow, fronts
-from slippulse_jax.inference.recover.inversion import LEVEL, Found, Problem, Smoothness, mixture, quantile, search
-from slippulse_jax.inference.recover.model import Kind, Look, profile_model
+from slippulse_jax.inference.recover.inversion import LEVEL, Found, Inversion, Smoothness, invert, mixture, quantile
+from slippulse_jax.inference.recover.model import Look, ProfileKind, profile_model
 from slippulse_jax.inference.recover.report import report, to_dict
 
 MOST_KNOTS = 256
@@ -100,7 +100,7 @@ class Readings(NamedTuple):
 class RecoveredProfile:
     """Outcome of `recover_profile`. Look at `determination` first."""
 
-    kind: Kind
+    kind: ProfileKind
     measurements: Measurements
     position: np.ndarray  # (k,) knots, in λc from the left edge
     profile: np.ndarray  # (k,) θ/θ_0, or φ in σ_s
@@ -159,7 +159,7 @@ def recover_profile(
     measurements: Measurements,
     *,
     stiffness: ArrayLike,
-    kind: Kind = "threshold",
+    kind: ProfileKind = "threshold",
     log_stiffness_sd: float = 0.0,
     mean: float = 0.0,
     amplitude: float | None = None,
@@ -205,13 +205,13 @@ def recover_profile(
     model = profile_model(m, kind, np.asarray(stiffness, dtype=np.float64), measured, sites, MOST_KNOTS)
     knots, k = model.knots, len(model.knots)
     middle = np.append(np.full(k, mean if kind == "prestress" else 0.0), 0.0)
-    problem = Problem(model, sigma, middle, log_stiffness_sd)
+    problem = Inversion(model, sigma, middle, log_stiffness_sd)
     settings = [
         Smoothness(float(s), float(scale))
         for s in (_AMPLITUDES[kind] if amplitude is None else [amplitude])
         for scale in (_LENGTH_SCALES * measured.max() if length_scale is None else [length_scale])
     ]
-    found = search(problem, settings, max_steps)
+    found = invert(problem, settings, max_steps)
     mean_u, covariance, resolution = mixture(found.posteriors, found.weight)
     f, covariance, resolution = (problem.mean + mean_u)[:k], covariance[:k, :k], resolution[:k, :k]
     prior_variance = np.sum([w * np.diag(problem.prior(s))[:k] for w, s in zip(found.weight, settings, strict=True)], axis=0)
@@ -264,7 +264,7 @@ def recover_profile(
 _FOUND = (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
 
 
-def _simulated(problem: Problem, found: Found, u: np.ndarray) -> tuple[Nucleation, float]:
+def _simulated(problem: Inversion, found: Found, u: np.ndarray) -> tuple[Nucleation, float]:
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
     model, (height, stiffness, poisson) = problem.model, problem.model.lanes
     theta, phi = model.contacts(u)
@@ -289,7 +289,7 @@ def _simulated(problem: Problem, found: Found, u: np.ndarray) -> tuple[Nucleatio
     return Nucleation(contact, (start == 0).mean(axis=0), np.array([event.length for event in events])), agreement
 
 
-def _draws(problem: Problem, found: Found) -> np.ndarray:
+def _draws(problem: Inversion, found: Found) -> np.ndarray:
     """Draws of u from the posterior, shape (DRAWS, k + 1); the same in every call."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(found.weight), DRAWS, p=found.weight)
@@ -305,8 +305,8 @@ def _draws(problem: Problem, found: Found) -> np.ndarray:
 def _check(
     m: Measurements, kind: str, log_stiffness_sd: float, amplitude: float | None, length_scale: float | None, max_steps: int
 ) -> None:
-    if kind not in get_args(Kind):
-        raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}")
+    if kind not in get_args(ProfileKind):
+        raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(ProfileKind)))}")
     if not 0 <= log_stiffness_sd < np.inf:
         raise ValueError(f"log_stiffness_sd = {log_stiffness_sd:g}: must be 0 or more")
     for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
