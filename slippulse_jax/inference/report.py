@@ -1,7 +1,7 @@
 """Report of a fit as text, with its notes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -131,8 +131,8 @@ def _values(result: "FitResult") -> list[str]:
     for name, value in result.values.items():
         symbol, unit = shown.get(name, ("k/K", ""))
         rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
-        narrow = _narrowest(intervals.get(name, {}))
         by_level = intervals.get(name, {})
+        narrow = _narrowest(by_level)
         for level, pieces in by_level.items():
             text = " or ".join(interval(piece, value, narrow) for piece in pieces)
             how = " (calibrated)" * result.calibrated
@@ -332,8 +332,13 @@ def _table(result: "FitResult") -> list[str]:
                 f"{result.residuals[i]:+.2f}",
             ]
         )
-    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
-    return ["  " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return _aligned(rows, str.rjust)
+
+
+def _aligned(rows: list[list[str]], justify: Callable[[str, int], str]) -> list[str]:
+    """Lines of a table, each column as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  " + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
 
 
 def _further(result: "FitResult") -> list[str]:
@@ -363,15 +368,12 @@ def _budget(result: "FitResult") -> list[str]:
     names = list(next(iter(moved.values())).slope)
     q = result.parameters
     free = {name: q.named(name) for name in names}
-    heads = ["input", "if larger by", *(f"moves {_symbol(name, one.symbol)} by" for name, one in free.items())]
-    rows = [heads]
+    rows = [["input", "if larger by", *(f"moves {_symbol(name, one.symbol)} by" for name, one in free.items())]]
     for name, one in moved.items():
         by = {"poisson": f"{one.error:g}", "correlation_length": "a factor 2"}.get(name, f"{one.error:.0%}")
         changes = [f"{one.by(j):+.1%}" if free[j].log else f"{one.by(j):+.2g}" for j in names]
         rows.append([USUAL[name].symbol, by, *changes])
-    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
-    lines = ["", "Taken as exact, with an error that is usual"]
-    lines += ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines = ["", "Taken as exact, with an error that is usual", *_aligned(rows, str.ljust)]
     for name in names:
         whole, wide = total(result, name, moved), total_interval(result, name, moved)
         value = value_with_error(result.values[name], whole)
