@@ -17,7 +17,7 @@ MOST_STARTS = 4
 
 
 class Samples:
-    """Base of samples of the parameters, whether refits or draws from a posterior."""
+    """Samples of the parameters: refits, or draws from a posterior."""
 
     names: tuple[str, ...]
     values: np.ndarray  # (…, parameters), in the units of the parameters
@@ -132,7 +132,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric
 
 
 def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """θ, deviance and convergence of the best refit of each of `count` replicates: converged ones before others."""
+    """θ, deviance and convergence of the best refit per replicate; converged refits come before others."""
     starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
@@ -144,7 +144,7 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
 
 
 def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
-    """Measurements drawn from the fitted model, and new values of the inputs from their priors."""
+    """Draw measurements from the fitted model, and new values of the inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for block in problem.blocks:

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class Usual(NamedTuple):
-    """An input whose error is stated seldom."""
+    """An input whose error is rarely stated."""
 
     symbol: str
-    error: float  # usual error, relative but of ν
-    upward: bool = True  # whether H/λc grows with it, or stays
-    of_a_specimen: bool = False  # measured of each specimen by itself
+    error: float  # usual error, relative except for ν
+    upward: bool = True  # whether H/λc does not fall as it grows
+    of_a_specimen: bool = False  # measured separately on each specimen
 
 
 USUAL = {
@@ -38,28 +38,28 @@ USUAL = {
     "correlation_length": Usual("λc", float(np.log(2)), upward=False),
     "push_height": Usual("height of the push", 0.05, of_a_specimen=True),
 }
-"""By column: a gauge's reading, the scale of a camera, tables of a material. λc is seldom known better than by a factor 2."""
+"""By column: a gauge's reading, the scale of a camera, tables of a material. λc is rarely known to better than a factor 2."""
 
 STEP = 1e-3
-"""Change of an input for a fit, relative but of ν: the way in which H/λc does not fall, lest it come below one."""
+"""Change of an input for a refit, relative except for ν; in the direction in which H/λc does not fall below one."""
 
 WIDEST = 0.05
-"""Largest such change for a fit of a block, either way: interpolated lengths bend in steps, so usual errors are taken whole."""
+"""Largest change for a block, both ways: interpolated lengths bend at nodes, so usual errors up to this are taken whole."""
 
 SUPPOSED = {
     "block_length": ("a block that ends at 4/κ₂", 4.0),
     "machine_stiffness": ("a machine ten times as stiff as the block", 10.0),
 }
-"""What is supposed where the table states none: in words, and over 1/κ_2 or the stiffness of the block."""
+"""Assumed where the table states none: description, and value over 1/κ_2 or over the stiffness of the block."""
 
 PUSHES = (0.5, 0.25, 0.1)
-"""Heights above which a block is supposed to be pushed where the table does not say, over H."""
+"""Heights above which a block is assumed to be pushed where the table does not say, over H."""
 
 BOTH_WAYS = np.array([-1.0, 1.0])
 
 
 class Moved(NamedTuple):
-    """What an error of one input does to the fitted parameters."""
+    """Effect of an error of one input on the fitted parameters."""
 
     error: float  # of the input, as in `USUAL`
     slope: dict[str, float]
@@ -116,11 +116,11 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
 
 
 def unstated_push(result: "FitResult") -> dict[str, float]:
-    """Stiffness of a block pushed above a height, over that of the slider, for the same lengths, where no push is stated.
+    """Stiffness of a block over that of the slider, for the same lengths, where no push is stated.
 
-    By the height over H, of the measurement with the middle length over H; NaN where no stiffness gives it. Only of first
-    fronts on a relaxed interface whose stiffness has a value. None where lengths share an offset or a model factor: fitted
-    to a block, these would take other values.
+    By the height over H above which the block is pushed, for the measurement with the median length over H; NaN where no
+    stiffness gives it. Only for first fronts on a relaxed interface whose stiffness has a value. Empty where lengths share an
+    offset or a model factor, which would take other values in a fit of a block.
     """
     if not push_is_unstated(result) or shares_errors(result):
         return {}
@@ -132,7 +132,7 @@ def unstated_push(result: "FitResult") -> dict[str, float]:
 
 
 def push_is_unstated(result: "FitResult") -> bool:
-    """Whether to say what a block would have for the stiffness of this slider: of first fronts, on a relaxed interface."""
+    """Whether to compare with blocks: first fronts of a slider on a relaxed interface, whose push is not stated."""
     m, q = result.measurements, result.parameters
     given = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
     stiff = any(one.startswith(name) for one in given for name in STIFFNESSES)
@@ -148,7 +148,7 @@ def shares_errors(result: "FitResult") -> bool:
 
 
 def total(result: "FitResult", name: str, moved: dict[str, Moved]) -> float | None:
-    """Standard error of a parameter with those of the inputs taken as exact; as that, None where there is none."""
+    """Standard error of a parameter, inputs taken as exact included; None where there is none."""
     stderr = result.stderrs[name]
     if stderr is None:
         return None
@@ -175,9 +175,9 @@ def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> I
 
 
 def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: dict[str, Moved]) -> float | None:
-    """Standard error of the ratio of two stiffnesses with those of the inputs taken as exact; None where there is none.
+    """Standard error of the ratio of two stiffnesses, inputs taken as exact included; None where there is none.
 
-    What is measured of each specimen by itself is as independent as they are; the rest moves both.
+    Errors of inputs measured on each specimen are independent; the others move both stiffnesses.
     """
     ratio, error = result.stiffness_ratios[labels]
     if error is None or not all(label in one.slope for one in moved.values() for label in labels):
@@ -188,7 +188,7 @@ def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: dict[str
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
-    """Whether the table has this input, without an error; contacts that were counted have no scale."""
+    """Whether the table has this input without an error; counted contacts have no scale of length."""
     if name == "length":
         return set(m.kind) != {"whole"}
     errors = getattr(m, f"{name}_sigma")
@@ -196,7 +196,7 @@ def _taken_as_exact(m: Measurements, name: str) -> bool:
 
 
 def _moved(m: Measurements, name: str, by: float) -> Measurements:
-    """Measurements with one input of all of them larger by `by`; a length in metres stays what it is where λc moves."""
+    """Measurements with one input larger by `by` throughout; lengths in metres stay the same as λc changes."""
     if name == "poisson":
         return dataclasses.replace(m, poisson=m.poisson + by)
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
@@ -215,7 +215,7 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
 
 
 def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.ndarray:
-    """θ of the least deviance near the best fit, of other measurements."""
+    """θ of least deviance near the best fit, for other measurements."""
     sigma = result.problem.blocks[0].data.sigma
     if name == "correlation_length":
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))

@@ -27,10 +27,10 @@ RESOLUTION = {1: 0.15, 2: 0.3}
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
 MOST_OTHERS = 80  # values of a second parameter at each of the first
 ONE_THREAD = 4 * 2**16
-"""Multiplications for which OpenBLAS takes one thread: whole products, which it gave to two, took ten times as long."""
+"""Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
-HOPELESS = 25.0  # rise of D beyond which a value is excluded whatever its calibration; the cells of a scan reach farther
+HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration; the cells of a scan reach farther
 
 
 class Table(NamedTuple):
@@ -58,7 +58,7 @@ def can_be_calibrated(problem: Problem) -> bool:
 def to_be_simulated(
     problem: Problem, wanted: str, minima: list[Minimum], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
 ) -> bool:
-    """Whether intervals are to be found by simulation: as wanted, or where valleys compete or one is no parabola.
+    """Whether to simulate intervals: as requested, or where valleys compete or one is not parabolic.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def calibrated(
     cells: Cells | None = None,
     seed: int = 0,
 ) -> dict[int, Calibration]:
-    """Allowed θ, at each level, as intervals in increasing order; and how often a standard error would hold the truth.
+    """Allowed θ at each level, as intervals in increasing order, and how often a standard error holds the truth.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _simulated(problem: Problem, levels: tuple[float, ...], j: int, table: Table
 
 
 def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Residuals at points (B, p); where the front never stops they are far away instead of infinite."""
+    """Residuals at points (B, p); very large instead of infinite where the front never stops."""
     found, _ = problem.residuals(problem.predictions(theta), theta)
     return np.where(np.isfinite(found), found, 1e9)
 
@@ -151,13 +151,13 @@ def _steps(off: np.ndarray) -> np.ndarray:
 
 
 def _along(problem: Problem) -> Table:
-    """Values of a single parameter, evenly spaced in what is predicted."""
+    """Choose values of a single parameter, evenly spaced in the predictions."""
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, 801)
     for _ in range(2):
         path = np.concatenate([[0], np.cumsum(_steps(_residuals(problem, node[:, None])))])
         count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
-        # where nothing responds the values are kept apart too, so that an open side is seen
+        # values stay apart where the predictions are constant too, so that an open side is seen
         path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
         node = np.interp(np.linspace(0, path[-1], count), path, node)
     every = np.arange(len(node))
@@ -165,7 +165,7 @@ def _along(problem: Problem) -> Table:
 
 
 def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
-    """Values of θ_j along its profile, and at each those of the other parameter that a scan leaves."""
+    """Choose values of θ_j along its profile, and at each those of the other parameter that a scan left."""
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
@@ -175,15 +175,15 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
     node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
     ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
     other, found = 1 - j, []
-    # where the scan left values of the other, and how far apart their predictions are
+    # the values of the other that the scan left, and how far apart their predictions are
     for x, on_ridge in zip(node, ridge[:, other], strict=True):
         there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
-        # a cell is all but linear: its two ends say how long it is
+        # a cell is almost linear, so its two ends give its length
         found.append(np.unique(np.concatenate([[on_ridge], cells.low[there, other], cells.high[there, other]])))
     steps = _steps(_residuals(problem, _points(node, found, j)))
     starts = np.cumsum([0] + [len(y) for y in found])
     for i, y in enumerate(found):
-        # a gap between two cells is not walked across
+        # gaps between cells are skipped
         path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
         count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
         found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
@@ -204,8 +204,8 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
 
 
 def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of D at the true value above its minimum over all, and which value has that minimum, in each simulation."""
-    # single precision: the table is coarser by far
+    """Rise of D at the true value above its minimum, and the value at that minimum, per simulation."""
+    # single precision is enough: the table is far coarser
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
     there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1).T

@@ -20,7 +20,7 @@ class Allowed(NamedTuple):
     """Values of θ that all counts allow."""
 
     pieces: list[Interval]  # in increasing order; empty where there is none
-    at_odds: list[int]  # then the fewest data without which there would be one, by index of the measurement
+    at_odds: list[int]  # if none: the fewest measurements without which there would be one, by index
 
 
 def are_exact(problem: Problem) -> bool:
@@ -39,7 +39,7 @@ def allowed_by_counts(problem: Problem) -> Allowed:
     kind, value = block.data.kind, block.data.value[0]
     edge = first_edges(problem)[0]
     length = problem.predictions(edge[:, None])
-    # a count changes at n − 1 and n, a front without arrest where it just reaches so far
+    # a count holds between n − 1 and n, a front without arrest from the length it ran past
     limits = [(i, x) for i in range(len(value)) for x in ((value[i] - 1, value[i]) if kind[i] == "whole" else (value[i],))]
     datum = np.array([i for i, _ in limits])
     limit = np.array([x for _, x in limits])

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 
 SIGMAS = ("absolute", "relative")
 INTERVALS = ("auto", "profile", "calibrated")
-MOST_ROOTS = 4  # followed along a profile
-SEARCH_ROUNDS = 3  # a profile that finds a deeper place sends the search there
+MOST_ROOTS = 4  # from which a profile is started
+SEARCH_ROUNDS = 3  # the search is repeated where a profile finds a lower deviance
 BETWEEN = 0.5
-"""Difference between ℓ* and the straight-line length, in σ, from which on the fit allows for it."""
+"""Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
 
 
 def fit(
@@ -196,7 +196,7 @@ def fit(
         profiled=pieces,
         reported=reported,
         covered=covered,
-        # counts at odds are named; how deep the search came into that misfit says nothing
+        # counts at odds are named; the search of such a misfit need not converge
         lost=[] if counts else [message for value, message in unconverged if value <= limits[LEVELS[-1]]],
         closest=scatter and scatter.closest,
         at_odds=counts and counts.at_odds,
@@ -234,14 +234,14 @@ def _warn_of_mistakes(m: Measurements, wanted: list[Parameter]) -> None:
 
 @contextmanager
 def _progress(problem: Problem) -> Iterator[Problem]:
-    """The problem with a count of its evaluations: on a terminal from the start, as the first fit compiles before it counts."""
+    """Show a progress bar of the evaluations; on a terminal at once, because the first fit compiles before it counts."""
     delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
     with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, delay=delay, leave=False, disable=None) as bar:
         yield dataclasses.replace(problem, tick=bar.update)
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:
-    """Intervals in the units of the parameters, and of k/K where it is one number proportional to one of them."""
+    """Convert intervals to the units of the parameters; add those of k/K where it is proportional to one of them."""
     q = problem.parameters
 
     def converted(found: Intervals, unit: Callable[[float], float]) -> Intervals:
@@ -257,7 +257,7 @@ def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) 
 
 
 def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
-    """The parameters that the arguments of `fit` name, fitted or held."""
+    """Collect the parameters, fitted or held, that the arguments of `fit` name."""
     free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
     if not free:
         raise ValueError("free = (): nothing to fit")
@@ -307,9 +307,9 @@ def _rise(problem: Problem, scatter: Scatter | None) -> Rise:
 
 
 def _testable(problem: Problem, scaled: bool) -> int | None:
-    """Degrees of freedom where χ² can be judged by its distribution.
+    """Degrees of freedom, where χ² follows its distribution; None elsewhere.
 
-    Beside counts without an error, which cost nothing where they hold, as many as there are other data: a bound from above.
+    Counts without an error cost nothing where they hold. Next to them it is the number of other data, an upper bound.
     """
     if scaled or problem.parameters.discrepancy is not None or problem.loss.name != "normal":
         return None
@@ -332,7 +332,7 @@ class Explored(NamedTuple):
 
 
 def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
-    """Typical |ℓ − ℓ*| of every length in λc, where one of them is not small beside its σ; 0 for counts.
+    """Typical |ℓ − ℓ*| of every length in λc, 0 for counts; None where all are small compared with their σ.
 
     ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
     continuation does. A length is measured to neither convention. Of whole events it is how far the interpolated length is
@@ -340,7 +340,7 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     """
     block, q = problem.blocks[0], problem.parameters
     plain = (block.data.kind == "length") | (q.event == "full")
-    # both end between the same two contacts
+    # ℓ and ℓ* lie between the same two contacts, so they differ by less than one
     widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
     if q.body == "block":
         theta = first_look(problem, seed)
@@ -350,11 +350,11 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
         return None
     theta = first_look(problem, seed)
     contact = np.exp(q.scales["length"](theta))
-    # of several stiffnesses around, lest one length stop just on a contact, where both agree
+    # at several stiffnesses nearby: a length that ends exactly on a contact shows no difference
     inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
     around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
     around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
-    around = around.endless  # as it is there
+    around = around.endless  # as the exact solution is
     exact = lengths(around, event=q.event).value
     stops, off = np.isfinite(exact), np.zeros(len(exact))
     off[stops] = straight_lengths(around.take(stops), q.event) - exact[stops]
@@ -365,7 +365,7 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 
 
 def _of_counts(problem: Problem, counts: Allowed) -> Explored:
-    """A root in the middle of every piece that the counts allow, the softest first."""
+    """Put a root in the middle of every range that the counts allow, the softest first."""
     middle = np.array([[(piece.low + piece.high) / 2] for piece in counts.pieces])
     value = 2 * problem(middle).value
     roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
@@ -375,7 +375,7 @@ def _of_counts(problem: Problem, counts: Allowed) -> Explored:
 def _explore_scaled(
     problem: Problem, m: Measurements, method: str, max_steps: int, seed: int
 ) -> tuple[Problem, Scatter, Explored]:
-    """Search with σ of the size that the scatter asks for, about the best fit there is."""
+    """Search with σ scaled to the scatter about the best fit known."""
     theta, rounds = first_look(problem, seed), 0
     while True:
         scatter = scatter_about(problem, theta, of_lengths=m.length_sigma is None)
@@ -387,7 +387,7 @@ def _explore_scaled(
 
 
 def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explored:
-    """Search the range, and follow every parameter asked for along its profile."""
+    """Search the range, and compute the profile of every requested parameter."""
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, method=method, max_steps=max_steps, seed=seed)
     if not np.isfinite(found.deviance):
@@ -417,13 +417,13 @@ def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explor
 
 
 def _ordered(roots: list[Minimum]) -> list[Minimum]:
-    """Best first; of those equally good to rounding the softest, lest chance put each specimen on a side of its own."""
+    """Sort by deviance; of minima equal to rounding the softest comes first, so that specimens do not differ by chance."""
     least = min((root.deviance for root in roots), default=0.0)
     return sorted(roots, key=lambda root: (max(root.deviance - least - 1e-6 * max(1.0, abs(least)), 0.0), root.theta.sum()))
 
 
 def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
-    """Inner nodes lower than both neighbours, and not hopeless."""
+    """Inner nodes lower than both neighbours and than `limit`."""
     inner = (deviance[1:-1] < deviance[:-2]) & (deviance[1:-1] <= deviance[2:]) & (deviance[1:-1] < limit)
     return 1 + np.nonzero(inner)[0]
 
@@ -435,7 +435,7 @@ def _near(curve: Curve, i: int, root: Minimum) -> bool:
 
 
 def _lowest(roots: list[Minimum], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
-    """The best root where it is lowest to rounding; otherwise a point of a profile, such as the end of the range."""
+    """Return the best root if nothing lies lower; otherwise a point of a profile, such as the end of the range."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
         if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):

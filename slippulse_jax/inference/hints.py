@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 DIAMOND = 1.2e12
 """Young's modulus of diamond, in Pa."""
 LIKELY = (0.02, 1.2)
-"""Lengths over the height that are usual."""
+"""Usual range of the length over the height."""
 SUSPECT = (0.01, 1.5)
-"""Lengths over the height beyond which a unit is suspected."""
+"""Range of the length over the height outside which a unit is suspected."""
 FAR = 100.0
-"""Factor between a parameter and what the table states of it from which on a unit is suspected."""
+"""Factor between a parameter and the value in the table above which a unit is suspected."""
 LENGTHENED = 5.0
-"""Factor on that where something may lengthen fronts."""
+"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
 MUCH = 0.2
-"""Share of χ² per degree of freedom that a hint must leave at most, where it does not lead to an accepted fit."""
+"""Largest share of χ² per degree of freedom that a hint may leave, if it does not lead to an accepted fit."""
 MOST_OUTLIERS = 5
 STARTS = 7
 MOST_STEPS = 25
@@ -51,7 +51,7 @@ def before_fit(
 ) -> Iterator[str]:
     """Warn of likely mistakes, and of lengths near or above the longest that any stiffness gives on a slider."""
     yield from likely_mistakes(m, prestressed=prestressed)
-    # not known yet: a friction, the lengths of a block, what measured lengths share
+    # unknown before the fit: a friction, the lengths of a block, the errors that measured lengths share
     if event == "crack" or body == "block" or "measured" in m.provenance:
         return
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
@@ -60,7 +60,7 @@ def before_fit(
 
 
 def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
-    """Name the columns that may have been exchanged, or be in another unit than their names say.
+    """Name the columns that may have been exchanged, or may be in another unit than their names say.
 
     A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
     """
@@ -89,7 +89,7 @@ def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[s
 
 
 def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
-    """Name the parameters whose priors or values are far from what the table states: theirs are in SI."""
+    """Name the parameters whose priors or values are far from what the table states, since they are taken in SI."""
     for one in wanted:
         given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
         if given is None or stated is None or not m.in_si or one.name not in ("young", "correlation_length"):
@@ -101,7 +101,7 @@ def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
 
 
 def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
-    """Units of length in which a column would give usual lengths over the height."""
+    """Units of length in which the column would have usual values."""
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
     ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
     found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
@@ -134,11 +134,11 @@ def of_attainable(
 
 
 def next_steps(result: "FitResult") -> list[str]:
-    """What to try next, each by its option: where the fit is rejected what its residuals suggest, else inputs to be shared.
+    """Suggest what to try next, with the option: what the residuals of a rejected fit indicate, or inputs that may be shared.
 
-    A fit that is richer by one thing is started from the best fit; it is offered where the data would be accepted, or χ² per
-    degree of freedom falls to a fifth, the best first. Where the fit is not rejected, but the scatter larger than σ says, it is
-    offered where it no longer is.
+    Each fit with one freedom more starts from the best fit. It is suggested if the data would then be accepted, or if χ² per
+    degree of freedom falls to a fifth; the best first. Where the fit is not rejected but scatters more than σ implies, it is
+    suggested if it then no longer does.
     """
     if result.identifiability in GIVEN:
         scattered = result.p_value is not None and result.p_value < SCATTERED and result.problem.plain
@@ -164,7 +164,7 @@ def next_steps(result: "FitResult") -> list[str]:
 
 
 def _shared(result: "FitResult") -> Iterator[str]:
-    """Material constants with an error for each specimen on its own, though all are stated alike."""
+    """Suggest sharing a material constant whose value and error are stated alike for all specimens."""
     m, found = result.measurements, result.parameters.free
     for name in ("young", "poisson", "correlation_length"):
         each = [one for one in found if one.name == name and one.nuisance]
@@ -181,7 +181,7 @@ def _shared(result: "FitResult") -> Iterator[str]:
 
 
 def _of_a_block(result: "FitResult") -> list[str]:
-    """The block, where the table does not say at what height its side is pushed."""
+    """Suggest a block, where the table does not say at what height its side is pushed."""
     m = result.measurements
     if m.push_height is not None:
         return []
@@ -190,7 +190,7 @@ def _of_a_block(result: "FitResult") -> list[str]:
 
 
 def _trend(result: "FitResult") -> str:
-    """How the residuals go with the height, in words; empty where they do not, or there are fewer than three heights."""
+    """Describe a trend of the residuals with the height; empty where there is none, or fewer than three heights."""
     height, off = result.measurements.height, result.residuals
     if len(set(height.tolist())) < 3 or np.abs(np.corrcoef(np.log(height), off)[0, 1]) < 0.8:
         return ""
@@ -200,7 +200,7 @@ def _trend(result: "FitResult") -> str:
 
 
 def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
-    """χ² per degree of freedom and a hint, for each further freedom that helps."""
+    """χ² per degree of freedom and a hint, for each additional freedom that helps."""
     m, wanted = result.measurements, result.request["free"]
     named = {one.name: one for one in wanted}
     stiffness = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
@@ -227,12 +227,12 @@ def _asked(wanted: list[Parameter]) -> list[Parameter]:
 
 
 def _as_argument(wanted: list[Parameter], *more: str) -> str:
-    """The argument `free` of a fit of these parameters, by name, and of more."""
+    """Write the argument `free` of a fit of these parameters and `more`."""
     return f"free=[{', '.join([*map(_in_python, _asked(wanted)), *more])}]"
 
 
 def _in_python(one: Parameter) -> str:
-    """A parameter as it is written in Python."""
+    """Write a parameter in Python."""
     more = [f'each="{one.each}"'] if one.each else []
     more += [
         f"{name}=({given[0]:.6g}, {given[1]:.6g})" for name in ("prior", "bounds") if (given := getattr(one, name)) is not None
@@ -241,7 +241,7 @@ def _in_python(one: Parameter) -> str:
 
 
 def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
-    """The hint, where a fit of these parameters is so much better."""
+    """Give the hint if a fit of these parameters is so much better."""
     old = result.parameters
     q = parameter_set(result.measurements, wanted, old.event, old.body)
     problem = make_problem(result.measurements, q, result.problem.loss, result.problem.blocks[0].data.sigma)
@@ -252,14 +252,14 @@ def _helps(result: "FitResult", wanted: list[Parameter], text: str) -> Iterator[
 
 
 def _starts(q: ParameterSet, start: np.ndarray) -> np.ndarray:
-    """The best fit, and others of a stiffness anywhere in its range: the misfit may have driven it far away."""
+    """Start at the best fit and all over the range of the stiffness: the misfit may have driven it far away."""
     stiff = np.array([one.name in STIFFNESSES for one in q.free])
     spread = q.low + (q.high - q.low) * np.linspace(0.05, 0.95, STARTS)[:, None]
     return np.vstack([start, np.where(stiff, spread, start)])
 
 
 def _outliers(result: "FitResult") -> Iterator[tuple[float, str]]:
-    """The hint at one measurement without which the others agree, if there is one."""
+    """Point out a measurement without which the others agree, if there is one."""
     m, problem, q = result.measurements, result.problem, result.parameters
     suspects = np.argsort(-np.abs(result.residuals))[:MOST_OUTLIERS]
     count = len(suspects)
@@ -283,7 +283,7 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, str]]:
 
 
 def _offered(result: "FitResult", deviance: float, more_dof: int, text: str) -> Iterator[tuple[float, str]]:
-    """The hint with the χ² it leads to, where that is accepted or much less."""
+    """Give the hint with its χ², if that is accepted or much lower."""
     dof = (result.testable_dof or 0) + more_dof
     if dof < 1:
         return

@@ -28,9 +28,9 @@ ON_NODE = 1e-9
 SHORTEST, STEEPEST = 1.01, 0.99
 """Least H/λc, and largest |ν| and |φ|, at which a node lies: inside the domains."""
 SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
-"""Of the grid of sliders, in ln H/λc, ln b, ν, φ and ε H/λc."""
+"""Spacing of the nodes of sliders, in ln H/λc, ln b, ν, φ and ε H/λc."""
 BLOCK_SPACING = [0.005, 0.2, 0.1, 0.1, 0.05, 0.1, 1.0]
-"""Of that of blocks, in λc/H, ln b, ν, φ, height and width of the push over H, and its kind: 1 a patch, plus 2 a force."""
+"""Spacing of those of blocks, in λc/H, ln b, ν, φ, height and width of the push over H, and its kind (patch 1, force 2)."""
 TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST = 0.005, 0.02
@@ -85,7 +85,7 @@ class Grid:
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows, and which of them each row is: by a hash of the bits of a row, several times as fast as sorting rows."""
+    """Distinct rows, and the index of each row among them; by hashes, several times as fast as sorting rows."""
     odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
     _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
     if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
@@ -95,11 +95,11 @@ def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def whole_over_front(lanes: Float[np.ndarray, "5 n"]) -> Float[np.ndarray, " n"]:
-    """ℓ of the whole event over ℓ of its front, of lanes (H/λc, k/K, ν, φ, ε); NaN where events were given up all around."""
+    """ℓ of the whole event over ℓ of its front at (H/λc, k/K, ν, φ, ε); NaN where events were given up at all nodes around."""
     height, stiffness, poisson, prestress, slope = lanes
     b = 2 * (1 + poisson) * stiffness * height
     factor = np.ones(lanes.shape[1])
-    # one spacing below the onset of relaxed, level interfaces all nodes are those of fronts
+    # one spacing below the onset on relaxed, level interfaces no contact breaks again at any node
     some = np.nonzero((np.log(b) > np.log(NEVER) - SPACING[1]) | (prestress != 0) | (slope != 0))[0]
     if len(some):
         place = np.stack([np.log(height), np.log(b), poisson, prestress, slope * height], axis=1)
@@ -171,7 +171,7 @@ def block_grid() -> Grid:
 
 
 def packaged_b(length: float, poisson: float, push_height: float) -> float | None:
-    """The smallest b at which a tall block pushed above a height has a length over H, at the nearest ν of the packaged nodes.
+    """Smallest b at which a tall block pushed above a height has this length over H, by the packaged nodes of nearest ν.
 
     nan where no b gives so long an event; None where the package has no such nodes.
     """

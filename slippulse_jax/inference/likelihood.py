@@ -31,16 +31,16 @@ LOSSES = ("normal", "huber", "student")
 HUBER_AT = 1.345
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3
-"""Blur, in λc, that stands for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
+"""Blur, in λc, used for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
 EXACT = 1e-12
-"""The same where no slope is needed: the interval itself, to rounding."""
+"""Blur where no slope is needed: the interval itself, to rounding."""
 
 LAYOUT = Layout(chunk=128, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
 
 ELEMENTS = 2_000_000
-"""Elements of the largest array held at once; more points than that are taken in turns."""
+"""Elements of the largest array held at once; more points are evaluated in turns."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Loss:
 
     @property
     def information(self) -> float:
-        """Information of one datum with σ = 1: 1/variance of the estimate where its errors are as the loss supposes."""
+        """Information of one datum with σ = 1: 1/variance of the estimate if its errors are distributed as the loss assumes."""
         if self.name == "huber":
             slope, variance = _huber_moments()
             return slope**2 / variance
@@ -78,7 +78,7 @@ class Loss:
 
     @property
     def expected(self) -> float:
-        """Mean deviance of one datum whose errors are as the loss supposes."""
+        """Mean deviance of one datum whose errors are distributed as the loss assumes."""
         if self.name == "huber":
             slope, variance = _huber_moments()
             return 2 * slope - variance
@@ -109,7 +109,7 @@ NORMAL = Loss()
 
 
 def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0, loss: Loss = NORMAL) -> Array:
-    """−ln p of a measured value, less that of a perfect match at the stated σ; inf where the prediction is."""
+    """−ln p of a measured value, minus that of a perfect match at the stated σ; inf where the prediction is inf."""
     total = jnp.sqrt(jnp.square(sigma) + jnp.square(scatter))
     finite = jnp.isfinite(mu)
     r = (jnp.where(finite, mu, value) - value) / total
@@ -126,7 +126,7 @@ def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike
     finite = jnp.isfinite(mu)
     inside = jnp.where(finite, mu, value)
     a, b = (value - 1 - inside) / blur, (value - inside) / blur
-    # in the upper tail subtract the two tails beyond, not two numbers near one
+    # in the upper tail subtract the two tails, not two numbers close to one
     bounded = jnp.asarray(value) > 1
     flip = bounded & (a > 0)
     lower, upper = jnp.where(flip, -b, a), jnp.where(flip, -a, b)
@@ -200,12 +200,12 @@ def _derivatives(kind: str, loss: Loss) -> Kernel:
 
         (found, (slope, by_scatter)), (_, (bend, _)) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
         if kind == "length":
-            # Gauss and Newton's part: convex losses of r²/2 bend by the weight of the residual
+            # the Gauss–Newton part, which weights the residual by the slope of the loss
             total = jnp.square(sigma) + jnp.exp(2 * log_scatter)
             r2 = jnp.where(jnp.isfinite(mu), jnp.square(mu - value) / total, 0)
             bend = jnp.where(jnp.isfinite(mu), jax.grad(loss)(r2 / 2) / total, 0)
         else:
-            # log-concave: between nothing and that of a single edge
+            # log-concave: between zero and the curvature of a single edge
             bend = jnp.clip(bend, 0, 1 / jnp.square(_blur(sigma, jnp.exp(log_scatter))))
         return found, slope, bend, by_scatter
 
@@ -265,7 +265,7 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
 
 
 def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss, log_scatter: np.ndarray) -> np.ndarray:
-    """Cost of each datum and its derivatives as by `_derivatives`, each by its kind; shape (4, B, n)."""
+    """Evaluate `_derivatives` for every datum, by its kind; shape (4, B, n)."""
     given = np.broadcast_arrays(mu, value, data.sigma, log_scatter)
     columns = np.empty((4, *mu.shape))
     for kind in COSTS:
@@ -277,12 +277,12 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss, log_scatte
 
 
 class Evaluation(NamedTuple):
-    """At B points; the derivatives are None where they were not asked for."""
+    """Values at B points; derivatives are None if not requested."""
 
     value: Float[np.ndarray, " B"]  # −ln(likelihood × prior); inf where the model has no finite length
     gradient: Float[np.ndarray, "B p"] | None = None
-    metric: Float[np.ndarray, "B p p"] | None = None  # Gauss and Newton's part of the second derivative
-    curvature: Float[np.ndarray, "B p p"] | None = None  # the whole of it
+    metric: Float[np.ndarray, "B p p"] | None = None  # Gauss–Newton part of the second derivative
+    curvature: Float[np.ndarray, "B p p"] | None = None  # the full second derivative
 
 
 class Block(NamedTuple):
@@ -299,7 +299,7 @@ class Block(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Measurements and parameters: all that the log density depends on beside θ."""
+    """Measurements and parameters: everything the log density depends on apart from θ."""
 
     parameters: ParameterSet
     blocks: tuple[Block, ...]
@@ -307,7 +307,7 @@ class Problem:
     prior_mean: np.ndarray  # (R, p), one for each replicate
     prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
     held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
-    tick: Callable[[int], object] | None = None  # told how many lengths are computed, to show progress
+    tick: Callable[[int], object] | None = None  # called with the number of lengths computed, to show progress
 
     @property
     def p(self) -> int:
@@ -316,7 +316,7 @@ class Problem:
 
     @property
     def count(self) -> int:
-        """Number of data, priors of inputs with errors among them: they were measured too."""
+        """Number of data, including the priors, which were measured too."""
         return sum(block.data.value.shape[1] for block in self.blocks) + int((self.prior_weight > 0).sum())
 
     @property
@@ -342,7 +342,7 @@ class Problem:
         return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
 
     def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
-        """Second derivatives: differences of the gradient over 10⁻⁴ standard errors within the range, all in one evaluation."""
+        """Second derivatives, by differences of the gradient over 10⁻⁴ standard errors, all in one evaluation."""
         assert at.metric is not None
         b, p = theta.shape
         diagonal = np.einsum("bpp->bp", at.metric)
@@ -365,13 +365,13 @@ class Problem:
         return self._of([self._predictions(block, theta, order) for block in self.blocks], theta, lane)
 
     def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
-        """Evaluate at predictions, (B, N), with derivatives in θ, (B, N, p), that are known already."""
+        """Evaluate from known predictions, (B, N), and their derivatives in θ, (B, N, p)."""
         ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
         parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
         return self._of(list(parts), theta, np.zeros(len(theta), dtype=int))
 
     def _of(self, predicted: "list[tuple[np.ndarray, np.ndarray | None]]", theta: np.ndarray, lane: np.ndarray) -> Evaluation:
-        """Cost of the predictions for every block, and with their derivatives the gradient and metric."""
+        """Sum the cost of the predictions over the blocks; with derivatives, gradient and metric too."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
@@ -404,7 +404,7 @@ class Problem:
         mu = value + block.offset(theta)
         if not order:
             return mu, None
-        # where no input moves, as under a held stiffness, scales, offset and discrepancy still do
+        # scales, offset and discrepancy change the prediction even where no input does, as with a held stiffness
         size = np.where(np.isfinite(value), value, 0)[:, :, None]
         first = size * block.scale.slope + block.offset.slope
         if wanted:
@@ -421,12 +421,12 @@ class Problem:
 
     @property
     def gauged(self) -> bool:
-        """Whether gauges were read, whose fields go from contact to contact by steps."""
+        """Whether gauges were read, whose fields change in steps from contact to contact."""
         return any(block.observable in READINGS for block in self.blocks)
 
     @functools.cached_property
     def reach(self) -> np.ndarray:
-        """Change of each prediction that matters, (N,): one σ, and for counts not less than a tenth of a contact."""
+        """Change of each prediction that matters, (N,): one σ, and for counts at least a tenth of a contact."""
         columns = []
         for block in self.blocks:
             exact = block.data.kind == "length"
@@ -461,8 +461,8 @@ class Problem:
             n = len(data.sigma)
             mu_low, mu_high, first = low[:, first : first + n], high[:, first : first + n], first + n
             value = data.value[0]
-            # where each cost is least: at the value; in the middle of a count, but for one contact ever less with the length;
-            # and ever less beyond a length run past
+            # each cost is least at the value; in the middle of a count, or at −∞ for a count of one; at +∞ for a length
+            # that the front ran past
             of_count = np.where(value > 1, value - 0.5, -np.inf)
             wanted = np.where(data.kind == "whole", of_count, np.where(data.kind == "at_least", np.inf, value))
             mu = np.clip(wanted, mu_low, mu_high)
@@ -473,7 +473,7 @@ class Problem:
                 continue
             log_scatter = np.full(mu.shape, -np.inf)
             if d is not None and data.has_discrepancy:
-                # the scatter that makes the datum most probable: r itself, where the box has it
+                # the scatter that makes the datum most probable, r itself, clipped to the box
                 with np.errstate(divide="ignore", invalid="ignore"):
                     best = np.log(np.maximum((mu - value) ** 2 - data.sigma**2, 0)) / 2
                     own = np.clip(best, theta_low[:, [d]] + np.log(np.abs(value)), theta_high[:, [d]] + np.log(np.abs(value)))
@@ -553,7 +553,7 @@ def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
 
 
 def _sites(problem: Problem, block: Block) -> int:
-    """Contacts whose fields are traced: eight times what the gauges and counts reach in the middle of the range searched."""
+    """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
     middle = at(block.inputs, (problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.log_position).max(), middle.counted.max()))
 
@@ -591,7 +591,7 @@ def _block(
     inputs: Inputs,
     kind: np.ndarray | None = None,
 ) -> Block:
-    """Data of one observable, each distinct input of the model once."""
+    """Collect the data of one observable, with each distinct input of the model once."""
     n = len(rows)
     given = [one for one in inputs if one is not None]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
@@ -622,11 +622,11 @@ def _of_rows(inputs: Inputs, rows: np.ndarray) -> Inputs:
 
 
 def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Block:
-    """Readings of one kind."""
+    """Collect the gauges' readings of one kind."""
     there = gauges.there(name)
     rows = gauges.row[there]
     assert m.correlation_length is not None
-    # a gauge at the very edge is one a billionth of λc from it
+    # a gauge at the very edge is placed a billionth of λc from it
     place = np.log(np.maximum(gauges.position[there] / m.correlation_length[rows], 1e-9))
     counted = np.where(np.array(m.kind)[rows] == "whole", m.length[rows], 0.0)
     unit = q.scales["position"].take(rows)

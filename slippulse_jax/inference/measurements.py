@@ -33,7 +33,7 @@ class MeasurementError(ValueError):
 
 
 class MeasurementWarning(UserWarning):
-    """Measurements that can be fitted, and probably are not what was meant."""
+    """Measurements that can be fitted but are probably not what was meant."""
 
 
 READINGS = ("slip", "stress")
@@ -367,19 +367,19 @@ class Measurements:
         return f"{self.source}, {self.number(i)}"
 
     def number(self, i: int) -> str:
-        """How measurement i is called within its source: ``line 3`` of a file, ``row 1`` of a DataFrame."""
+        """Name of measurement i within its source: ``line 3`` of a file, ``row 1`` of a DataFrame."""
         counted, numbers = self.numbered
         return f"{'measurement' if counted == 'no.' else counted} {numbers[i]}"
 
     @property
     def numbered(self) -> tuple[str, Sequence[int | str]]:
-        """What measurements are counted by, for the head of a column, and their numbers or index labels."""
+        """Heading for the numbers of the measurements, and these numbers or index labels."""
         if self.lines:
             return "line", self.lines
         return ("row", self.rows) if self.rows else ("no.", range(len(self)))
 
     def option(self, command: str, python: str) -> str:
-        """An option of a fit as the user may give it: of the command too where the measurements came from a file."""
+        """Write an option of a fit in Python, and for the command line too if the measurements came from a file."""
         return f"{command}, in Python {python}" if self.lines else python
 
     @property
@@ -391,7 +391,7 @@ class Measurements:
         return self.correlation_length / UNITS_OF_LENGTH[unit], unit
 
     def in_its_unit(self, i: int, length: float) -> str:
-        """A length along the interface, in λc, in the unit of the table: ``14.03 mm``."""
+        """Write a length along the interface, given in λc, in the unit of the table: ``14.03 mm``."""
         size, unit = self.unit
         return f"{length * size[i]:.5g} {unit}"
 
@@ -407,7 +407,7 @@ class Measurements:
 
     @property
     def stated_sigma(self) -> np.ndarray:
-        """The same, and 1 where none is given."""
+        """Standard errors of the lengths in λc, 1 where none is given."""
         return np.ones(len(self)) if self.length_sigma is None else self.length_sigma
 
     @property
@@ -426,9 +426,9 @@ class Measurements:
 
 
 def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
-    """Refuse blocks that end and machines that give way, for what takes neither into account, and warn of other columns.
+    """Refuse blocks with an end and soft machines for a caller that ignores them, and warn of other unused columns.
 
-    Errors of inputs, those that measured lengths share, and gauges would have changed the errors of the result.
+    Errors of inputs, errors that measured lengths share, and gauges would have changed the errors of the result.
     """
     for name in ("block_length", "machine_stiffness"):
         if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
@@ -442,7 +442,7 @@ def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
 
 
 def set_columns(table: Any, names: Sequence[str]) -> list[str]:
-    """Make the columns of a frozen table float64 arrays of one length; the names of those that are given.
+    """Convert the columns of a frozen table to float64 arrays of one length; return the names of those given.
 
     Raises
     ------
@@ -533,7 +533,7 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
 
 
 def slip(name: str, value: float, columns: Mapping[str, tuple[str, str]]) -> str:
-    """The unit that a number outside its domain may have been in: ``: is it in Pa?``; empty where none is likely."""
+    """Guess the unit of a number outside its domain: ``: is it in Pa?``; empty where none is likely."""
     column = columns.get(name, ("", ""))[0]
     if name == "young" and value > YOUNG.high and not column.endswith("_Pa"):
         return ": is it in Pa?"

@@ -23,20 +23,20 @@ LEVEL = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mechanism:
-    """Fits of both fronts, and what their difference means."""
+    """Fits of both fronts, and the significance of their difference."""
 
     pulse: FitResult
     crack: FitResult
     difference: float  # deviance of the pulse less that of the crack
     p_pulse: float  # share of pulses with a difference at least as large
     p_crack: float  # share of cracks with a difference at most as large
-    power: float  # share of cracks in which the pulse is rejected
-    power_of_pulse: float  # share of pulses in which the crack is
-    unconverged: float  # share of refits that ended on the way, with a deviance that may be too large
+    power: float  # share of simulated cracks in which the pulse is rejected
+    power_of_pulse: float  # share of simulated pulses in which the crack is rejected
+    unconverged: float  # share of refits that did not converge, whose deviance may be too large
 
     @property
     def statement(self) -> str:
-        """What can be said."""
+        """The conclusion in a sentence."""
         pulse, crack = self.p_pulse < LEVEL, self.p_crack < LEVEL
         if pulse and crack:
             return "neither front gives these measurements"

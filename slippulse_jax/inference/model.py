@@ -65,7 +65,7 @@ FEW_SITES, MOST_SITES = 64, 2**20
 """Smallest and largest number of contacts whose fields are computed; where a front runs farther the prediction is inf."""
 
 TOGETHER = 32
-"""Fronts whose fields are computed at once; a fit often asks for few, and a call computes them all."""
+"""Fronts whose fields are computed in one call, which always computes all of them; a fit often needs few."""
 
 
 class Prediction(NamedTuple):
@@ -177,7 +177,7 @@ def _slider(inputs: Inputs, exp: Callable = np.exp) -> Slider:
 
 
 def _ends(inputs: Inputs, exp: Callable = np.exp) -> Ends:
-    """Free end and machine; where there is none, one so far, or so stiff, that every digit is that without it."""
+    """Free end and machine; where there is none, one so far away, or so stiff, that no digit changes."""
     most = np.log(NO_END)
     sites, machine = (x if x is None else exp(x.clip(max=most)) for x in (inputs.log_sites, inputs.log_machine))
     return Ends("semi-infinite" if sites is None else "free", sites, machine)
@@ -214,10 +214,10 @@ def by_differences(
     for i, name in enumerate(wanted):
         column = names.index(name)
         ends, at = around[2 * i : 2 * i + 2], [x[:, column] for x in shifted[2 * i + 1 : 2 * i + 3]]
-        # beside run-away one side has no value
+        # next to run-away one side has no value
         up, down = (np.where(np.isfinite(end), end, value) for end in ends)
         right, left = (np.where(np.isfinite(end), x, rows[:, column]) for end, x in zip(ends, at, strict=True))
-        with np.errstate(invalid="ignore"):  # a block without end stays without
+        with np.errstate(invalid="ignore"):  # inf − inf for a block without end
             apart = right - left
             slope = (up - down) / np.where(apart > 0, apart, 1)
         slopes[name] = np.where(np.isfinite(value), slope, 0)[own]
@@ -230,7 +230,7 @@ def displacements(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
 
 
 def forces(inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
-    """Driving force at nucleation over f_s, that on one contact at its threshold: all that the contacts carry."""
+    """Driving force at nucleation, which is the sum over the contacts, in f_s, the threshold of one contact."""
     return _at_nucleation(1, inputs, wanted)
 
 
@@ -249,7 +249,7 @@ def _nucleation(inputs: Inputs) -> Float[Array, " 2"]:
 
 
 def _nucleation_with_slopes(lanes: Float[Array, "n L"]) -> tuple[Array, Array]:
-    """Both of many lanes, and their derivatives, (2, n, L): whoever measures one of them usually measures the other."""
+    """Both quantities of many lanes, and their derivatives, (2, n, L): they are usually measured together."""
 
     def one(lane: Array) -> Array:
         return _nucleation(Inputs(*lane[:5], log_sites=lane[5] if len(lane) > 5 else None))
@@ -297,7 +297,7 @@ def _readings_of(names: tuple[str, ...], numbers: bytes, shape: tuple[int, ...])
     np.maximum.at(reach, own, place)
     found = np.full((2, shape[0]), np.inf)
     known = np.isfinite(reach) & (reach < MOST_SITES)
-    # as many contacts as the longest of its company needs, in few shapes to compile
+    # few array sizes, so that few programs are compiled
     size = FEW_SITES * 4 ** np.ceil(np.log(np.maximum(np.where(known, reach, 0) + 2, FEW_SITES) / FEW_SITES) / np.log(4) - 1e-9)
     for count in np.unique(size[known]).astype(int):
         chosen = np.nonzero(known & (size == count))[0]
@@ -308,7 +308,7 @@ def _readings_of(names: tuple[str, ...], numbers: bytes, shape: tuple[int, ...])
             fields = _after(front.take(padded), stopped[padded], count)
             lanes = np.nonzero(np.isin(own, part))[0]
             found[:, lanes] = _between(fields[:, np.searchsorted(part, own[lanes])], place[lanes])
-    found.setflags(write=False)  # the next caller gets the same array
+    found.setflags(write=False)  # cached: the next caller gets the same array
     return found
 
 
@@ -336,7 +336,7 @@ def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopp
 
 
 def _between(fields: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Fields, (2, lanes, sites), at a place in each lane."""
+    """Interpolate fields, (2, lanes, sites), at one place per lane."""
     low = np.floor(place).astype(int)
     lanes = np.arange(len(place))
     left, right = fields[:, lanes, low], fields[:, lanes, low + 1]
@@ -414,13 +414,13 @@ def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray,
 def attainable_of(
     parameters: ParameterSet, theta: np.ndarray, rows: np.ndarray, inputs: Inputs
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the longest length for other `inputs`, with the stiffness of the measurements `rows`; in true λc, without offset."""
+    """Longest length for other `inputs`, over the stiffness range of the measurements `rows`; in true λc, without offset."""
     low, high = np.array(inputs.log_stiffness), np.array(inputs.log_stiffness)
     for i, one in enumerate(parameters.free):
         if one.name in STIFFNESSES:
             on = parameters.inputs.log_stiffness.slope[rows, i] != 0
             low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
-    # of the hard rule: under a smooth one the length of a front on soft contacts grows without meaning
+    # under the hard rule: under a smooth one the length on soft contacts grows without meaning
     inputs = inputs.of_front
     distinct, own = distinct_rows(np.column_stack([inputs.table(), low, high]))
     given = Inputs.from_table(inputs.names, distinct[:, :-2])
@@ -431,7 +431,7 @@ def attainable_of(
 def longest_length(
     inputs: Inputs, low: np.ndarray, high: np.ndarray, event: MeasuredEvent = "domino"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Maximum of the length over ln k/K between `low` and `high`, and where: a scan, then closer scans around its top.
+    """Find the maximum of the length over ln k/K from `low` to `high`, by a scan and closer scans around its top.
 
     Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
     """
@@ -451,7 +451,7 @@ def longest_length(
 
 
 def recursion_status(inputs: Inputs) -> np.ndarray:
-    """Outcome of each front by the recursion, which breaks its contacts one by one, or of each event; shape (n,)."""
+    """Outcome of each front, by the recursion that breaks its contacts one by one, or of each event; shape (n,)."""
     inputs = inputs.of_front
     if inputs.friction is not None:
         return crack_status(inputs)

@@ -23,7 +23,7 @@ SYMBOLS = {
     "ϕ": ("prestress",),
     "λ": ("correlation_length",),
 }
-"""Quantities of a symbol, in which upper and lower case differ; several where authors differ."""
+"""Quantities by symbol, in which case matters; several where authors differ."""
 
 WORDS = {
     "height": "höhe hoehe hauteur block_height blockhöhe blockhoehe slider_height sample_height",
@@ -53,17 +53,17 @@ _UNITS = {unit.casefold().replace("µ", "μ"): unit.replace("µ", "u") for unit 
 _PER = re.compile(r"_(k?n_per_m{1,2})$", re.IGNORECASE)
 _NOT_READ = ("in", "inch", "ft", "dm", "km", "psi", "n", "kn", "n_per_m", "kn_per_m", "n_per_mm", "kn_per_mm")
 ALIKE = 0.8
-"""Likeness, by difflib, from which on a name is taken for a typing error."""
+"""Similarity (difflib) above which a name counts as a typing error."""
 LONGEST = 60
-"""Characters of a name for which a meaning is sought."""
+"""Length of the longest name whose meaning is guessed."""
 
 
 class Meant(NamedTuple):
     """The quantities that a name may mean, best first."""
 
     quantities: tuple[str, ...] = ()
-    unit: str = ""  # as columns spell it; of one that is not read, as the name does
-    sure: bool = False  # a known word or symbol, not one that is only like it
+    unit: str = ""  # as columns spell it; a unit that cannot be read as the name does
+    sure: bool = False  # whether the name is a known word or symbol, not just similar to one
 
 
 def meant(column: str, known: Iterable[str]) -> Meant:

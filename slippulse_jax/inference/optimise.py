@@ -15,11 +15,11 @@ from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""
-GAUSS_NEWTON_STEPS = 12  # before the whole second derivative is asked for
+GAUSS_NEWTON_STEPS = 12  # before the full second derivative is used
 KINK = 1e-2
-"""Newton decrement, likewise, up to which a point is a minimum if no step from it gains. Across a kink, differences give a
-gradient that vanishes beside the least value."""
-HALVINGS = 30  # of a step of optax that gains nothing
+"""Newton decrement, likewise, below which a point counts as a minimum if no step from it gains: the differences across a kink
+give a gradient that vanishes next to the minimum, not at it."""
+HALVINGS = 30  # of an optax step that does not lower the value
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
@@ -107,7 +107,7 @@ def minimise(
 
 
 def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
-    """Damped steps; each lane has its own damping, and its own largest metric so far as the measure of a step (Moré)."""
+    """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
     objective, theta, low, high, _, lane, _ = given
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
@@ -139,7 +139,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
         expected = -(g * step).sum(axis=1) - square / 2
         gained = value[work] - tried.value
         better = gained > 0
-        # a gain this small is lost in the rounding of the value: such a step is accepted because the gradient promises it
+        # a gain this small is lost in the rounding of the value; the step is accepted because the gradient predicts it
         tiny = np.abs(gained) <= 1e-13 * scale
         accept = better | tiny & (expected <= 1e-10 * scale)
         with np.errstate(invalid="ignore"):
@@ -161,7 +161,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
 
 
 def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Value, gradient and metric, in arrays to be written to."""
+    """Value, gradient and metric, as writable arrays."""
     at = objective(theta, lane, 1)
     assert at.gradient is not None
     assert at.metric is not None
@@ -179,7 +179,7 @@ def _stuck(given: Starts, lanes: np.ndarray | slice, theta: np.ndarray, gradient
 
 
 def _unit(given: Starts, metric: np.ndarray) -> np.ndarray:
-    """A length along each coordinate: its own standard error, or a sixtieth of the box where nothing responds."""
+    """Scale of each coordinate: its standard error, or a sixtieth of the box where the value is constant."""
     diagonal = np.einsum("bpp->bp", metric)
     return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (given.high - given.low) / 60)
 
@@ -196,14 +196,14 @@ def _step(g: np.ndarray, m: np.ndarray, size: np.ndarray, damping: np.ndarray) -
     scaled = m / unit[:, :, None] / unit[:, None, :]
     p = g.shape[1]
     scaled[:, range(p), range(p)] += damping[:, None] + 1e-14
-    # a coordinate that was taken out has an empty row: its step is zero whatever stands on its diagonal
+    # a coordinate taken out has an empty row: its step is zero whatever its diagonal
     empty = np.einsum("bpp->bp", m) == 0
     scaled[:, range(p), range(p)] += empty
     return -np.linalg.solve(scaled, (g / unit)[:, :, None])[:, :, 0] / unit
 
 
 def _decrement(g: np.ndarray, m: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Newton's decrement, g·M⁻¹g: twice what the quadratic model of the value has yet to fall."""
+    """Newton decrement g·M⁻¹g: twice the fall of the value expected from the quadratic model."""
     return -(g * _step(g, m, size, np.full(len(g), 1e-12))).sum(axis=1)
 
 
@@ -285,7 +285,7 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
             target, state = propose(theta, g, m, state)
             trial = np.where(stuck, theta, np.clip(target, low, high))
             if careful:
-                # steps bent by a side of the box, or by memory of places that curve downward, can point uphill
+                # a step clipped by the box, or remembering negative curvature, can point uphill
                 uphill = ((trial - theta) * g).sum(axis=1) >= 0
                 trial[uphill] = np.clip(theta - g * _unit(given, metric) ** 2, low, high)[uphill]
             moves = np.any(np.abs(trial - theta) > 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
@@ -302,7 +302,7 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
                 gradient[took], metric[took] = (x[accept] for x in slopes)
                 look = look[~accept]
                 trial[look] = (trial[look] + theta[look]) / 2
-            work = np.setdiff1d(work, look)  # no step however small gains there
+            work = np.setdiff1d(work, look)  # no step gains there, however small
             if not len(work):
                 break
             gained = value < lowest

@@ -18,8 +18,8 @@ from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import machine_ratio
 
 MeasuredEvent = Literal["domino", "full", "crack"]
-"""What a length is that of: the first front, whose contacts heal; the whole event, in which they may break again; or the front
-of a crack, behind which they slide."""
+"""What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
+or the front of a crack, behind which they slide."""
 Body = Literal["slider", "block"]
 """What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
 STIFFEST = 1.0
@@ -27,13 +27,13 @@ STIFFEST = 1.0
 FULL_TO = 200.0
 """Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
 BLOCK_FROM, BLOCK_TO = 3e-3, 40.0
-"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino; above it coarser blocks
-are no measure of finer ones."""
+"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino; above it lengths on
+coarse contacts do not predict those on finer ones."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0
-"""Standard deviations of a prior that are searched where no bounds are given."""
+"""Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
-"""Deviation of a prior, over the mean, below which it was given in another unit."""
+"""Deviation of a prior, over the mean, below which it must have been given in another unit."""
 
 
 class Inputs(NamedTuple):
@@ -80,7 +80,7 @@ class Inputs(NamedTuple):
 
     @property
     def log_b(self) -> Any:
-        """Ln b, of the areal stiffness times H over the shear modulus."""
+        """Logarithm of b, the areal stiffness times H over the shear modulus."""
         return np.log(2 * (1 + self.poisson)) + self.log_stiffness + self.log_height
 
     @property
@@ -96,11 +96,11 @@ class Inputs(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the inputs that are there."""
+        """Names of the inputs that are not None."""
         return tuple(name for name, value in self._asdict().items() if value is not None)
 
     def table(self) -> np.ndarray:
-        """The inputs that are there as columns, shape (…, len(names))."""
+        """Stack those inputs as columns, shape (…, len(names))."""
         return np.stack([value for value in self if value is not None], axis=-1)
 
     @classmethod
@@ -272,7 +272,7 @@ class ParameterSet:
         return self.free[self.index(name)]
 
     def values(self, theta: np.ndarray, *, nuisance: bool = False) -> dict[str, float]:
-        """Requested parameters at θ, shape (p,), by label, in their units; or those fitted because of their errors."""
+        """Values of the requested parameters at θ, shape (p,), or of those fitted because of their errors."""
         return {one.label: one.value(t) for one, t in zip(self.free, theta, strict=True) if one.nuisance == nuisance}
 
     @property
@@ -332,16 +332,16 @@ PARAMETERS: dict[str, _Kind] = {
     "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
     "discrepancy": _Kind("discrepancy", ("", ""), True, {}),
 }  # fmt: skip
-"""Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data allow."""
+"""Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
 ARREST = (0.5, 12**-0.5)
 """Mean and deviation of the difference between ℓ* and the number of contacts that break, ceil(ℓ*): uniform from 0 to 1."""
 HEIGHTS = ("height", "push_height")
-"""Lengths that are stated in λc, and shown in metres where that is known; fitted as one factor on all of their rows."""
+"""Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
 MODEL_ERROR = 0.1
-"""Relative error of a length of the model for blocks that were measured, if nothing else is said: about what a block under
-two-dimensional elasticity, pushed over all but the lowest quarter of its side, differs by. Other pushers: docs/validity.md."""
+"""Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
+elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/validity.md."""
 
 
 def parameter_set(
@@ -392,7 +392,7 @@ def parameter_set(
 
 
 def errors_of_measuring(m: Measurements, *, size_known: bool) -> list[Parameter]:
-    """Errors that all measured lengths share: where the edge and the tip were read, and what the model leaves out.
+    """Errors that all measured lengths share: reading edge and tip, and what the model leaves out.
 
     Only for lengths of provenance "measured": a model factor of 1 ± `MODEL_ERROR` and, where the size of σ is known, an offset
     of 0 ± their median.
@@ -499,7 +499,7 @@ class _Builder:
         name = parameter.name
         kind = PARAMETERS[name]
         reference = self._reference(name)[rows]
-        # a height is fitted as one factor on all of its rows, shown as the height of the first
+        # a height is fitted as one factor on all of its rows, and shown as the height of the first
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
         low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
@@ -559,7 +559,7 @@ class _Builder:
 
 
 def body_of(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> Body:
-    """A block where the measurements say how its side is pushed, unless an event is asked for that only a slider has."""
+    """Choose a block where every measurement states how its side is pushed, unless the event is one of sliders only."""
     if body is not None:
         return body
     said = m.push_height is not None and not np.isnan(m.push_height).any()
@@ -569,7 +569,7 @@ def body_of(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> 
 def pushed(
     height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Inputs that say where the sides of blocks are pushed, all of shape (n,)."""
+    """Inputs that describe the push on the side of a block, each of shape (n,)."""
     assert at is not None
     none = np.full(len(height), np.nan)
     share = (none if width is None else width) / height
@@ -584,13 +584,13 @@ def pushed(
 def pushed_at(
     inputs: Inputs, height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
 ) -> Inputs:
-    """Add how blocks are pushed to inputs; the last axis of the inputs is that of the pushes."""
+    """Add the push on blocks to inputs, whose last axis is that of the pushes."""
     push = pushed(height, at, width, control)
     return inputs._replace(**{name: np.broadcast_to(x, inputs.poisson.shape) for name, x in push.items()})
 
 
 def _ends(m: Measurements) -> dict[str, np.ndarray]:
-    """Logarithms of L/λc and M/K, those of them that are stated; inf where one is not."""
+    """Logarithms of L/λc and M/K where stated; inf in rows without one."""
     found = {}
     if m.block_length is not None:
         found["log_sites"] = np.log(m.block_length)
@@ -620,7 +620,7 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         # a smooth front on contacts softer than those at which a domino starts does not fade for long
         lowest = softest(m, builder.body)[rows] / per_unit * (100 if builder.smooth else 1)
         highest = stiffest(m, builder.event, builder.body)[rows] / per_unit
-        # of blocks, where all have a precursor and b is not too large for any
+        # for blocks, the range in which all have a precursor and b is not too large for any
         all_of = builder.body == "block" and lowest.max() < highest.min()
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
@@ -765,7 +765,7 @@ def _check_friction(names: set[str], event: MeasuredEvent) -> None:
 
 
 def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None:
-    """Check that the measurements say where the side is pushed, and nothing that is not known of a block."""
+    """Check that the measurements state the push, and nothing that a fit of a block cannot take."""
     if m.push_height is None:
         raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
     if np.isnan(m.push_height).any():

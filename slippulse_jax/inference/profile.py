@@ -17,13 +17,13 @@ from slippulse_jax.inference.search import Cells, Minimum
 
 NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
-STARTS_KEPT = 4  # at each node, of all that are looked at
-EXCLUDED = 100.0  # deviance expected above the least from which on a node is left out
-CONTENDING = 3.0  # deviance by which a second start at a node may be expected to be worse than the best
+STARTS_KEPT = 4  # per node
+EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out
+CONTENDING = 3.0  # expected deviance above that of the best start, within which a node gets a second start
 STEPS = 25  # of a minimisation at a node
 AT_NODES = 1e-7  # Newton decrement at which it ends
 CROSSING_ROUNDS = 14
-CROSSED = 1e-5  # deviance off a limit at which the end of an interval is found: 10⁻⁵ of its length
+CROSSED = 1e-5  # distance of the deviance from a limit at which an end is found: 10⁻⁵ of the interval
 
 
 class Interval(NamedTuple):
@@ -40,7 +40,7 @@ Intervals = dict[float, list[Interval]]
 
 
 def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interval]:
-    """Intervals between ends in increasing order, of which the first and last may be those of the range searched."""
+    """Pair ends in increasing order to intervals; the first and last end may be those of the range searched."""
     pairs = list(zip(ends[::2], ends[1::2], strict=True))
     return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
 
@@ -54,11 +54,11 @@ class Rise:
     """
 
     factor: float = 1.0  # of the loss
-    dof: float | None = None  # n less what the fit uses up, where the size of the errors is estimated
+    dof: float | None = None  # degrees of freedom, where the size of the errors is estimated
     fitted_variance: int | None = None  # n, where it is a parameter of the likelihood
 
     def __call__(self, level: float, parameters: int = 1) -> float:
-        """Rise of D for this level; 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ."""
+        """Rise of D at this level; 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ."""
         if self.dof is None:
             return self.factor * float(chdtri(parameters, 1 - level))
         f = parameters * float(fdtri(parameters, self.dof, level))
@@ -112,7 +112,7 @@ def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, c
     alone = problem.p == 1
     scanned = cells is not None and cells.complete and len(cells.low) > 0 and not alone
     if cells is not None and scanned:
-        # what lies beyond has been excluded, except by the little that a minimum's own cell may reach
+        # everything outside the cells is excluded
         low, high = cells.low[:, j].min(), cells.high[:, j].max()
     around = [np.linspace(low, high, NODES_ALONE if alone else NODES), [root.theta[j] for root in roots]]
     for root in roots:
@@ -137,15 +137,15 @@ def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, c
 
 
 def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
-    """Limits of the cells along parameter j; of many, `count`, evenly chosen."""
+    """Limits of the cells along parameter j, thinned out evenly to `count`."""
     limits = np.unique(np.concatenate([cells.low[:, j], cells.high[:, j]]))
     return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), count)).round().astype(int))]
 
 
 def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starts at each node: where the linear models of the cells there, or of the nearest, have the least deviance; (g, 2, p).
+    """Starts at each node, (g, 2, p), by the linear models of the cells there, or of the nearest ones.
 
-    Nodes of which they expect no more than that they are excluded go, except those beside others.
+    Nodes that these models exclude are dropped, except next to others.
     """
     away = np.maximum(np.maximum(cells.low[:, j] - node[:, None], node[:, None] - cells.high[:, j]), 0)
     row, cell = np.nonzero(away == away.min(axis=1, keepdims=True))
@@ -164,7 +164,7 @@ def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarra
 
 
 def _predicted(node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray, problem: Problem) -> np.ndarray:
-    """Starts at each node: every root, moved along its own ridge; and the other points; (g, s, p)."""
+    """Starts at each node, (g, s, p): every root moved along its ridge, and the other points."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
     for root in roots:
         moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
@@ -173,7 +173,7 @@ def _predicted(node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
-    """Minimise again at each node from the points its neighbours found, until that gains no more."""
+    """Minimise again at each node from the results of its neighbours, until nothing improves."""
     for _ in range(3):
         before, after = np.roll(curve.theta, 1, axis=0), np.roll(curve.theta, -1, axis=0)
         again = constrained(problem, held, curve.theta[:, held], np.stack([before, after], axis=1))
@@ -212,7 +212,7 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
 
 
 def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
-    """Where the profile passes each limit, between node i and the next; all at once, by false position (Illinois)."""
+    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois)."""
     if not brackets:
         return []
     index = np.array([i for i, _ in brackets])
@@ -225,7 +225,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
     at = left
     for round_ in range(CROSSING_ROUNDS):
         share = np.clip(w_left / (w_left - w_right), 1e-3, 1 - 1e-3)
-        # a wall beside a floor (counts without blur) defeats false position: halve every third time
+        # a wall next to a floor (counts without blur) defeats false position, so every third step halves
         share = 0.5 if round_ % 3 == 2 else share
         at = left + share * (right - left)
         here = constrained(problem, held, at[:, None], near)

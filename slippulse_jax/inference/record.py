@@ -96,13 +96,13 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
 
 
 def _columns(table: Any) -> dict[str, Any]:
-    """The columns of a table of measurements or of gauges, as they are held."""
+    """Columns of a table of measurements or gauges that are not None."""
     held = {field.name: getattr(table, field.name) for field in dataclasses.fields(table)}
     return {name: _columns(x) if isinstance(x, Gauges) else x for name, x in held.items() if x is not None}
 
 
 def measurements_of_record(content: dict[str, Any]) -> Measurements:
-    """The measurements that a record was written with."""
+    """Restore the measurements of a record."""
     table = dict(content["table"])
     if "gauges" in table:
         table["gauges"] = Gauges(**_numeric(table["gauges"], GAUGE_COLUMNS))
@@ -110,12 +110,12 @@ def measurements_of_record(content: dict[str, Any]) -> Measurements:
 
 
 def _numeric(table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Columns of numbers as arrays, with NaN for what JSON has no word for."""
+    """Convert columns of numbers to arrays, with NaN for null."""
     return {name: np.array(x, dtype=float) if name in names else x for name, x in table.items()}
 
 
 def _search(result: "FitResult") -> dict[str, Any]:
-    """What the search found, beside what the record has of it: enough to make the result again without a search."""
+    """Results of the search that restore the fit without another one."""
     return {
         "theta": result.theta,
         "roots": [
@@ -241,7 +241,7 @@ LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
 
 LONGEST, DEEPEST = 2000, 64
-"""Characters and dots on one line of TOML: what a dotted key takes to be read grows as the square of its parts."""
+"""Most characters and dots on one line of TOML: the time to read a dotted key grows as the square of its parts."""
 
 
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -273,7 +273,7 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def to_dataframe(result: "FitResult") -> "pd.DataFrame":
-    """Measurements beside the model as a pandas.DataFrame, one per row; lengths in the unit of the table."""
+    """Return measurements and model as a pandas.DataFrame, one row per measurement; lengths in the unit of the table."""
     import pandas as pd
 
     m = result.measurements
@@ -296,7 +296,7 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
 
 
 MAY_BE_ABSENT = ("block_length", "machine_stiffness", "push_height", "push_width", "push_height_sigma")
-"""Columns that the hash of a table without them does not mention."""
+"""Columns that enter the hash only where a table has them."""
 
 
 def data_hash(measurements: Measurements) -> str:
@@ -304,7 +304,7 @@ def data_hash(measurements: Measurements) -> str:
     digest = hashlib.sha256()
     for name in NUMERIC:
         column = getattr(measurements, name)
-        if column is None and name in MAY_BE_ABSENT:  # the hash of a table without them stays
+        if column is None and name in MAY_BE_ABSENT:  # added later: older hashes stay valid
             continue
         digest.update(name.encode() + b"=")
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())

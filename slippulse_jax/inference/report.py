@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
 WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
-"""Verdicts whose reason says already that there are none."""
+"""Verdicts whose reason already explains why there are no intervals."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
-"""Correlation from which on one is shown, and how many are."""
+"""Correlation above which one is shown, and how many at most."""
 MOST_RATIOS = 6
-"""Ratios of stiffnesses up to which those of all pairs of specimens are shown."""
+"""Largest number of ratios of stiffnesses for which all pairs of specimens are shown."""
 PULLED = 1.0
-"""Pull, in the stated error of an input, below which none is remarked on: it hardly moves the result."""
+"""Pull, in stated errors of an input, below which it is not mentioned: it hardly moves the result."""
 UNEVEN = 0.2
-"""Difference between a side of the 68 % interval and the standard error, over that error, from which on it is remarked on."""
+"""Relative difference between a side of the 68 % interval and the standard error above which the report mentions it."""
 UNEVEN_TOTAL = 0.1
-"""The same of the total with inputs taken as exact, from which on it is an interval too."""
+"""The same for the total with inputs taken as exact, above which it is given as an interval too."""
 
 
 def report(result: "FitResult") -> str:
@@ -79,7 +79,7 @@ def report(result: "FitResult") -> str:
 
 
 def html_of(result: "FitResult") -> str:
-    """The result as a table for a notebook: values with errors and intervals, the verdict, and what was fitted."""
+    """Format the result as a table for a notebook: values with errors and intervals, the verdict, the data."""
     shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
     rows = []
     for name, value in result.values.items():
@@ -126,7 +126,7 @@ def _values(result: "FitResult") -> list[str]:
     rows = []
     shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
     intervals = result.intervals
-    verdict = result.verdicts[gravest(result.verdicts)]  # which the headline gives
+    verdict = result.verdicts[gravest(result.verdicts)]  # the headline states it
     width = max(10, *(len(shown.get(name, ("k/K", ""))[0]) for name in result.values))
     for name, value in result.values.items():
         symbol, unit = shown.get(name, ("k/K", ""))
@@ -158,7 +158,7 @@ def _values(result: "FitResult") -> list[str]:
 
 
 def _ratios(result: "FitResult") -> str:
-    """k/K of all measurements, and why it is not one number."""
+    """State the range of k/K, and why it is not one number."""
     ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
     low, high = f"{ratio.min():.4g}", f"{ratio.max():.4g}"
     differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
@@ -167,14 +167,14 @@ def _ratios(result: "FitResult") -> str:
 
 
 def _of_specimens(result: "FitResult") -> list[str]:
-    """Stiffness of one specimen over another's."""
+    """List the ratios of the stiffnesses of specimens."""
     found = result.stiffness_ratios
     rows = [f"    {_over(labels)} = {value_with_error(*found[labels])}" for labels in _shown_ratios(result)]
     return ["  ratios of these stiffnesses, from which errors that both share cancel:", *rows] if rows else []
 
 
 def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
-    """The ratios that have an error; of many specimens, those to the first alone."""
+    """Ratios that have an error; of many specimens, only those to the first."""
     found = {labels: ratio for labels, (ratio, error) in result.stiffness_ratios.items() if error is not None}
     many, first = len(found) > MOST_RATIOS, result.names[0]
     return {labels: ratio for labels, ratio in found.items() if not many or labels[1] == first}
@@ -196,7 +196,7 @@ def _symbol(label: str, symbol: str) -> str:
 
 
 def _shown(result: "FitResult") -> dict[str, str]:
-    """What each fitted parameter is called, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is one value."""
+    """Short name of each parameter, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous."""
     long = {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
     short = dict(long)
     for one in result.parameters.free:
@@ -227,7 +227,7 @@ def _inputs(result: "FitResult") -> list[str]:
 
 
 def _correlations(result: "FitResult") -> list[str]:
-    """The strongest with a parameter that was asked for; `FitResult.correlations` has all."""
+    """List the strongest with a requested parameter; `FitResult.correlations` has all."""
     shown, asked = _shown(result), set(result.names)
     strong = sorted(result.correlations.items(), key=lambda item: -abs(item[1]))
     rows = [
@@ -274,7 +274,7 @@ def _quality(result: "FitResult") -> str:
 
 
 def _regime(result: "FitResult") -> str:
-    """b, against where contacts break again, and the length of the block over that of the slow decay."""
+    """State b and where contacts break again, and the slow decay length next to the length of the block."""
     at, m = result.regime, result.measurements
     scale, unit = m.unit
     decay = at.slow_decay_length * scale
@@ -297,7 +297,7 @@ def _range(x: np.ndarray) -> str:
 
 
 def _scatter(result: "FitResult") -> str:
-    """The standard error of a length that the scatter gives; fitted as equal in λc."""
+    """State the standard error of a length that the scatter gives, equal for all in λc."""
     m, size = result.measurements, result.scatter or 1.0
     scale, unit = m.unit
     return f"σ = {size:.3g} λc" if np.ptp(scale) > 0 else f"σ = {size * float(scale[0]):.3g} {unit}"
@@ -336,13 +336,13 @@ def _table(result: "FitResult") -> list[str]:
 
 
 def _aligned(rows: list[list[str]], justify: Callable[[str, int], str]) -> list[str]:
-    """Lines of a table, each column as wide as its widest cell."""
+    """Align the columns of a table."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  " + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
 
 
 def _further(result: "FitResult") -> list[str]:
-    """What was measured beside the lengths: how many, how well they are met, and the worst."""
+    """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
     if not result.further:
         return []
     rows = ["", "Measured beside the lengths"]
@@ -361,7 +361,7 @@ def _next_steps(result: "FitResult") -> list[str]:
 
 
 def _budget(result: "FitResult") -> list[str]:
-    """What usual errors of the inputs taken as exact would add, and the error with them."""
+    """Tabulate what usual errors of the inputs taken as exact would add, and the total errors."""
     moved = result.budget
     if not moved:
         return []
@@ -389,13 +389,13 @@ def _budget(result: "FitResult") -> list[str]:
 
 
 def _kept_apart(moved: dict[str, Moved]) -> str:
-    """Which errors of inputs two specimens share."""
+    """State which errors of inputs two specimens share."""
     own = [USUAL[name].symbol for name in moved if USUAL[name].of_a_specimen]
     return f"{' and '.join(own)} of each specimen on its own, the rest shared" if own else "all shared"
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
-    """How far an interval reaches below and above the value, over the standard error."""
+    """Distances of the ends of an interval from the value, over the standard error."""
     return None if error is None or piece is None else ((value - piece.low) / error, (piece.high - value) / error)
 
 
@@ -405,7 +405,7 @@ def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
 
 
 def _bodies(result: "FitResult") -> list[str]:
-    """What the choice of a body is worth: the stiffness that the same lengths give with the paper's slider."""
+    """Compare with the stiffness that the same lengths give with the paper's slider."""
     slider = result.as_slider
     if slider is None:
         return ["", "The same lengths with the slider: no fit was found"] if result.parameters.body == "block" else []
@@ -423,7 +423,7 @@ def _bodies(result: "FitResult") -> list[str]:
 
 
 def _unstated(result: "FitResult") -> list[str]:
-    """What an end of the block, and a machine that gives way, would move; both lengthen the front, and act one way."""
+    """List the shifts due to an end of the block and a soft machine, which both lengthen the front."""
     rows = [*_of_measuring(result), *_of_a_block(result)]
     for name, moved in result.unstated_ends.items():
         free = {one: result.parameters.named(one) for one in moved}
@@ -437,7 +437,7 @@ def _unstated(result: "FitResult") -> list[str]:
 
 
 def _of_a_block(result: "FitResult") -> Iterator[str]:
-    """What a fit of a block takes for its end, the machine and the pusher where the table cannot state it, or does not."""
+    """List the assumptions of a fit of a block: about its end, the machine, and the pusher where the table does not say."""
     m = result.measurements
     if result.parameters.body != "block" or result.identifiability not in GIVEN:
         return
@@ -456,7 +456,7 @@ def _of_a_block(result: "FitResult") -> Iterator[str]:
 
 
 def _of_measuring(result: "FitResult") -> Iterator[str]:
-    """What lengths share that were measured, where the table does not say whether they were."""
+    """State the errors that measured lengths share, where the table does not say whether they were measured."""
     m, moved = result.measurements, result.budget.get("length")
     if moved is None or any(m.provenance):
         return
@@ -472,7 +472,7 @@ def _of_measuring(result: "FitResult") -> Iterator[str]:
 
 
 def _unstated_push(result: "FitResult") -> list[str]:
-    """What the same lengths mean for a block, by where its side is pushed."""
+    """State the stiffness of a block for the same lengths, by where its side is pushed."""
     found = result.unstated_push
     unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
     column = f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block"
@@ -496,7 +496,7 @@ def _measured(kind: str, length: float, sigma: float) -> str:
 
 
 def _exponent(value: float) -> int:
-    """Power of ten that a value is written with; 0 for everyday sizes."""
+    """Power of ten with which to write a value; 0 for everyday sizes."""
     if value == 0:
         return 0
     exponent = int(np.floor(np.log10(abs(value))))
@@ -589,7 +589,7 @@ def notes(result: "FitResult") -> Iterator[str]:
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
             "is that of the first front alone"
         )
-    if result.parameters.event != "crack":  # of which it was not studied
+    if result.parameters.event != "crack":  # not studied for crack-like fronts
         yield (
             "thresholds are taken as uniform: a scatter of 5 % from contact to contact would make precursors 16-34 % shorter "
             "and the fitted stiffness 60-80 % too small (documentation: Thresholds that scatter)"
@@ -663,10 +663,9 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
 
 
 def _of_pulls(result: "FitResult") -> Iterator[str]:
-    """Inputs that the lengths pull farther from what is stated than chance would pull any of them.
+    """Name the inputs that the lengths pull farther from their stated values than chance would.
 
-    The difference between what is fitted and what is stated scatters by √(σ² − s²), where σ is the stated error and s that
-    of the fit.
+    The difference between fitted and stated value scatters by √(σ² − s²), with the stated error σ and that of the fit, s.
     """
     if result.covariance is None or result.identifiability not in GIVEN:
         return
@@ -693,10 +692,10 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
 
 
 def _of_shape(result: "FitResult") -> Iterator[str]:
-    """Parameters whose 68 % interval is another one than value ± standard error."""
+    """Name the parameters whose 68 % interval differs from value ± standard error."""
     for name in result.names:
         if math.isfinite(result.parameters.named(name).prior_sigma):
-            continue  # an input, of which the user has said what is known
+            continue  # an input with a stated error
         pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
         by = _sides(result.values[name], result.stderrs[name], pieces[0]) if len(pieces) == 1 else None
         if by is None or max(abs(x - 1) for x in by) <= UNEVEN:

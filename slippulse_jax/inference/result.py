@@ -153,7 +153,7 @@ class FitResult:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length in λc, as stated or of the size taken from the scatter; shape (n,)."""
+        """Standard error of each length in λc, as stated or scaled to the scatter; shape (n,)."""
         return self.measurements.stated_sigma * (self.scatter or 1.0)
 
     @property
@@ -231,27 +231,27 @@ class FitResult:
 
     @functools.cached_property
     def budget(self) -> dict[str, Moved]:
-        """What usual errors of the inputs that are taken as exact would change, by the input."""
+        """Effect of usual errors of the inputs taken as exact, by input."""
         return budget(self)
 
     @functools.cached_property
     def next_steps(self) -> list[str]:
-        """What to try next, by option: what a rejected fit lacks, or errors of inputs that specimens may share."""
+        """Suggestions with their options: what a rejected fit lacks, or errors of inputs that specimens may share."""
         return next_steps(self)
 
     @functools.cached_property
     def unstated_ends(self) -> dict[str, dict[str, float]]:
-        """What a usual end of the block and a usual machine would change, by column and parameter, where none is stated."""
+        """Shifts due to a usual end of the block and a usual machine where none is stated, by column and parameter."""
         return unstated_ends(self)
 
     @functools.cached_property
     def unstated_push(self) -> dict[str, float]:
-        """Stiffness of a block pushed above some heights, over this one of the slider, where the table states no push."""
+        """Stiffness of a block pushed above some heights, over that of the slider, where the table states no push."""
         return unstated_push(self)
 
     @functools.cached_property
     def as_slider(self) -> "FitResult | None":
-        """The same fit with the paper's slider for the body, of a fit of a block.
+        """The fit of the same lengths with the paper's slider, for a fit of a block.
 
         None where the body is a slider, and where no fit of a slider is found.
         """
@@ -268,7 +268,7 @@ class FitResult:
 
     @functools.cached_property
     def further(self) -> list[Further]:
-        """Data beside the lengths, and the model there."""
+        """Data other than lengths, and the model's values for them."""
         m, found = self.measurements, []
         for block in self.problem.blocks[1:]:
             places = [m.place(i) for i in block.measurement.tolist()]
@@ -280,7 +280,7 @@ class FitResult:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom: data, with the priors among them, less fitted parameters."""
+        """Degrees of freedom: data, priors included, minus fitted parameters."""
         return self.problem.count - self.problem.p
 
     @property
@@ -322,7 +322,7 @@ class FitResult:
         return to_dict(self)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the measurements beside the model as a pandas.DataFrame, one per row, in the unit of the table."""
+        """Return measurements and model as a pandas.DataFrame, one row per measurement, in the unit of the table."""
         return to_dataframe(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -413,7 +413,7 @@ def root_of(problem: Problem, one: Minimum) -> Root:
 
 
 def named_values(q: ParameterSet, theta: np.ndarray) -> dict[str, float]:
-    """Requested parameters at θ by label, in units; k/K too where a stiffness is fitted and k/K is one number."""
+    """Requested parameters at θ by label, in units, and k/K where a stiffness is fitted and k/K is one number."""
     values, ratio = q.values(theta), q.common_ratio(theta)
     if ratio is not None:
         values.setdefault("stiffness", ratio)

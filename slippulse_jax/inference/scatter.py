@@ -12,19 +12,19 @@ from slippulse_jax.inference.likelihood import Problem, terms
 from slippulse_jax.inference.optimise import minimise
 
 UNMEASURABLE = 1e-4
-"""Scatter of lengths, relative to them, under which it says nothing of the error of measuring."""
+"""Relative scatter of the lengths below which it is not an error of measurement."""
 TURNS, SETTLED = 100, 1e-10
-"""Most turns of fit and size, and the relative change of the size at which they end."""
+"""Largest number of alternations between fit and scale, and the relative change of the scale at which they end."""
 
 
 class Scatter(NamedTuple):
     """Size of σ by the scatter."""
 
     factor: float  # on the stated σ, or on 1 λc
-    dof: float  # data that the fit does not use up
+    dof: float  # degrees of freedom left over by the fit
     problem: Problem  # with σ of that size
     deviance: float
-    closest: float | None = None  # distance of the lengths from the fit, relative to them, where that is no scatter
+    closest: float | None = None  # relative distance of the lengths from the fit, where it is too small to be scatter
 
 
 def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> Scatter:
@@ -60,7 +60,7 @@ def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> S
 
 
 def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
-    """Deviance of the data whose σ are scaled, and how many of them the fit does not use up."""
+    """Deviance of the data whose σ are scaled, and their degrees of freedom."""
     blocks = problem.blocks[:1] if of_lengths else problem.blocks
     deviance, count = 0.0, sum(len(block.rows) for block in blocks)
     for block in blocks:

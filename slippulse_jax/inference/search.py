@@ -23,9 +23,9 @@ SCANNED = 3
 EDGES = {1: 257, 2: 33, 3: 13}
 """Number of cell edges to begin with along each parameter, by the number of parameters."""
 SLACK = 16.0
-"""Deviance above the least up to which minima are looked for: four standard errors."""
+"""Deviance above the least within which minima are reported: four standard errors."""
 SCANNED_TO = {1: 16.0, 2: 35.0, 3: 16.0}
-"""Deviance above the least up to which cells are kept, by the number of parameters; with two, as far as simulations look."""
+"""Deviance above the least within which cells are kept, by the number of parameters; with two, as simulations need."""
 LINEAR = 0.3
 """Departure from a linear model, in σ of all data together, at which a cell is resolved."""
 WIDENED = 2.0
@@ -34,22 +34,22 @@ NARROWEST = 1e-7
 """Width of the narrowest cell, over the range searched."""
 ROUNDS = 60
 MOST_ELEMENTS = 40_000_000
-"""Numbers held at once for the corners of all cells."""
+"""Largest number of elements of the array of corners."""
 CHORDS = 6
 """Steps of the minimisation in a cell, whose derivatives are those of its linear model."""
 NEARBY = 0.5
-"""Distance beyond a cell, in its widths, up to which the minimum of its linear model is looked for."""
+"""Distance outside a cell, in its widths, within which the minimum of its linear model counts."""
 POLISHED = 8
-"""Cells from which the least deviance is improved while the scan goes on."""
+"""Cells from which the least deviance is lowered during the scan."""
 
 RISEN = 1e-9
-"""Rise of the deviance between two points, over the deviance, by which they lie in two valleys: far above rounding."""
+"""Relative rise of the deviance between two points that separates two valleys: far above rounding."""
 
 BESIDE = 0.03
-"""Distance in θ at which a search along a single parameter starts on either side of a cell, beside in it."""
+"""Distance in θ of two more starts on either side of a cell, with a single parameter."""
 
 SAMPLES = 512
-"""Points at which more parameters are looked at before the best of them are taken as starts."""
+"""Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
 CROWDED = 24
 """Largest number of different lengths whose peaks are scanned closely on both sides."""
@@ -123,10 +123,10 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
         starts = _starts(problem, seed)
     else:
         starts = cells.theta[_promising(cells, low, high)]
-        if not len(starts):  # a misfit so deep that a rounded prediction excludes every cell
+        if not len(starts):  # in a deep misfit rounding may exclude every cell
             starts = first_look(problem, seed)[None]
         if problem.p == 1:
-            # a cell at the peak of a length is so narrow that nothing responds in it
+            # a cell at the peak of a length is so narrow that its predictions are constant
             starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
     ends = minimise(problem, starts, low, high, method=method, max_steps=max_steps)
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
@@ -147,7 +147,7 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:
-    """Return a point of little deviance, from a coarse grid, or a sample by `seed` of many parameters; shape (p,)."""
+    """Find a point of low deviance from a coarse grid, or from a sample if there are many parameters; shape (p,)."""
     q = problem.parameters
     if problem.p > SCANNED:
         starts = _starts(problem, seed)
@@ -248,7 +248,7 @@ def _halved(
     """Both halves of every cell, cut across the parameter along which its predictions change most."""
     changes = [_in_sigmas(problem, _finite(change)) for change in _changes(corner, upper)]
     width = (high - low) / (problem.parameters.high - problem.parameters.low)
-    # where nothing changes, or everything is infinite, the widest side
+    # the widest side, where nothing changes or everything is infinite
     along = np.argmax(np.stack(changes, axis=1) * (width > NARROWEST) + 1e-3 * width, axis=1)
     rows = np.arange(len(low))
     middle = (low[rows, along] + high[rows, along]) / 2
@@ -276,7 +276,7 @@ def _finite(x: np.ndarray) -> np.ndarray:
 
 
 def _in_sigmas(problem: Problem, change: np.ndarray) -> np.ndarray:
-    """Length of a change of the predictions, (c, N), in standard errors of all data together."""
+    """Norm of a change of the predictions, (c, N), in standard errors of all data together."""
     with np.errstate(over="ignore"):
         return np.sqrt(((change / problem.reach) ** 2).sum(axis=1))
 
@@ -284,7 +284,7 @@ def _in_sigmas(problem: Problem, change: np.ndarray) -> np.ndarray:
 def _minimised(
     problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
 ) -> Cells:
-    """Minimise in every cell, with the derivatives of the predictions that its corners give."""
+    """Minimise in every cell, with derivatives from the predictions at its corners."""
     endless = np.asarray(np.isinf(corner).all(axis=1))  # runs away everywhere in the cell
     change = np.where(endless[:, :, None], 0, np.stack(_changes(corner, _upper(problem.p)), axis=2))
     smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & (np.isfinite(centre) | endless).all(axis=1))
@@ -318,7 +318,7 @@ def _minimised(
 
 
 def _promising(cells: Cells, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Cells whose linear model has its minimum inside or near, or at an end of the range; and the best."""
+    """Select cells whose linear model has its minimum inside, nearby, or at an end of the range; and the best cell."""
     near = cells.deviance <= cells.deviance.min(initial=np.inf) + SLACK
     step = -np.einsum("cpq,cq->cp", np.linalg.pinv(cells.metric, rcond=1e-9, hermitian=True), cells.gradient)
     width = cells.high - cells.low
@@ -340,15 +340,15 @@ def _starts(problem: Problem, seed: int) -> np.ndarray:
     value = problem(sample).value
     ranked = np.argsort(value, kind="stable")
     ranked = ranked[np.isfinite(value[ranked])]
-    # half the lowest, half spread over the rest, so that a second basin is not crowded out
+    # half are the lowest, half are spread over the rest, so that a second basin is not missed
     spread = ranked[STARTS // 2 :: max(1, (len(ranked) - STARTS // 2) // (STARTS // 2))][: STARTS // 2]
     return sample[np.concatenate([ranked[: STARTS // 2], spread])]
 
 
 def _tops(problem: Problem) -> np.ndarray:
-    """θ of the stiffness at which a length is longest, of up to `CROWDED` different lengths.
+    """θ at which each length is longest, for up to `CROWDED` different lengths.
 
-    With more than that, each with a peak of its own, no one of them makes a pair of roots.
+    With more, each with its own peak, no single length makes a pair of roots.
     """
     q, block = problem.parameters, problem.blocks[0]
     _, first = np.unique(block.rows, return_index=True)
@@ -362,7 +362,7 @@ def _tops(problem: Problem) -> np.ndarray:
 
 
 def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Minimum]:
-    """Each minimum once; of a floor or a valley without a slope the first point found stands for all."""
+    """Keep each minimum once; the first point of a flat floor or valley stands for all of it."""
     kept: list[Minimum] = []
     for point, value, is_flat in zip(theta, deviance, flat, strict=True):
         if is_flat and not problem.predict(point).any():
@@ -374,9 +374,9 @@ def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np
 
 
 def same(point: np.ndarray, deviance: float, one: Minimum, problem: Problem) -> bool:
-    """Whether a point is this minimum, or lies in the valley that it lies in.
+    """Whether a point is this minimum, or lies in the same valley.
 
-    Of lengths along one parameter, unless the deviance rises between them; else to a fiftieth of its standard errors.
+    For lengths along one parameter: unless the deviance rises between them. Otherwise: to a fiftieth of the standard errors.
     """
     if abs(deviance - one.deviance) > 1e-3:
         return False
@@ -399,16 +399,16 @@ def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Minimum:
     information = problem.information(theta)[0]
     reach = problem.parameters.high - problem.parameters.low
     singular = undetermined_axes(information * np.outer(reach, reach))
-    # a range as wide as the one searched, as a prior, makes the inverse exist and leaves alone what the data determine
+    # a prior as wide as the range searched makes the inverse exist without changing what the data determine
     vague = information + np.diag(1.0 / reach**2) * bool(singular.any())
-    # the scatter that the data happen to show moves the curvature in `discrepancy`; no prediction responds to that
+    # no prediction depends on `discrepancy`, whose curvature varies with the scatter of the data
     predicted = np.arange(problem.p) != problem.parameters.discrepancy
     share = _share(at.metric[0][np.ix_(predicted, predicted)], at.curvature[0][np.ix_(predicted, predicted)])
     return Minimum(theta, deviance, np.linalg.inv(vague), singular, share)
 
 
 def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
-    """Least share of the metric in the second derivative, over all directions that this curves in."""
+    """Least share of the metric in the second derivative, over all directions with curvature."""
     unit = np.sqrt(np.maximum(np.maximum(np.abs(np.diag(curvature)), np.diag(metric)), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     curved = values > 1e-8
@@ -418,7 +418,7 @@ def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
 
 
 def undetermined_axes(information: np.ndarray) -> np.ndarray:
-    """Which parameters take part in a direction that the information leaves open, to rounding; bool, (p,).
+    """Which parameters are part of a direction that the information leaves open, to rounding; bool, (p,).
 
     `information` is that of each parameter in units of the range searched for it: a standard error of a million such ranges
     is rounding as well.

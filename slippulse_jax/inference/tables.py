@@ -95,7 +95,7 @@ _ALIASES = {
     if column.endswith("_" + unit) and "_per_" not in column
     for other, size in units.items()
 }
-"""Column whose quantity a name in another unit holds, and its unit in that of the column."""
+"""By a name in another unit: the usual column, and the other unit in that of the column."""
 _PLAIN = {
     **_columns("height", "length", required=True),
     **_columns("length_sigma", "height_sigma", "block_length", "machine_stiffness"),
@@ -103,7 +103,7 @@ _PLAIN = {
 }
 _QUANTITIES = {meaning.quantity: column for column, meaning in {**_BOTH, **_SI}.items()}
 MOST_GUESSED = 50
-"""Unknown columns of which a meaning is sought."""
+"""Largest number of unknown columns whose meaning is guessed."""
 _TEXT = ("specimen", "provenance", "kind", "label", "push_control")
 _FORMS = (
     "either height_mm, correlation_length_um, poisson, length_mm, length_sigma_mm or height, poisson, length, length_sigma "
@@ -163,7 +163,7 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
 
 
 def measurements_of(given: Any) -> Measurements:
-    """Measurements as they are, or those of a DataFrame or a CSV file."""
+    """Return measurements as they are, or read them from a DataFrame or a CSV file."""
     if isinstance(given, Measurements):
         return given
     if isinstance(given, str | os.PathLike):
@@ -215,7 +215,7 @@ def _parse(
 
 
 def _in_usual_units(given: list[str], where: str) -> list[str]:
-    """The columns in the units of `_SI`; refuses one that is there twice, or in two units."""
+    """Rename the columns to the units of `_SI`; refuse one that occurs twice, or in two units."""
     usual = [_ALIASES.get(column, (column,))[0] for column in given]
     for column, count in Counter(usual).items():
         if count == 1:
@@ -228,7 +228,7 @@ def _in_usual_units(given: list[str], where: str) -> list[str]:
 
 
 def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
-    """The numeric columns of this table; refuses one that is in neither form, or in both."""
+    """Find the numeric columns of this table; refuse one with columns of neither form, or of both."""
     header = _in_usual_units(given, where)
     folded = {known.casefold(): known for known in (*_SI, *_PLAIN, *_BOTH, *_TEXT)}
     for column in header:
@@ -304,7 +304,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
             raw[column] = 0.0
         else:
             raw[column] = number(row[column], place)
-        if meaning.quantity == "correlation_length":  # one of 0 is refused for itself, not for the division by it
+        if meaning.quantity == "correlation_length":  # 0 is refused below, not by a division
             correlation_length = raw[column] * meaning.unit or np.nan
     quantities, shown = {}, {}
     for column, meaning in columns.items():
@@ -315,7 +315,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
         # what was a whole number before it was divided by λc
         near = round(quantities["length"])
         quantities["length"] = float(near) if abs(quantities["length"] - near) < 1e-6 else quantities["length"]
-    # the correlation length comes first: it is what a wrong height or length may be due to
+    # the correlation length comes first: it may be the reason why a height or length is out of its domain
     check_domain(dict(sorted(quantities.items(), key=lambda item: item[0] != "correlation_length")), kind, where, shown)
     if "block_width" in quantities:
         width = quantities.pop("block_width")
@@ -377,7 +377,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of every line that is neither blank nor a comment, one after another: few are held at a time."""
+    """Yield line number and cells of every line that is neither blank nor a comment."""
     said = next(_lines(text), "").strip().strip('"').lower()
     separated = said.startswith("sep=")  # as Excel writes it
     delimiter = said.removeprefix("sep=") or "\t" if separated else ""
@@ -402,7 +402,7 @@ def _cells(text: str, separated: bool, delimiter: str, name: str) -> Iterator[tu
 
 
 def _mark(found: Iterator[tuple[int, list[str]]], name: str) -> str:
-    """The decimal mark of all numbers; refuses both in one table, where 1,234 may be a thousand."""
+    """Find the decimal mark of all numbers; refuse a table with both, where 1,234 may be a thousand."""
     header = [cell.strip() for cell in next(found, (1, []))[1]]
     count, first = Counter(), {}
     for line, cells in found:
@@ -428,7 +428,7 @@ def _lines(text: str) -> Iterator[str]:
 
 
 def _kept(text: str, separated: bool) -> Iterator[str]:
-    """Lines of which comments, and a first one that names the separator, are blanked.
+    """Blank the comments, and a first line that names the separator.
 
     They are not left out: a quoted cell may run over several lines, and line numbers stay true.
     """
@@ -441,7 +441,7 @@ _DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*[{mark}]\d+(e[+-]?\d+)?\s*", flags=re
 
 
 def number(text: str, where: str) -> float:
-    """A cell as a number; `where` names it."""
+    """Convert a cell to a number; `where` names it in messages."""
     if not text:
         raise MeasurementError(f"{where}: missing value")
     try:

@@ -18,19 +18,19 @@ from slippulse_jax.status import Outcome
 
 LEVELS = (0.6827, 0.95)
 IMPROBABLE = 1e-3
-"""Probability of χ² under which model and σ together are said not to describe the data."""
+"""Probability of χ² below which model and σ do not describe the data."""
 SCATTERED = 0.05
-"""Probability of χ², or of the largest pull, below which it is remarked on."""
+"""Probability of χ², or of the largest pull, below which the report remarks on it."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
 """Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
 WITHIN = 7
-"""Values within a piece of an interval at which is asked whether a contact breaks again."""
-PLATEAU = 0.97  # of the longest attainable length, from where on a length says little of stiffness
+"""Points per piece of an interval at which to test whether a contact breaks again."""
+PLATEAU = 0.97  # of the longest attainable length, above which a length constrains stiffness little
 
 
 class Identifiability(enum.Enum):
-    """Whether the data determine a parameter; the value is what the report says."""
+    """Whether the data determine a parameter; the value is the sentence of the report."""
 
     IDENTIFIED = "identified"
     SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
@@ -69,7 +69,7 @@ SOUND = Verdict(Identifiability.IDENTIFIED)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence for the verdicts on a fit; what is said of a parameter by its index."""
+    """Evidence for the verdicts on a fit; parameters by their index."""
 
     measurements: Measurements
     problem: Problem
@@ -84,8 +84,8 @@ class Evidence:
     reported: dict[int, Intervals]  # the same, or those of simulated measurements
     covered: dict[int, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
     lost: list[str]  # messages of the starts that did not converge and might matter
-    closest: float | None  # distance of the lengths from the fit, relative to them, where that is no scatter
-    at_odds: list[int] | None  # of counts that hold or do not: those at odds with the others
+    closest: float | None  # relative distance of the lengths from the fit, where it is too small to be scatter
+    at_odds: list[int] | None  # for exact counts: those at odds with the others
 
     @functools.cached_property
     def roots(self) -> list[Minimum]:
@@ -118,12 +118,12 @@ def judge(j: int, evidence: Evidence) -> Verdict:
 
 
 def trusted(j: int, verdict: Verdict, evidence: Evidence) -> Intervals:
-    """The intervals of parameter j without those that would measure a misfit, not the parameter."""
+    """Intervals of parameter j, without those that would measure a misfit instead of the parameter."""
     intervals = evidence.reported[j]
     if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
         return dict.fromkeys(intervals, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
-        # around a maximum that the data lie far above, the rise measures the misfit
+        # where the data lie far above the maximum, the rise measures the misfit
         probability = float(chdtrc((evidence.dof or 0) + 1, evidence.deviance))
         return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
     return intervals
@@ -150,7 +150,7 @@ def _everything_allowed(j: int, e: Evidence) -> Verdict | None:
 
 def _misfit(j: int, e: Evidence) -> Verdict | None:
     if _above_maximum(e):
-        return None  # said more precisely by `_beyond_maximum`
+        return None  # `_beyond_maximum` is more precise
     if e.dof and chdtrc(e.dof, e.deviance) < IMPROBABLE:
         return Verdict(
             Identifiability.POOR_FIT,
@@ -178,8 +178,8 @@ def _singular(j: int, e: Evidence) -> Verdict | None:
 
 
 def _above_maximum(e: Evidence) -> bool:
-    # gauges determine stiffness where the length does not; and what bends there is the step from contact to contact.
-    # Interpolated lengths bend in steps too, so one of them must be near its longest
+    # gauges determine stiffness where the length does not, and their fields bend from contact to contact;
+    # interpolated lengths bend at their nodes too, so one of the lengths must be close to its longest
     if not e.roots or e.roots[0].share >= 0.5 or e.problem.gauged:
         return False
     return bool((e.problem.predict(e.roots[0].theta)[0] > PLATEAU * e.attainable).any())
@@ -228,8 +228,8 @@ def _not_alone(j: int, e: Evidence) -> Verdict | None:
 
 
 def _wrinkle(j: int, e: Evidence) -> float:
-    """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields go from
-    contact to contact by steps; zero where all is smooth.
+    """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields change in
+    steps from contact to contact; zero elsewhere.
     """
     if not e.problem.gauged or not e.roots or e.roots[0].singular[j]:
         return 0.0
@@ -249,7 +249,7 @@ def _not_normal(j: int, e: Evidence) -> Verdict | None:
     one = np.sqrt(e.rise(LEVELS[0]) * covariance[j, j])
     widths = [abs(end - e.best[j]) / one for end in (pieces[0].low, pieces[-1].high)]
     if max(widths) < 0.5 and e.problem.parameters.free[j].name in STIFFNESSES:
-        longest = f"the measured length is all but the longest that any stiffness gives; {UNCHANGED}"
+        longest = f"the measured length is almost the longest that any stiffness gives; {UNCHANGED}"
         return Verdict(Identifiability.AT_MAXIMUM, longest)
     if len(pieces) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
         return Verdict(
@@ -272,7 +272,7 @@ def _not_covered(j: int, e: Evidence) -> Verdict | None:
 
 
 def _another_valley(j: int, e: Evidence) -> Verdict | None:
-    """Withhold a standard error where another valley, hardly worse, lies far beyond it."""
+    """Withhold a standard error where another valley, only slightly worse, lies far outside it."""
     best, one = e.minima[0], e.problem.parameters.free[j]
     far = 5 * np.sqrt(best.covariance[j, j])
     for other in e.minima[1:]:
@@ -287,7 +287,7 @@ def _another_valley(j: int, e: Evidence) -> Verdict | None:
 
 
 def _breaks_again(j: int, e: Evidence) -> Verdict | None:
-    """Say so where, at a value that is not excluded, the contact at the edge breaks again before the front stops."""
+    """Test whether, at a value that is not excluded, the edge contact breaks again before the front stops."""
     q, pieces, curve = e.problem.parameters, e.reported[j][LEVELS[-1]], e.curves[j]
     if q.smooth or q.event != "domino" or not pieces:
         return None
@@ -306,7 +306,7 @@ def _breaks_again(j: int, e: Evidence) -> Verdict | None:
 
 
 def _counted(e: Evidence) -> Verdict:
-    """Whether one value, a range, several or none give all counts."""
+    """Whether one range of values, several or none give all counts."""
     m, one, pieces = e.measurements, e.problem.parameters.free[0], e.profiled[0][LEVELS[-1]]
     if not pieces:
         at_odds = e.at_odds or []
@@ -369,7 +369,7 @@ def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
 
 
 def undetermined(problem: Problem, theta: np.ndarray) -> str:
-    """Combinations of parameters that the data leave open, in words; empty where there is none."""
+    """Describe the combinations of parameters that the data leave open; empty where there is none."""
     if problem.p == 1:
         return ""
     found = directions(problem, theta)
