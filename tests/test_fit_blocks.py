@@ -279,7 +279,7 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
         ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
         ({"block_length": 9 * HEIGHT}, {}, r"block_length: a fit of a block takes lengths only"),
         ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
-        ({}, {"body": "block", "event": "domino"}, r"its event is the whole one, 'full'"),
+        ({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'"),
         ({}, {"body": "brick"}, r"body = 'brick': one of slider, block"),
     ],
 )  # fmt: skip

@@ -51,7 +51,7 @@ def test_pictures(tmp_path):
         (["--prior", "poisson=0.3"], "prior = .*two numbers"),
         (["--fix", "prestress=0.1,0.2"], "--fix prestress: one value"),
         (["--request", "none.toml"], "none.toml: No such file"),
-        (["--sigma", "relative", "--intervals", "calibrated"], "standard errors that are believed"),
+        (["--sigma", "relative", "--intervals", "calibrated"], "calibrated intervals need absolute standard errors"),
         (["--case"], "--case says how --bootstrap draws"),
         (["--loss", "huber", "--posterior", "10"], "a posterior needs a likelihood"),
         (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),

@@ -65,7 +65,7 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         sp.load_fit(path)
     for content, message in (
-        ("{}", "its schema is not 1; repeat it"),
+        ("{}", "its schema is not 1"),
         ('{"schema": 99}', "its schema is not 1"),
         ("[1", "fit.json"),
     ):

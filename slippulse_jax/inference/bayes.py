@@ -116,7 +116,7 @@ def posterior(
         lengths are those of whole events.
     """
     if result.parameters.smooth:
-        raise ValueError("a posterior takes the hard break rule: hold no width, or use bootstrap")
+        raise ValueError("a posterior needs the hard break rule: leave out width, or use bootstrap")
     if result.parameters.event == "full":
         raise ValueError("event = 'full': a posterior needs a length that can be traced; use bootstrap")
     if result.problem.loss.name == "huber" or result.scaled:

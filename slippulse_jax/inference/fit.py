@@ -282,7 +282,7 @@ def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
         )
     if problem.parameters.discrepancy is not None:
         raise ValueError(
-            "parameter discrepancy: it and a scale of all errors say the same; give σ, and leave sigma = 'absolute'"
+            "parameter discrepancy: cannot be fitted together with the size of all errors; give σ, with sigma = 'absolute'"
         )
     if not problem.exact_values:
         raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
@@ -292,7 +292,7 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
     if intervals != "calibrated":
         return
     if scaled:
-        raise ValueError("calibrated intervals need standard errors that are believed: sigma = 'absolute'")
+        raise ValueError("calibrated intervals need absolute standard errors: sigma = 'absolute'")
     if not can_be_calibrated(problem):
         raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
 

@@ -317,7 +317,7 @@ class Measurements:
                 f"{self.source}: young is given without correlation_length: no areal stiffness can be formed"
             )
         if self.machine_stiffness is not None and self.in_si and self.young is None:
-            raise MeasurementError(f"{self.source}: machine_stiffness needs young, beside which it is stiff or not")
+            raise MeasurementError(f"{self.source}: machine_stiffness needs young, with which it is compared")
         for name in ("displacement", "force"):
             if getattr(self, name) is None:
                 continue

@@ -761,7 +761,7 @@ def _check_friction(names: set[str], event: MeasuredEvent) -> None:
     if event == "crack" and "threshold_slope" in names:
         raise ValueError("parameter threshold_slope: a crack-like front has a closed form on level thresholds only")
     if event != "crack" and "friction" in names:
-        raise ValueError("parameter friction: of contacts that slide behind a crack-like front: needs event = 'crack'")
+        raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
 
 
 def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None:
@@ -772,7 +772,9 @@ def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None
         blank = m.place(int(np.argmax(np.isnan(m.push_height))))
         raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push of every measurement")
     if event != "full":
-        raise ValueError(f"event = {event!r}: contacts of a block break in any order: its event is the whole one, 'full'")
+        raise ValueError(
+            f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
+        )
     for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):
         if getattr(m, name) is not None:
             raise ValueError(

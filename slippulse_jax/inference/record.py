@@ -148,7 +148,7 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
     name, content = os.fspath(path), read_request_file(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ValueError(
-            f"{name}: no fit that this version wrote: its schema is not {SCHEMA}; repeat it (slippulse fit TABLE.CSV "
+            f"{name}: not a fit that this version can read (its schema is not {SCHEMA}); repeat it (slippulse fit TABLE.CSV "
             f"--request {name})"
         )
     return content

@@ -320,7 +320,7 @@ def _quantities(row: dict[str, str], columns: dict[str, _Column], where: str) ->
     if "block_width" in quantities:
         width = quantities.pop("block_width")
         if np.isnan(width) and not np.isnan(quantities["machine_stiffness"]):
-            raise MeasurementError(f"{where}, column block_width_mm: missing value: the stiffness beside it is over this width")
+            raise MeasurementError(f"{where}, column block_width_mm: missing value: machine_stiffness_N_per_m is divided by it")
         quantities["machine_stiffness"] /= width
     return quantities
 
