@@ -48,7 +48,7 @@ def test_both_roots_of_one_length(height):
     for root in result.roots:
         assert abs(float(exact(height, root.values["stiffness"])) - target) < 1e-6
         assert any(piece.low < root.values["stiffness"] < piece.high for piece in result.intervals["stiffness"][0.6827])
-    assert "values that fit (not excluded at 95 %; one is kept by bounds=(low, high), and" in result.report()
+    assert "values that fit (not excluded at 95 %; to keep one, with its errors, give bounds=(low, high)):" in result.report()
 
 
 def test_two_close_roots_either_side_of_the_peak():
@@ -478,7 +478,7 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     result = fit(read_measurements(PMMA), "areal_stiffness")
     whole = total(result, "areal_stiffness", result.budget)
     assert whole > 4 * result.stderrs["areal_stiffness"]
-    assert "Taken as exact, with an error that is usual" in result.report()
+    assert "Inputs taken as exact, and what their usual errors would change" in result.report()
     assert set(result.to_dict()["budget"]) == set(result.budget)
 
 
@@ -505,7 +505,10 @@ def test_errors_of_specimens_in_the_report():
     table = table.assign(length_sigma_cm=0.1, poisson=0.37, correlation_length_um=10.0, young_GPa=3.3, young_sigma_GPa=0.2)
     result = fit(table)
     said = result.report()
-    assert "fitted beside, inputs for each specimen on its own:\n    E (A): stated (3.30 ± 0.20)e9 Pa, fitted 3." in said
+    assert (
+        "also fitted, within their errors, inputs separately for each specimen:\n    E (A): stated (3.30 ± 0.20)e9 Pa, fitted 3."
+        in said
+    )
     assert "correlations above 0.5:\n    C(k/λc², E (B)) = +0." in said
     assert "e-05, one for each specimen\n" in said
     assert "(k/K up to 1)" in said

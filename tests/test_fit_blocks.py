@@ -299,7 +299,7 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     assert found.unstated_push["0.5"] < 0.3
     assert np.isnan(found.unstated_push["0.1"])
     assert f"side from 0.5 H up: {found.unstated_push['0.5']:.2g} times this; from 0.25 H up: " in found.report()
-    assert "A column push_height (and push_width) has it fitted as a block" in found.report()
+    assert "Add a column push_height (and push_width) to fit a block" in found.report()
     assert not block.unstated_push
 
 

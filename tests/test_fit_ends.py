@@ -180,7 +180,7 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     assert -0.05 < found.unstated_ends["block_length"]["stiffness"] < 0
     assert -0.4 < found.unstated_ends["machine_stiffness"]["stiffness"] < -0.1
     report = found.report()
-    assert "holds only if the block is longer than 4/κ₂ = " in report
+    assert "so this holds only for blocks longer than 4/κ₂ = " in report
     assert "a machine ten times as stiff as the block would move k/K by -" in report
     known = sp.fit(dataclasses.replace(plain, block_length=2 * decay, machine_stiffness=100.0), intervals="profile")
     assert known.unstated_ends == {}

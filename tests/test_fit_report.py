@@ -169,11 +169,11 @@ def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
     """Of two specimens whose moduli are as stated, or one 15 % softer and one 15 % stiffer than that."""
     result = sp.fit(two_specimens(scale=(0.85, 1.15) if wrong else (1.0, 1.0)))
     assert result.identifiability is Identifiability.IDENTIFIED
-    notes = [note for note in result.notes if "farther than chance would" in note]
+    notes = [note for note in result.notes if "more than chance would" in note]
     assert len(notes) == wrong
     if wrong:
         assert re.search(r"the lengths pull E \(A\) by -[1-3]\.\d\d σ, E \(B\) by \+[1-3]\.\d\d σ", notes[0])
-        assert "check what is stated of this and its error; or the specimens may differ in stiffness" in notes[0]
+        assert "check the stated value and its error; or the specimens may differ in stiffness" in notes[0]
         assert '(free=[sp.Parameter("stiffness", each="specimen")])' in notes[0]
 
 
@@ -184,7 +184,7 @@ def test_pulls_scatter_as_the_remark_supposes():
     for _ in range(40):
         table = two_specimens(scale=1 + 0.2 / 3 * rng.standard_normal(2))
         table["length_mm"] += 0.3 * (rng.standard_normal(6) - NOISE)
-        seen += any("farther than chance" in note for note in sp.fit(table, intervals="profile").notes)
+        seen += any("more than chance" in note for note in sp.fit(table, intervals="profile").notes)
     assert seen <= 6  # more than that have a probability of 0.3 %
 
 
@@ -192,9 +192,9 @@ def test_a_pulled_model_factor_is_remarked_on():
     """Lengths that grow with the height less than those of any slider do."""
     m = lengths(provenance=("measured",) * 6)
     bent = dataclasses.replace(m, length=m.length * (HEIGHT / 450) ** -0.07)
-    assert not any("farther than chance" in note for note in sp.fit(m).notes)
-    (note,) = [note for note in sp.fit(bent).notes if "farther than chance" in note]
-    assert re.search(r"model factor by -2.*the lengths do not vary with the height as those of the model do", note)
+    assert not any("more than chance" in note for note in sp.fit(m).notes)
+    (note,) = [note for note in sp.fit(bent).notes if "more than chance" in note]
+    assert re.search(r"model factor by -2.*the lengths do not vary with the height as the model's do", note)
     assert "check what is stated" not in note
 
 
@@ -208,14 +208,14 @@ def test_no_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     result = sp.fit(lengths(provenance=("measured",) * 6), fixed=fixed)
     report = result.report()
     assert bool(result.unstated_push) == ("times this" in report) == (held == 1.0)
-    assert "A column push_height (and push_width) has it fitted as a block" in report
+    assert "Add a column push_height (and push_width) to fit a block" in report
     assert ("no ratio to this is given" in report) == (held != 1.0)
 
 
 def test_the_report_of_a_block_says_what_it_takes_for_granted():
     m = sp.read_measurements(EXAMPLES / "pushed_block/lengths.csv")
     said = sp.fit(m).report()
-    assert "Not stated, and not in any error above\n  a block that ends, and a machine that gives way, lengthen fronts" in said
+    assert "Not stated, and not in any error above\n  an end of the block and a soft machine lengthen fronts" in said
     assert "without push_width_mm the pusher covers all of the side above push_height_mm" in said
     assert "without push_control the displacement of the pusher is held" in said
     stated = dataclasses.replace(m, push_width=0.2 * m.height, push_control=("displacement",) * 6)
@@ -260,7 +260,7 @@ def test_the_total_of_a_ratio_has_what_specimens_do_not_share():
     ]
     whole = total_of_ratio(result, labels, result.budget)
     assert whole == pytest.approx(ratio * np.hypot(error / ratio, np.linalg.norm(moved)), rel=0.02)
-    said = f"with these, B over A = {value_with_error(ratio, whole)} (H of each specimen on its own, the rest shared)"
+    said = f"with these, B over A = {value_with_error(ratio, whole)} (H of each specimen separately, the rest shared)"
     assert said in result.report()
 
 
@@ -338,3 +338,13 @@ def test_a_block_without_the_like_of_a_slider_has_a_report(monkeypatch):
     monkeypatch.setattr("slippulse_jax.inference.fit.fit", never_stops)
     assert result.as_slider is None
     assert "The same lengths with the slider: no fit was found" in result.report()
+
+
+def test_of_many_roots_the_best_are_listed():
+    """Each of three specimens has a root on either side of the peak of its length: eight points that fit."""
+    m = sp.Measurements([10, 16, 25], 0.3, [8.64, 15.75, 24.82], 0.4, specimen=["a", "b", "c"])
+    result = sp.fit(m, sp.Parameter("stiffness", each="specimen"), intervals="profile")
+    assert len(result.roots) == 8
+    listed = result.report().partition("points that fit")[2].partition("Fit: ")[0].strip().splitlines()
+    assert sum(line.startswith("    stiffness[a] = ") for line in listed) == 4
+    assert listed[-1] == "    … and 4 more (FitResult.roots)"

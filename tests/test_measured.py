@@ -35,7 +35,7 @@ def test_standard_error_is_that_of_correlated_lengths(lengths):
     assert list(result.verdicts) == list(result.intervals) == ["stiffness"]
     assert set(result.inputs) == {"offset", "model_factor"}
     assert "length" not in result.budget
-    assert 'left by fixed={"offset": 0, "model_factor": 1}' in result.report()
+    assert 'fixed={"offset": 0, "model_factor": 1} leaves the errors of the lengths alone' in result.report()
 
 
 def test_held_they_leave_the_error_of_the_lengths(lengths):
@@ -77,7 +77,7 @@ def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
     slope, shared = factor * found.stiffness * result.values["stiffness"], MODEL_ERROR * factor * found.length
     stderr = 1 / np.sqrt(slope @ np.linalg.solve(np.diag(result.sigma**2) + np.outer(shared, shared), slope))
     assert result.stderrs["stiffness"] / result.values["stiffness"] == pytest.approx(stderr, rel=0.02)
-    assert 'left by fixed={"model_factor": 1}' in result.report()
+    assert 'fixed={"model_factor": 1} leaves the errors of the lengths alone' in result.report()
 
 
 def test_a_nuisance_needs_a_prior():
@@ -101,7 +101,7 @@ def test_report_names_what_measured_lengths_would_share():
     length = sp.precursor_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)) * (1 + 0.02 * np.array([1, -1, 1, -1, 1, -1]))
     with_sigma = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.03 * length)).report()
     assert "share an offset and a model factor" in with_sigma
-    assert "provenance = measured has both fitted" in with_sigma
+    assert "with provenance = measured both are fitted" in with_sigma
     without = sp.fit(sp.Measurements(HEIGHT, 0.3, length)).report()
     assert "share a model factor" in without
-    assert "provenance = measured has it fitted" in without
+    assert "with provenance = measured it is fitted" in without

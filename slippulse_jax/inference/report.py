@@ -32,6 +32,8 @@ WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
 """Verdicts whose reason already explains why there are no intervals."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
+MOST_ROOTS = 4
+"""Largest number of points that fit that are listed."""
 MOST_RATIOS = 6
 """Largest number of ratios of stiffnesses for which all pairs of specimens are shown."""
 PULLED = 1.0
@@ -170,7 +172,7 @@ def _of_specimens(result: "FitResult") -> list[str]:
     """List the ratios of the stiffnesses of specimens."""
     found = result.stiffness_ratios
     rows = [f"    {_over(labels)} = {value_with_error(*found[labels])}" for labels in _shown_ratios(result)]
-    return ["  ratios of these stiffnesses, from which errors that both share cancel:", *rows] if rows else []
+    return ["  ratios of these stiffnesses (errors that both share cancel):", *rows] if rows else []
 
 
 def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
@@ -215,8 +217,8 @@ def _inputs(result: "FitResult") -> list[str]:
     if not pulls:
         return []
     priors = [(one.name, one.prior_mean, one.prior_sigma) for one, _, _ in pulls if one.name != "arrest"]
-    each = ", inputs for each specimen on its own" * (len(set(priors)) < len(priors))
-    rows, shown = [f"  what has an error of its own, fitted beside{each}:"], _shown(result)
+    each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
+    rows, shown = [f"  also fitted, within their errors{each}:"], _shown(result)
     for one, t, pull in pulls:
         stated = value_with_error(
             one.value(one.prior_mean), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
@@ -244,9 +246,9 @@ def _roots(result: "FitResult") -> list[str]:
     several = len(result.names) > 1
     keep = "points" if several else "values"
     option = result.measurements.option("--bounds LOW HIGH", "bounds=(low, high)")
-    rows = [f"  {keep} that fit (not excluded at 95 %; one is kept by {option}, and the report then has its errors):"]
+    rows = [f"  {keep} that fit (not excluded at 95 %; to keep one, with its errors, give {option}):"]
     units = {one.label: one.unit for one in result.parameters.free}
-    for root in result.roots:
+    for root in result.roots[:MOST_ROOTS]:
         again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
         named = ", ".join(
             (f"{name} = " if several else "") + f"{value_with_error(value, root.stderrs[name])} {units[name]}".rstrip()
@@ -254,13 +256,15 @@ def _roots(result: "FitResult") -> list[str]:
         )
         rise = max(0.0, root.deviance - result.deviance)
         rows.append(f"    {named}  (chi-squared + {rise:.2f}{again})")
+    if len(result.roots) > MOST_ROOTS:
+        rows.append(f"    … and {len(result.roots) - MOST_ROOTS} more (FitResult.roots)")
     return rows
 
 
 def _quality(result: "FitResult") -> str:
     name = "chi-squared" if result.problem.plain else "deviance"
     if result.scaled and result.identifiability is Identifiability.NO_SCATTER:
-        return "Fit: no size of errors is taken from the scatter: there is none"
+        return "Fit: the lengths have no scatter from which to take the size of their errors"
     if result.scaled:
         size = f": {_scatter(result)}" if result.measurements.length_sigma is None else ""
         return f"Fit: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
@@ -280,11 +284,13 @@ def _regime(result: "FitResult") -> str:
     decay = at.slow_decay_length * scale
     if result.parameters.body == "block":
         return (
-            f"Regime: b = {_range(at.b)}; an edge load decays over {_range(decay)} {unit}: holds only if the block is longer "
-            f"than 4 times that, {_range(4 * decay)} {unit}"
+            f"Regime: b = {_range(at.b)}; an edge load decays over {_range(decay)} {unit}, so this holds only for blocks "
+            f"longer than 4 times that, {_range(4 * decay)} {unit}"
         )
-    again = f" (the edge of a tall slider breaks again from {rebreaking_b():.3g} on)" * (result.parameters.event != "crack")
-    ends = f": holds only if the block is longer than 4/κ₂ = {_range(4 * decay)} {unit}"
+    again = f" (from {rebreaking_b():.3g} on the edge contact of a tall slider breaks again)" * (
+        result.parameters.event != "crack"
+    )
+    ends = f", so this holds only for blocks longer than 4/κ₂ = {_range(4 * decay)} {unit}"
     if result.block_length_over_height is not None:
         ends = f"; L/H = {_range(result.block_length_over_height)}"
     return f"Regime: b = {_range(at.b)}{again}; 1/κ₂ = {_range(decay)} {unit}{ends}"
@@ -345,7 +351,7 @@ def _further(result: "FitResult") -> list[str]:
     """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
     if not result.further:
         return []
-    rows = ["", "Measured beside the lengths"]
+    rows = ["", "Other data"]
     for one in result.further:
         worst = int(np.argmax(np.abs(one.residuals)))
         rows.append(
@@ -373,7 +379,7 @@ def _budget(result: "FitResult") -> list[str]:
         by = {"poisson": f"{one.error:g}", "correlation_length": "a factor 2"}.get(name, f"{one.error:.0%}")
         changes = [f"{one.by(j):+.1%}" if free[j].log else f"{one.by(j):+.2g}" for j in names]
         rows.append([USUAL[name].symbol, by, *changes])
-    lines = ["", "Taken as exact, with an error that is usual", *_aligned(rows, str.ljust)]
+    lines = ["", "Inputs taken as exact, and what their usual errors would change", *_aligned(rows, str.ljust)]
     for name in names:
         whole, wide = total(result, name, moved), total_interval(result, name, moved)
         value = value_with_error(result.values[name], whole)
@@ -391,7 +397,7 @@ def _budget(result: "FitResult") -> list[str]:
 def _kept_apart(moved: dict[str, Moved]) -> str:
     """State which errors of inputs two specimens share."""
     own = [USUAL[name].symbol for name in moved if USUAL[name].of_a_specimen]
-    return f"{' and '.join(own)} of each specimen on its own, the rest shared" if own else "all shared"
+    return f"{' and '.join(own)} of each specimen separately, the rest shared" if own else "all shared"
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
@@ -442,8 +448,8 @@ def _of_a_block(result: "FitResult") -> Iterator[str]:
     if result.parameters.body != "block" or result.identifiability not in GIVEN:
         return
     yield (
-        "  a block that ends, and a machine that gives way, lengthen fronts: where lengths grow with the stiffness it is found "
-        "too large; a fit of a block takes neither"
+        "  an end of the block and a soft machine lengthen fronts, so the stiffness comes out too large where lengths grow "
+        "with it; a fit of a block includes neither"
     )
     unit = f"_{m.unit[1]}" * m.in_si
     if m.push_width is None or np.isnan(m.push_width).any():
@@ -464,10 +470,10 @@ def _of_measuring(result: "FitResult") -> Iterator[str]:
     for name, slope in moved.slope.items():
         one = result.parameters.named(name)
         adds.append(f"± {abs(slope) * MODEL_ERROR:{'.0%' if one.log else '.2g'}} to {_symbol(name, one.symbol)}")
-    offset, fitted = ("", "it") if result.scaled else ("an offset and ", "both")
+    offset, fitted = ("", "it is") if result.scaled else ("an offset and ", "both are")
     yield (
         f"  measured lengths share {offset}a model factor of 1 ± {MODEL_ERROR:g}, which alone would add "
-        f"{', '.join(adds)}: provenance = measured has {fitted} fitted"
+        f"{', '.join(adds)}; with provenance = measured {fitted} fitted"
     )
 
 
@@ -475,9 +481,9 @@ def _unstated_push(result: "FitResult") -> list[str]:
     """State the stiffness of a block for the same lengths, by where its side is pushed."""
     found = result.unstated_push
     unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
-    column = f"  A column push_height{unit} (and push_width{unit}) has it fitted as a block"
+    column = f"  Add a column push_height{unit} (and push_width{unit}) to fit a block"
     if push_is_unstated(result) and shares_errors(result):
-        why = "it depends on where its side is pushed; beside an offset or a model factor no ratio to this is given"
+        why = "it depends on where its side is pushed; with an offset or a model factor no ratio to this is given"
         return ["", f"Stiffness of a real block: {why}.", f"{column}."]
     if not found:
         return []
@@ -639,8 +645,8 @@ def _of_data(result: "FitResult") -> Iterator[str]:
             "an offset and a model factor that they share are" if "offset" in beside else "a model factor that they share is"
         )
         yield (
-            f"as the lengths were measured, {shared} fitted beside, with the priors shown; the error of the lengths alone "
-            f"is left by {option}"
+            f"as the lengths were measured, {shared} fitted too, with the priors shown; "
+            f"{option} leaves the errors of the lengths alone"
         )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
@@ -656,10 +662,10 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         relative = result.measurements.option("--sigma relative", 'sigma="relative"')
         yield (
             f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
-            f"its size is taken from the scatter by {relative}"
+            f"{relative} takes its size from the scatter"
         )
     if result.problem.loss.name != "normal":
-        yield f"loss: {result.problem.loss.name}; outliers count less than their σ says"
+        yield f"loss: {result.problem.loss.name}; outliers count less than their σ implies"
 
 
 def _of_pulls(result: "FitResult") -> Iterator[str]:
@@ -684,11 +690,11 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
     which = ", ".join(text for every in pulled.values() for text in every)
     shared = pulled.keys() & {"offset", "model_factor"}
     together = len(set(result.measurements.specimen)) > 1 and any(name in STIFFNESSES for name in result.names)
-    checks = ["check what is stated of this and its error"] * bool(pulled.keys() - shared)
+    checks = ["check the stated value and its error"] * bool(pulled.keys() - shared)
     each = result.measurements.option("--each-specimen stiffness", 'free=[sp.Parameter("stiffness", each="specimen")]')
     checks += [f"the specimens may differ in stiffness ({each})"] * together
-    checks += ["the lengths do not vary with the height as those of the model do"] * bool(shared)
-    yield f"the lengths pull {which}, farther than chance would: {'; or '.join(checks)}"
+    checks += ["the lengths do not vary with the height as the model's do"] * bool(shared)
+    yield f"the lengths pull {which}, more than chance would: {'; or '.join(checks)}"
 
 
 def _of_shape(result: "FitResult") -> Iterator[str]:
@@ -716,14 +722,16 @@ def _of_shape(result: "FitResult") -> Iterator[str]:
 def _of_intervals(result: "FitResult") -> Iterator[str]:
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
-        what = "how a length between two whole contacts is defined moves it by"
+        what = "the definition of a length between two whole contacts changes it by"
         if result.parameters.body == "block":
-            what = "the length of an event on a block is interpolated between coarser blocks, which may move it by"
+            what = "the length of an event on a block is interpolated between coarser blocks, which may change it by"
         elif result.parameters.event == "full":
-            what = "the length of an event steps where the order of its breaks changes, and is interpolated, which moves it by"
+            what = (
+                "the length of an event steps where the order of its breaks changes, and is interpolated, which changes it by"
+            )
         yield (
             f"{what} up to {result.measurements.in_its_unit(i, float(f'{result.between_contacts[i]:.2g}'))} "
-            f"({result.measurements.place(i)}): that is added to σ in quadrature"
+            f"({result.measurements.place(i)}), which is added to σ in quadrature"
         )
     if not result.complete and result.problem.p <= SCANNED:
         yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
