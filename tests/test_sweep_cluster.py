@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -135,15 +136,18 @@ def test_worker_of_other_digits_is_refused(reference, tmp_path, client):
 def test_workers_are_killed(reference, tmp_path, kills):
     """Dask starts them anew and gives their chunks to others; nothing is computed twice but what was cut off."""
     rng = np.random.default_rng(kills)
-    with cluster(2 if kills < 10 else 4) as found, Client(found) as client:
+    # on a busy machine a worker may take longer to start anew than the 15 s after which Dask gives it up
+    patient = dask.config.set({"distributed.deploy.lost-worker-timeout": "10 minutes"})
+    with patient, cluster(2 if kills < 10 else 4) as found, Client(found) as client:
         found.scheduler.allowed_failures = 100  # of tasks on lost workers; 50 kills in a few seconds are no cluster's usual day
         client.register_plugin(Counted(tmp_path / "log", 0.5 if kills > 10 else 0.05))
         killed = 0
         store = tmp_path / "s"
         script = sweeping(found.scheduler_address, store)
         while script.poll() is None and killed < kills:
-            enough = written(store, "length_envelope") + 1
+            enough, began = written(store, "length_envelope") + 1, time.monotonic()
             while script.poll() is None and written(store, "length_envelope") < enough:
+                assert time.monotonic() - began < 120, f"nothing written after {killed} kills"
                 time.sleep(0.005)
             time.sleep(rng.uniform(0, 0.05))
             workers = [nanny for nanny in found.workers.values() if nanny.pid]
