@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 import slippulse_jax as sp
-from benchmarks.fit_coverage import Share
+from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 from slippulse_jax.lattice.blocks import Lanes, tall_lengths
 
@@ -41,7 +41,7 @@ def main() -> None:
         block, slider = sp.fit(m), sp.fit(m, body="slider")
         verdicts.append(block.identifiability)
         for level in LEVELS:
-            held[level].append(any(p.low <= true <= p.high for p in block.intervals["stiffness"][level]))
+            held[level].append(holds(block.intervals["stiffness"][level], true))
         error = block.stderrs["stiffness"]
         if error is not None:
             pulls.append(np.log(block.values["stiffness"] / true) * block.values["stiffness"] / error)

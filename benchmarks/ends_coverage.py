@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
-from benchmarks.fit_coverage import Share
+from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.model import regime
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
@@ -75,7 +75,7 @@ def main() -> None:
         for name, table in zip(names, (m, dataclasses.replace(m, block_length=None, machine_stiffness=None)), strict=True):
             result = sp.fit(table, intervals=given.intervals)
             pieces = result.intervals["stiffness"]
-            hits[name] += [any(p.low <= truth <= p.high for p in pieces[level]) for level in LEVELS]
+            hits[name] += [holds(pieces[level], truth) for level in LEVELS]
             off[name].append(np.log(result.values["stiffness"] / truth))
             identified[name] += result.identifiability is Identifiability.IDENTIFIED
             unconverged[name] += not result.converged

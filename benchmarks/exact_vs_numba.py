@@ -12,15 +12,10 @@ import time
 import numpy as np
 
 from benchmarks.rivals import parallel
+from benchmarks.timing import seconds
 from slippulse_jax import Slider, exact_lengths, precursor_lengths
 
 POINTS, SAMPLE = 1_000_000, 20_000
-
-
-def seconds(function) -> float:
-    began = time.perf_counter()
-    function()
-    return time.perf_counter() - began
 
 
 def main(count: int, sampled: int) -> None:

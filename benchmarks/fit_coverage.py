@@ -11,6 +11,7 @@ the 68 % interval holds the truth if and only if that error is below σ. The sha
 import argparse
 import sys
 import time
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,11 @@ class Share(NamedTuple):
 
     def __str__(self) -> str:
         return f"{100 * self.value:.1f} ± {100 * self.error:.1f}"
+
+
+def holds(pieces: Iterable[Interval], truth: float) -> bool:
+    """Whether an interval, which may be in pieces, holds the true value."""
+    return any(piece.low <= truth <= piece.high for piece in pieces)
 
 
 def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
@@ -89,7 +95,7 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
         given += told
         for i, (level, reach) in enumerate(zip(LEVELS, (1.0, 1.96), strict=True)):
             for name, pieces in intervals.items():
-                hits[name][i] += any(p.low <= truth <= p.high for p in pieces[level])
+                hits[name][i] += holds(pieces[level], truth)
             if specimens == 1:
                 hits["errors within"][i] += bool(abs(m.length[0] - model(m.height, truth)[0]) <= reach * m.sigma[0])
             inside = (

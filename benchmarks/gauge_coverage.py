@@ -21,7 +21,7 @@ import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
 from slippulse_jax.inference.likelihood import Loss, make_problem
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.verdict import IMPROBABLE
+from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -32,7 +32,6 @@ SIGMA = 0.05e-6, 0.06e6
 SITES = 120
 GAUGES = 9
 SCANNED = 0.2  # either side of ln k
-LEVELS = (0.6827, 0.95)
 
 
 class Study(NamedTuple):

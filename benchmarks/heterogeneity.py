@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import slippulse_jax as sp
+from benchmarks.fit_coverage import holds
 
 AROUND = np.array([0.64, 0.8, 1.0, 1.25, 1.5625])
 """Heights of a study, over the one in the middle."""
@@ -53,13 +54,13 @@ def cell(height: float, b: float, scatter: float, studies: int, rng: np.random.G
             m = sp.Measurements(height=heights[study], poisson=POISSON, length=length[study, which[study]])
             bounds = (1e-3 * stiffness, SOFT / b * stiffness)
             found = sp.fit(m, bounds=bounds, intervals="profile")
-            holds = any(p.low <= stiffness <= p.high for p in found.intervals["stiffness"][0.95])
-            stiff.append((found.values["stiffness"] / stiffness, found.stderrs["stiffness"] is not None, holds))
+            held = holds(found.intervals["stiffness"][0.95], stiffness)
+            stiff.append((found.values["stiffness"] / stiffness, found.stderrs["stiffness"] is not None, held))
     fits = "– | – | –"
     if stiff:
-        values, number, holds = np.array(stiff).T
+        values, number, held = np.array(stiff).T
         low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
-        fits = f"{middle:.2f} ({low:.2f}–{high:.2f}) | {number.mean():.0%} | {holds.mean():.0%}"
+        fits = f"{middle:.2f} ({low:.2f}–{high:.2f}) | {number.mean():.0%} | {held.mean():.0%}"
     finite = ratio[np.isfinite(ratio)]
     numbers = [
         f"{height:g} | {b:g} | {scatter:.0%} | {(site[:, 0] > 0).mean():.0%} | {(breaks[:, 0] == 1).mean():.0%}",

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import slippulse_jax as sp
-from benchmarks.fit_coverage import Share
+from benchmarks.fit_coverage import Share, holds
 
 HEIGHTS = np.array([12.0, 18.0, 25.0, 35.0, 50.0])
 STIFFNESS = np.geomspace(2e-3, 1e-2, 4)
@@ -64,7 +64,7 @@ def coverage(lengths: np.ndarray, extra: list, studies: int, seed: int) -> str:
             m = sp.Measurements(height=HEIGHTS, poisson=0.3, length=noisy, length_sigma=sigma)
             result = sp.fit(m, ["stiffness", *extra])
             bias.append(np.log(result.values["stiffness"] / truth))
-            hits += [any(p.low <= truth <= p.high for p in pieces) for pieces in result.intervals["stiffness"].values()]
+            hits += [holds(pieces, truth) for pieces in result.intervals["stiffness"].values()]
     beyond = int(np.sum(np.array(bias) > np.log(5)))
     shares = [str(Share(int(hit), len(bias))) for hit in (beyond, *hits)]
     return f"{100 * np.expm1(np.median(bias)):+.0f} % | " + " | ".join(shares)

@@ -17,6 +17,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from slippulse_jax.inference.recover.recovery import Determination, RecoveredProfile
+from slippulse_jax.inference.verdict import LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -107,7 +108,7 @@ def recover(one: Study, kind: str) -> Outcome:
     nearest = abs(found.position[:, None] - at).argmin(axis=0)
     truth = np.interp(found.position[nearest], X, one.truth)
     truth = np.exp(truth) if kind == "threshold" else truth
-    ends = [[end[nearest] for end in found.interval(level)] for level in (0.6827, 0.95)]
+    ends = [[end[nearest] for end in found.interval(level)] for level in LEVELS]
     inside = np.array([(low <= truth) & (truth <= high) for low, high in ends])
     return Outcome(found, inside, found.determined[nearest], int(one.start.max()))
 

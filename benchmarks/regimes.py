@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 import slippulse_jax as sp
-from benchmarks.fit_coverage import Share
+from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 YOUNG, LAMBDA = 3e9, 1e-5  # Pa, m
@@ -136,7 +136,7 @@ def run(make: Callable[[np.random.Generator], Study], studies: int, seed: int) -
             warnings.simplefilter("ignore")
             result = sp.fit(m, free, sigma=sigma, seed=number)
         for name, true in truth.items():
-            held = [any(p.low <= true <= p.high for p in result.intervals[name][level]) for level in LEVELS]
+            held = [holds(result.intervals[name][level], true) for level in LEVELS]
             verdict, error = result.verdicts[name].identifiability, result.stderrs[name]
             off = np.nan if error is None else abs(result.values[name] - true) / error
             rows.setdefault(name, []).append(
@@ -198,9 +198,9 @@ def main() -> None:
         studies = given.studies or STUDIES[name]
         for parameter, found in run(make, studies, given.seed).items():
             pairs = (" / ".join(str(share) for share in pair) for pair in (found.holds, found.holds_identified, found.covered))
-            holds, then, covered = pairs
+            held, then, covered = pairs
             print(
-                f"| {title}, {studies} studies | {parameter} | {holds} | {found.identified} | {then} | {covered} | "
+                f"| {title}, {studies} studies | {parameter} | {held} | {found.identified} | {then} | {covered} | "
                 f"{found.worst:.1f} | {found.unconverged} |",
                 flush=True,
             )
