@@ -18,10 +18,10 @@ from benchmarks.timing import side_by_side
 from slippulse_jax.bulk.compiler import compile_loops_whole
 from slippulse_jax.lattice.chain import State, eliminate
 from slippulse_jax.lattice.response import propagators
+from slippulse_jax.paper import FIG2
 
 compile_loops_whole()
 jax.config.update("jax_enable_x64", True)
-FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
 
 @numba.njit(cache=False)

@@ -10,9 +10,9 @@ from scipy.linalg import solve_banded
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
+from slippulse_jax.paper import FIG2
 
 jax.config.update("jax_enable_x64", True)
-FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
 
 def banded(chain, load):

@@ -1,6 +1,4 @@
-"""Index of the paper's equations: the function and test of each.
-
-It is read from the code.
+"""Index of the paper's equations, read from the code: the function and test of each.
 
 The labels are in ``equations.csv``. A function, class or field computes what its docstring or comment names after the word
 "label" or "labels", or what its `quantity` carries; a test checks what it names after that word, in its docstring or a comment.
@@ -122,9 +120,9 @@ def missing() -> list[str]:
 
 def page() -> str:
     """Write the page of the index, as Markdown."""
-    rows = []
+    rows, known = [], equations()
     for label, (computed, tested) in index().items():
-        equation = equations()[label]
+        equation = known[label]
         functions = ", ".join(f"`{x}`" for x in computed)
         tests = "; ".join(x.replace(".py::test_", ": ").replace("test_", "", 1).replace("_", " ") for x in tested)
         rows.append(f"| {equation['number'] or '–'} | {label} | {equation['statement']} | {functions} | {tests} |")

@@ -1,7 +1,4 @@
-"""Errata of the paper, each with the numbers that show it.
-
-Differences of substance are among them; the numbers are computed on demand.
-"""
+"""Errata of the paper and differences of substance, each with the numbers that show it, computed on demand."""
 
 # ruff: noqa: E501
 from typing import NamedTuple
@@ -13,10 +10,8 @@ from slippulse_jax import theory
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.events import rebreaking_onset
 from slippulse_jax.lattice.exact_lanes import exact_lengths
+from slippulse_jax.paper import FIG2
 from slippulse_jax.slider import Slider
-
-FIG2 = Slider(25.0, 0.03, 0.3)
-"""The slider of the paper's Fig. 2."""
 
 
 class Erratum(NamedTuple):

@@ -14,16 +14,14 @@ from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.lattice.lengths import arrests, precursor_lengths
+from slippulse_jax.paper import FIG2
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.style import LIGHT
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 POISSON, SITES = 0.3, 100
-"""Poisson's ratio and L/λc of both figures."""
-
-FIG2 = Slider(25.0, 0.03, POISSON)
-"""The slider of Fig. 2."""
+"""Poisson's ratio and L/λc of Fig. 3."""
 
 STIFFNESSES = {0.03: LIGHT.vermilion, 0.01: LIGHT.blue, 0.003: LIGHT.ink}
 HEIGHTS = {10: LIGHT.vermilion, 25: LIGHT.blue, 50: LIGHT.ink}

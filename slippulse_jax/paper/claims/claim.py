@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-from slippulse_jax.slider import Slider
-
 Verdict = Literal["holds", "holds within limits", "does not hold as worded"]
 
 HOLDS: Verdict = "holds"
@@ -37,8 +35,3 @@ def claim(number: str, *, holds: str, limits: str = "") -> Callable[[Callable[[]
 def judge(holds: bool, within: bool = False) -> Verdict:
     """Give the verdict of the two criteria."""
     return HOLDS if holds else WITHIN if within else FAILS
-
-
-def fig2() -> Slider:
-    """The slider of the paper's Fig. 2."""
-    return Slider(25.0, 0.03, 0.3)

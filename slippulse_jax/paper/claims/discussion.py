@@ -16,7 +16,8 @@ from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.series import Steps, series
-from slippulse_jax.paper.claims.claim import Finding, claim, fig2, judge
+from slippulse_jax.paper import FIG2
+from slippulse_jax.paper.claims.claim import Finding, claim, judge
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider
 
@@ -34,9 +35,9 @@ SAME = 1.5
 )
 def prestress() -> Finding:
     """Prestress σ_0 lengthens Λ, and beyond a threshold the front never stops."""
-    critical = float(runaway_prestress(lattice_modes(fig2())))
+    critical = float(runaway_prestress(lattice_modes(FIG2)))
     phi = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.53, critical * (1 - 1e-6), critical * (1 + 1e-6), 0.99])
-    length = precursor_lengths(fig2(), interface=Interface(phi))
+    length = precursor_lengths(FIG2, interface=Interface(phi))
     finite = np.isfinite(length)
     soft = Slider(10.381840251071646, 0.024884160056852563, 0.05409050217326783)
     above = float(precursor_length(soft, interface=Interface(float(runaway_prestress(lattice_modes(soft))) + 1e-4)))
@@ -60,11 +61,11 @@ def _stops(length: float) -> str:
 )
 def threshold_slope() -> Finding:
     """Λ(ε) ≈ Λ(0)(1 − ε) for thresholds σ_s0 + μ_s ε x."""
-    base = float(precursor_length(fig2()))
+    base = float(precursor_length(FIG2))
     slope = np.array([-0.005, 0.001, 0.005, 0.01])
-    ratio = precursor_lengths(fig2(), interface=Interface(threshold_slope=slope)) / base
-    rate = float(jax.grad(lambda e: precursor_length(fig2(), interface=Interface(threshold_slope=e)))(0.0)) / base
-    tall = float(fig2().height)
+    ratio = precursor_lengths(FIG2, interface=Interface(threshold_slope=slope)) / base
+    rate = float(jax.grad(lambda e: precursor_length(FIG2, interface=Interface(threshold_slope=e)))(0.0)) / base
+    tall = float(FIG2.height)
     text = (
         f"Λ/Λ(0) = {', '.join(f'{r:.3f} at {e:g}' for e, r in zip(slope, ratio, strict=True))} per λc. The paper prints ε with the "
         f"dimension of a gradient; read as the relative rise of σ_s over a length a, d ln Λ/dε = {rate:.1f} λc/a: −1 only for "
@@ -82,7 +83,7 @@ def threshold_slope() -> Finding:
 def repinning_delay() -> Finding:
     """A repinning delay τ_d widens the pulse to v τ_d and lengthens Λ to Λ + v τ_d."""
     sites = np.arange(7)
-    lengths = np.array([float(precursor_length(fig2(), interface=Interface(repin_delay=int(n)))) for n in sites])
+    lengths = np.array([float(precursor_length(FIG2, interface=Interface(repin_delay=int(n)))) for n in sites])
     gain = (lengths - lengths[0])[1:]
     rate = gain / sites[1:]
     text = (
@@ -121,8 +122,8 @@ def _pushed_to_nucleation(one: Chain) -> tuple[int, float]:
 )
 def inertia() -> Finding:
     """Inertia lengthens Λ and leaves the nucleation as it is."""
-    one = chain(fig2(), sites=200)
-    first = first_precursor(fig2())
+    one = chain(FIG2, sites=200)
+    first = first_precursor(FIG2)
     static, load = int(first.contacts_broken), float(first.load)
     damping = (1.0, 0.3, 0.1, 0.03, 0.0)
     extent, ended = zip(*(_broken(one, g, SelfHealing()) for g in damping), strict=True)
@@ -148,9 +149,9 @@ KINDS: tuple[Kind, ...] = ("normal", "uniform", "weibull")
 )
 def distribution() -> Finding:
     """A wide distribution P_c(f_s) removes the instability: smooth sliding, no precursor."""
-    alone = {kind: smooth_width(fig2(), kind) for kind in KINDS}
+    alone = {kind: smooth_width(FIG2, kind) for kind in KINDS}
     whole = [_whole_chain_smooth(kind) for kind in KINDS]
-    found = stability(fig2(), ThresholdDistribution("normal", alone["normal"]))
+    found = stability(FIG2, ThresholdDistribution("normal", alone["normal"]))
     text = (
         f"a contact at the edge, whose surroundings have K_s = {float(found.surroundings_at_edge):.2f} k, is stable by itself beyond "
         f"widths (in u_s) of {alone['normal']:.3f} (normal), {alone['uniform']:.3f} (uniform), {alone['weibull']:.3f} (Weibull, "
@@ -169,7 +170,7 @@ def _whole_chain_smooth(kind: Kind) -> float:
     @jax.jit
     def falls(width: jax.Array) -> jax.Array:
         law = force_law(ThresholdDistribution(kind, width))
-        return (jnp.diff(edge_loads(chain(fig2(), sites=40, law=law), jnp.arange(0.01, 2.5, 0.01))) <= 0).any()
+        return (jnp.diff(edge_loads(chain(FIG2, sites=40, law=law), jnp.arange(0.01, 2.5, 0.01))) <= 0).any()
 
     low, high = 0.02, 0.5
     if not falls(jnp.asarray(low)):
@@ -190,10 +191,10 @@ def _whole_chain_smooth(kind: Kind) -> float:
 )
 def without_ageing() -> Finding:
     """Without ageing all precursors have about the same length, the stress peak moving on between them."""
-    adiabatic = series(chain(fig2(), sites=150), events=60)
+    adiabatic = series(chain(FIG2, sites=150), events=60)
     kind, breaks, load = (np.asarray(x) for x in (adiabatic.kind, adiabatic.breaks, adiabatic.load))
     edge, peak = kind == EventClass.EDGE, kind == EventClass.RENUCLEATED
-    steps = series(chain(fig2(), sites=300), Steps(0.5), events=8, recorded_breaks=1000)
+    steps = series(chain(FIG2, sites=300), Steps(0.5), events=8, recorded_breaks=1000)
     stepped, patches = np.asarray(steps.breaks), _patches(steps)
     text = (
         f"adiabatically: the pulses from the edge break {', '.join(map(str, breaks[edge]))} contacts, the second at U = "
@@ -222,7 +223,7 @@ def _alike(breaks: np.ndarray) -> bool:
 )
 def with_ageing() -> Finding:
     """With ageing precursors grow until one spans the interface."""
-    aged = series(chain(fig2(), sites=150), events=3000, ageing=Ageing(0.3, 3.0))
+    aged = series(chain(FIG2, sites=150), events=3000, ageing=Ageing(0.3, 3.0))
     n = int(aged.number)
     extent, breaks = np.asarray(aged.extent)[:n], np.asarray(aged.breaks)[:n]
     records = np.unique(np.maximum.accumulate(extent[breaks >= 10]))
@@ -248,7 +249,7 @@ def simulation() -> Finding:
     slow = simulate_inertial(short, duration=14 * wait, damping=0.5, rule=SelfHealing(wait))
     state, site = nucleate(short)
     apart = float(abs(slow.state.pinning - rupture(short, state, trigger=site).state.pinning).max())
-    one, static = chain(fig2(), sites=200), int(first_precursor(fig2()).contacts_broken)
+    one, static = chain(FIG2, sites=200), int(first_precursor(FIG2).contacts_broken)
     damped = {g: _broken(one, g, SelfHealing())[0] for g in (0.3, 0.1, 0.0)}
     crack = [_broken(one, 0.1, CrackLike(friction))[0] for friction in (0.3, 0.5, 0.7)]
     rounding = 10.0 ** np.ceil(np.log10(max(apart, 1e-16)))  # its digits differ between machines

@@ -6,7 +6,8 @@ from slippulse_jax import theory
 from slippulse_jax.interface import Profile
 from slippulse_jax.lattice.lengths import arrests, precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor
-from slippulse_jax.paper.claims.claim import Finding, Verdict, claim, fig2, judge
+from slippulse_jax.paper import FIG2
+from slippulse_jax.paper.claims.claim import Finding, Verdict, claim, judge
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -21,7 +22,7 @@ LONG = 3.0
 @claim("C1", holds="26 contacts break", limits="25 or 27")
 def count() -> Finding:
     """Λ = 26 λc at the parameters of Fig. 2."""
-    found = first_precursor(fig2())
+    found = first_precursor(FIG2)
     broken = int(found.contacts_broken)
     text = f"{broken} contacts, ℓ = {float(found.length):.3f} λc (semi-infinite chain)"
     return Finding(text, judge(broken == 26, abs(broken - 26) == 1))
@@ -34,7 +35,7 @@ def count() -> Finding:
 )
 def displacements() -> Finding:
     """As the front passes, u_t hardly changes while u almost doubles."""
-    found = first_precursor(fig2())
+    found = first_precursor(FIG2)
     before, after, broken = found.nucleation, found.arrest, int(found.contacts_broken)
     upper = np.asarray(after.upper / before.upper)[:broken]
     layer = np.asarray(after.layer / before.layer)[:broken]
@@ -49,7 +50,7 @@ def displacements() -> Finding:
 )
 def stress() -> Finding:
     """The stress peaks at the front, and behind it grows with the distance from it."""
-    found = first_precursor(fig2())
+    found = first_precursor(FIG2)
     after, broken = np.asarray(found.arrest.stress), int(found.contacts_broken)
     falling = bool((np.diff(after[:broken]) < 0).all())
     text = f"largest stress {after.max():.3f} σ_s on contact {int(after.argmax())} (front at {broken}); behind it " + (
@@ -109,7 +110,7 @@ def stiffness() -> Finding:
 )
 def threshold() -> Finding:
     """Λ does not depend on σ_s, and therefore not on a uniform normal load."""
-    at = [float(first_precursor(fig2(), interface=Profile(np.full(1, t))).length) for t in (0.1, 1.0, 10.0)]
+    at = [float(first_precursor(FIG2, interface=Profile(np.full(1, t))).length) for t in (0.1, 1.0, 10.0)]
     spread = max(at) - min(at)
     return Finding(f"thresholds of 0.1, 1 and 10: ℓ differs by {spread:.1e} λc", judge(spread < 1e-9))
 
