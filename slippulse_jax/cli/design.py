@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from slippulse_jax.cli.shared import as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.cli.shared import as_json, figure_path, option, print_json, refuse, save_figure
 
 
 class Numbers(click.ParamType):
@@ -106,7 +106,7 @@ def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
         raise click.UsageError("--height and --height-mm belong to two forms of the candidates: give one")
     form = chosen[0] if chosen else "plain"
     columns = forms[form]
-    missing = ["--" + c.replace("_", "-") for c in columns if given[c] is None]
+    missing = [option(c) for c in columns if given[c] is None]
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
     result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}

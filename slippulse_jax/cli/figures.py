@@ -4,17 +4,21 @@ import click
 
 from slippulse_jax.cli.shared import FIGURE_FORMATS, as_json, print_json
 
+FIGURES = ("fig2", "fig3")
+
 
 @click.command()
 @click.argument("directory", type=click.Path(file_okay=False), default="figures")
-@click.option("--format", "formats", multiple=True, type=click.Choice(FIGURE_FORMATS), help="Default: all three.")
-@click.option("--figure", "names", multiple=True, type=click.Choice(["fig2", "fig3"]), help="Default: both.")
+@click.option(
+    "--format", "formats", multiple=True, type=click.Choice(FIGURE_FORMATS), default=FIGURE_FORMATS, help="Default: all three."
+)
+@click.option("--figure", "names", multiple=True, type=click.Choice(FIGURES), default=FIGURES, help="Default: both.")
 @as_json
 def command(directory: str, formats: tuple[str, ...], names: tuple[str, ...], as_json: bool) -> None:
     """Draw the paper's Figures 2 and 3 into DIRECTORY, with their numbers as CSV."""
-    from slippulse_jax.paper.figures import FORMATS, draw_figures
+    from slippulse_jax.paper.figures import draw_figures
 
-    files = [str(path) for path in draw_figures(directory, formats or FORMATS, names or ("fig2", "fig3"))]
+    files = [str(path) for path in draw_figures(directory, formats, names)]
     if as_json:
         print_json({"files": files})
     else:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import BadInput, as_json, print_json, refuse, right_end, slider_options
+from slippulse_jax.cli.shared import BadInput, as_json, option, print_json, refuse, right_end, slider_options
 
 if TYPE_CHECKING:
     from slippulse_jax.slider import Slider
@@ -56,36 +56,34 @@ def command(
     form = _form(given)
     if push_height is not None:
         ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
-        given_too = [option for option, value in ends.items() if value is not None] + ["--right"] * (right != "semi-infinite")
+        given_too = [name for name, value in ends.items() if value is not None] + ["--right"] * (right != "semi-infinite")
         if given_too:
             raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
         with jax.enable_x64(True):
-            result = _block_length(form, poisson, push_height, push_width, push_control or "displacement")
-        if as_json:
-            print_json(result)
-        else:
-            click.echo(_block_text(result))
-        return
-    if push_width is not None or push_control is not None:
-        raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
-    length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
-    if length is not None and right == "semi-infinite":
-        right = "free"
-    with jax.enable_x64(True):
-        result = _length(form, poisson, right, sites if length is None else length, machine)
+            result, text = _block_length(form, poisson, push_height, push_width, push_control or "displacement"), _block_text
+    else:
+        if push_width is not None or push_control is not None:
+            raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
+        length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
+        if length is not None and right == "semi-infinite":
+            right = "free"
+        with jax.enable_x64(True):
+            result, text = _length(form, poisson, right, sites if length is None else length, machine), _text
+    if "correlation_length_um" in form:
+        result["length_mm"] = result["length"] * form["correlation_length_um"] * 1e-3
     if as_json:
         print_json(result)
     else:
-        click.echo(_text(result))
+        click.echo(text(result))
 
 
 def _form(given: dict[str, float | None]) -> dict[str, float]:
     """Values of the form that was given, dimensionless or SI; all of them are needed."""
     si, plain = ([name for name in names if given[name] is not None] for names in (SI, DIMENSIONLESS))
     if si and plain:
-        raise click.UsageError(f"{_option(si[0])} and {_option(plain[0])} belong to two forms of the slider: give one")
+        raise click.UsageError(f"{option(si[0])} and {option(plain[0])} belong to two forms of the slider: give one")
     form = {name: given[name] for name in (SI if si else DIMENSIONLESS)}
-    missing = [_option(name) for name, value in form.items() if value is None]
+    missing = [option(name) for name, value in form.items() if value is None]
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the slider: see --help)")
     return {name: value for name, value in form.items() if value is not None}
@@ -121,7 +119,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
     if status is Outcome.INVALID:
         raise BadInput(status.message)
-    result = {
+    return {
         "height": float(slider.height),
         "stiffness": float(slider.stiffness),
         "poisson": poisson,
@@ -135,9 +133,6 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
         "status": status.name.lower(),
         "message": status.message,
     }
-    if "correlation_length_um" in form:
-        result["length_mm"] = result["length"] * form["correlation_length_um"] * 1e-3
-    return result
 
 
 def _slider(form: dict[str, float], poisson: float) -> "Slider":
@@ -164,7 +159,7 @@ def _block_length(form: dict[str, float], poisson: float, height: float, width: 
         length = float(precursor_length(block))
     except ValueError as error:
         refuse(error)
-    result = {
+    return {
         "height": float(slider.height),
         "stiffness": float(slider.stiffness),
         "poisson": poisson,
@@ -174,17 +169,15 @@ def _block_length(form: dict[str, float], poisson: float, height: float, width: 
         "length": length,
         "length_of_slider": float(exact_length(slider)),
     }
-    if "correlation_length_um" in form:
-        result["length_mm"] = length * form["correlation_length_um"] * 1e-3
-    return result
 
 
 def _block_text(result: dict[str, Any]) -> str:
     where = f"above {result['push_height']:g} H"
     if result["push_width"] is not None:
         where = f"over {result['push_width']:g} H about {result['push_height']:g} H"
-    in_mm = f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""
-    length = f"{result['length']:.6g} λc{in_mm}" if result["length"] else "none: the neighbour of the first contact holds"
+    length = (
+        f"{result['length']:.6g} λc{_in_mm(result)}" if result["length"] else "none: the neighbour of the first contact holds"
+    )
     return "\n".join(
         [
             f"block: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
@@ -196,7 +189,6 @@ def _block_text(result: dict[str, Any]) -> str:
 
 
 def _text(result: dict[str, Any]) -> str:
-    in_mm = f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""
     count = f"Λ   = {result['contacts_broken']} λc"
     driven = "machine" if result["machine"] else "left edge"
     lines = [
@@ -204,7 +196,7 @@ def _text(result: dict[str, Any]) -> str:
         f"right end {result['right']}"
         + (f", {result['sites']:g} sites" if result["sites"] else "")
         + (f"; machine M/K = {result['machine']:g}" if result["machine"] else ""),
-        f"ℓ   = {result['length']:.6f} λc{in_mm}" if math.isfinite(result["length"]) else "ℓ   = none",
+        f"ℓ   = {result['length']:.6f} λc{_in_mm(result)}" if math.isfinite(result["length"]) else "ℓ   = none",
         f"{count:20s} whole contacts broken",
         f"U0  = {result['load']:.6g} u_s".ljust(20) + f" displacement of the {driven} at nucleation",
         f"status: {result['message']}",
@@ -212,5 +204,5 @@ def _text(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def _in_mm(result: dict[str, Any]) -> str:
+    return f"  ({result['length_mm']:.6g} mm)" if "length_mm" in result else ""

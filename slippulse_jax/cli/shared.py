@@ -17,7 +17,8 @@ from slippulse_jax.plain import plain, shortened
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FAILURE, BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130
+FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
+"""Exit statuses."""
 
 FIGURE_FORMATS = ("png", "pdf", "svg")
 
@@ -46,6 +47,11 @@ def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable
         return height(stiffness(poisson(command)))
 
     return add
+
+
+def option(name: str) -> str:
+    """Option whose value has this name: ``--push-height`` of push_height."""
+    return "--" + name.replace("_", "-")
 
 
 class BadInput(click.ClickException):

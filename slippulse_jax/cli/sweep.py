@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import as_json, figure_path, last_words, print_json, refuse, right_end, save_figure, table_path
+from slippulse_jax.cli.shared import (
+    INCOMPLETE,
+    as_json,
+    figure_path,
+    last_words,
+    option,
+    print_json,
+    refuse,
+    right_end,
+    save_figure,
+    table_path,
+)
 from slippulse_jax.plain import shortened
 
 TIMEOUT = 10
@@ -21,7 +32,7 @@ if TYPE_CHECKING:
 class Incomplete(click.ClickException):
     """The store holds only part of the sweep; exit status 4."""
 
-    exit_code = 4
+    exit_code = INCOMPLETE
 
 
 MOST_VALUES = 10_000_000
@@ -135,7 +146,7 @@ def _check_drawable(values: dict[str, Any], points: bool, store: str | None) -> 
         raise click.UsageError(not_drawn([], "leave out --points"))
     if len(axes) > 2:
         first = {name: repr(float(values[name][0])) for name in axes[:-2]}
-        chosen = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in first.items())
+        chosen = " ".join(f"{option(name)} {value}" for name, value in first.items())
         selected = ", ".join(f"{name}={value}" for name, value in first.items())
         stored = 'write --out FILE.nc and draw sp.plot.sweep(xarray.open_dataset("FILE.nc")'
         if store is not None:
