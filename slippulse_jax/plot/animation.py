@@ -19,6 +19,9 @@ from slippulse_jax.plot.labels import DISTANCE, axis_label
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+    from matplotlib.text import Text
 
 SUFFIXES = (".gif", ".mp4", ".html")
 MOST_FRAMES = 150
@@ -115,15 +118,12 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
     stress = np.asarray(fields.stress)[:, :shown]
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
-    below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
-    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
+    carried, words = _contact_stress(below, x, stress)
     (on_top,) = above.plot(x, upper[0], color=c.blue, label="upper layer $u_t$")
     (in_layer,) = above.plot(x, layer[0], color=c.vermilion, label="interfacial layer $u$")
-    (carried,) = below.plot(x, stress[0], color=c.ink)
     fronts = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in (above, below)]
-    words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
     above.set(ylabel=axis_label("displacement", "u_s"), ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
-    below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"), ylim=(0, 1.15 * max(stress.max(), 1)))
+    below.set_ylim(0, 1.15 * max(stress.max(), 1))
     above.legend(loc="upper right")
     below.legend(handles=below.lines[:2], loc="center right")
 
@@ -133,8 +133,7 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
         carried.set_ydata(stress[number])
         for line in fronts:
             line.set_xdata([positions[number] - 0.5] * 2)
-        end = ": it stops" if number == len(positions) - 1 else ""
-        words.set_text(f"{positions[number]} contacts broken{end}")
+        words.set_text(f"{positions[number]} contacts broken{_at_end(number, positions)}")
         return [on_top, in_layer, carried, *fronts, words]
 
     return frame
@@ -143,26 +142,34 @@ def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> An
 def _scene_of_block(panels: Any, frames: Frames) -> Any:
     """The same for a block: the shear stress in it above."""
     above, below = panels
-    c = style.colours(above)
     mesh = draw_block(above, frames, 0)
     above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
-    x, stress = np.arange(frames.shown) + 0.5, frames.stages.contact[:, : frames.shown]
-    below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
-    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
-    (carried,) = below.plot(x, stress[0], color=c.ink)
-    words = below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
-    most = 1.15 * max(stress.max(), 1)
-    below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"), ylim=(min(0, 1.1 * stress.min()), most))
+    x, stress = np.arange(frames.shown) + 0.5, np.asarray(frames.stages.contact)[:, : frames.shown]
+    carried, words = _contact_stress(below, x, stress)
+    below.set_ylim(min(0, 1.1 * stress.min()), 1.15 * max(stress.max(), 1))
     below.legend(handles=below.lines[:2], loc="lower right")
 
     def frame(number: int) -> list[Any]:
         mesh.set_array(frames.stages.shear[number, : frames.shown].T)
         carried.set_ydata(stress[number])
-        end = ": it stops" if number == len(frames.breaks) - 1 else ""
-        words.set_text(f"{frames.breaks[number]} breaks{end}")
+        words.set_text(f"{frames.breaks[number]} breaks{_at_end(number, frames.breaks)}")
         return [mesh, carried, words]
 
     return frame
+
+
+def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray) -> "tuple[Line2D, Text]":
+    """Draw the stress at nucleation and the threshold; return the line and the words that change from frame to frame."""
+    c = style.colours(below)
+    below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
+    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
+    (carried,) = below.plot(x, stress[0], color=c.ink)
+    below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
+    return carried, below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
+
+
+def _at_end(number: int, frames: np.ndarray) -> str:
+    return ": it stops" if number == len(frames) - 1 else ""
 
 
 def _writer(path: Path, fps: float) -> Any:

@@ -52,13 +52,13 @@ class View(NamedTuple):
 def view(theta: Array, position: Array) -> View:
     """Compute the view of θ = (H/λc, k/K, ν, φ, ε) with the front at `position` (−1: where it stops)."""
 
-    def length(x: Array) -> Array:
-        return precursor_length(
-            Slider(x[0], x[1], x[2]), interface=Interface(prestress=x[3], threshold_slope=x[4]), max_contacts=MOST_CONTACTS
-        )
+    def model(x: Array) -> tuple[Slider, Interface]:
+        return Slider(x[0], x[1], x[2]), Interface(prestress=x[3], threshold_slope=x[4])
 
-    interface = Interface(prestress=theta[3], threshold_slope=theta[4])
-    slider = Slider(theta[0], theta[1], theta[2])
+    def length(x: Array) -> Array:
+        return precursor_length(*model(x), max_contacts=MOST_CONTACTS)
+
+    slider, interface = model(theta)
     front = first_precursor(slider, interface=interface, recorded_sites=SITES, max_contacts=MOST_CONTACTS)
     at = jnp.where(position < 0, front.contacts_broken, position)
     fields, sites = front.fields_at(at), jnp.arange(SITES)
@@ -136,11 +136,12 @@ def _explorer_class() -> Any:
             self.picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
             self._follows, self._moving = True, False
             self._drawing = Drawing(dark)
-            for control in (self.height, self.stiffness, self.poisson, self.prestress, self.slope):
+            self._parameters = (self.height, self.stiffness, self.poisson, self.prestress, self.slope)
+            for control in self._parameters:
                 control.observe(self._parameters_moved, "value")
             self.position.observe(self._position_moved, "value")
             widgets.jslink((self.play, "value"), (self.position, "value"))
-            controls = [self.height, self.stiffness, self.poisson, self.prestress, self.slope, self.position, self.play]
+            controls = [*self._parameters, self.position, self.play]
             # side by side, so that the picture stays in sight while a slider is moved
             row = widgets.HBox(controls, layout=widgets.Layout(flex_flow="row wrap"))
             super().__init__([self.numbers, row, self.picture])
@@ -149,8 +150,7 @@ def _explorer_class() -> Any:
         @property
         def theta(self) -> np.ndarray:
             """(H/λc, k/K, ν, φ, ε) as set by the sliders."""
-            controls = (self.height, self.stiffness, self.poisson, self.prestress, self.slope)
-            return np.array([control.value for control in controls])
+            return np.array([control.value for control in self._parameters])
 
         def _parameters_moved(self, change: Any = None) -> None:
             """Show the new slider, with its front where it stops."""

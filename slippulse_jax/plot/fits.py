@@ -13,7 +13,7 @@ from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, rec
 from slippulse_jax.inference.parameters import Inputs, at
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import value_with_error
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.verdict import LEVELS, Identifiability
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import ABOVE, PAGE, Colours, axes, colours, dashed_where, drawn, handles_of, new_figure
 from slippulse_jax.status import Outcome
@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+    from slippulse_jax.inference.measurements import Gauges
     from slippulse_jax.inference.parameters import Free
     from slippulse_jax.inference.result import FitResult
 
-BAND_LEVEL = 0.95
+ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6
 MOST_PROFILES = 4
 """Profiles beside the lengths; more would be too small to read."""
@@ -41,6 +42,8 @@ TITLE = 100
 """Characters in a line of a title."""
 CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
 """What a title says of the material, by column: symbol, size and unit."""
+INPUTS = {"height": "log_height", "push_height": "log_push"}
+"""Input of the model that is drawn along the axis, by the column of the table."""
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
@@ -222,9 +225,7 @@ def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     ValueError
         If the measurements have no gauges.
     """
-    readings = result.measurements.gauges
-    if readings is None:
-        raise ValueError("no gauges were read: give read_measurements a table of them")
+    readings = _readings(result)
     names = [name for name in READINGS if readings.there(name).any()]
     with new_figure(PAGE * len(names) / 2, 2.8, ax) as figure:
         for name, panel in zip(names, np.ravel(figure.subplots(1, len(names), squeeze=False)), strict=True):
@@ -251,7 +252,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     far, few = at * scale, len(groups) <= MOST_CURVES
     top, any_again, tallest, narrow = 0.0, False, (0.0, far, far), True
     for number, rows in enumerate(groups):
-        color, one = c.data[number % len(c.data)] if len(groups) > 1 else c.blue, rows[0]
+        color, one = _of_curve(c, number, groups), rows[0]
         near = far if few else far[rows]
         height = np.linspace(near.min() * 0.85, near.max() * 1.15, 41) / scale[one]
         allowed = (0.05 * m.height[one], 0.9 * m.height[one]) if along == "push_height" else (1.01, np.inf)
@@ -331,7 +332,7 @@ def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
         fitted, curve = result.fitted.length[rows], _lengths_at(result, result.theta, rows, at[rows])
         off = rows[np.isfinite(fitted) & (np.abs(fitted - curve) * scale[rows] > visible)]
         if len(off):
-            color = c.data[number % len(c.data)] if len(groups) > 1 else c.blue
+            color = _of_curve(c, number, groups)
             ax.plot(x[off], result.fitted.length[off] * scale[off], "_", ms=6, mew=2, color=color, zorder=4, label=label)
             label = None
 
@@ -348,6 +349,10 @@ def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np
             color = c.data[number % len(c.data)] if len(groups) > 1 else c.data[1 + i % (len(c.data) - 1)]
             if rows.any():
                 yield MARKERS[i], color, name if named else "measured", rows
+
+
+def _of_curve(c: Colours, number: int, groups: list[np.ndarray]) -> str:
+    return c.data[number % len(c.data)] if len(groups) > 1 else c.blue
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
@@ -478,9 +483,9 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
         j = result.parameters.index(name)
         error = np.sqrt(covariance[j, j])
         theta = np.linspace(result.theta[j] - 3 * error, result.theta[j] + 3 * error, 101)
-        parabola = result.rise(0.6827) * ((theta - result.theta[j]) / error) ** 2
+        parabola = result.rise(ONE_SIGMA) * ((theta - result.theta[j]) / error) ** 2
         ax.plot(one.value(theta), parabola, color=c.grey, ls="-.", lw=1, label="from covariance")
-    for level in (0.6827, BAND_LEVEL):
+    for level in LEVELS:
         height = result.rise(level)
         if result.calibrated:
             for piece in result.intervals[name].get(level, []):
@@ -538,7 +543,7 @@ def confidence_region(
     surface = profile_2d(result.problem, i, j, grids[0], grids[1], starts)
     rise = surface.deviance - result.deviance
     first, second = q.free[i].value(grids[0]), q.free[j].value(grids[1])
-    levels = [0, result.rise(0.6827, 2), result.rise(BAND_LEVEL, 2)]
+    levels = [0, result.rise(ONE_SIGMA, 2), result.rise(BAND_LEVEL, 2)]
     ax.contourf(first, second, rise.T, levels=levels, colors=[c.blue, c.sky], alpha=0.5)
     if samples is not None:
         theta = theta_of(result, samples)
@@ -582,7 +587,7 @@ def _inputs_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.nda
     """Inputs of the model for measurements like those of `rows`, their mean, at other heights; (…, heights) for θ of (…, p)."""
     along, at = _abscissa(result)
     each = result.parameters.inputs_at(theta)
-    name = {"height": "log_height", "push_height": "log_push"}[along]
+    name = INPUTS[along]
     each = each._replace(**{name: getattr(each, name) - np.log(at)})
     mean = Inputs(*(None if x is None else x[..., np.atleast_1d(rows)].mean(axis=-1, keepdims=True) for x in each))
     one = mean._replace(**{name: getattr(mean, name) + np.log(height)})
@@ -627,7 +632,7 @@ def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
     """Group the measurements whose inputs at θ are the same, but for the abscissa."""
     m = result.measurements
     same = result.parameters.inputs_at(theta)._asdict()
-    del same[{"height": "log_height", "push_height": "log_push"}[_abscissa(result)[0]]]
+    del same[INPUTS[_abscissa(result)[0]]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -677,9 +682,7 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
     The kind is ``"slip"`` or ``"stress"``.
     """
     ax = axes(ax)
-    readings = result.measurements.gauges
-    if readings is None:
-        raise ValueError("no gauges were read: give read_measurements a table of them")
+    readings = _readings(result)
     scale, label = GAUGE_UNITS[name]
     there = readings.there(name)
     (data,) = (block.data for block in result.problem.blocks if block.observable == name)
@@ -697,6 +700,12 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
     ax.set_ylabel(label)
     ax.legend(**ABOVE, ncols=4, title="lines: fit; points: gauges ± σ", alignment="left")
     return ax
+
+
+def _readings(result: "FitResult") -> "Gauges":
+    if result.measurements.gauges is None:
+        raise ValueError("no gauges were read: give read_measurements a table of them")
+    return result.measurements.gauges
 
 
 def _arrest(result: "FitResult", row: int) -> float:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slippulse_jax.inference.verdict import LEVELS
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 
@@ -27,7 +28,7 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
     if found.kind == "threshold":
         prior = found.prior_stderr / found.profile
         ax.fill_between(x, np.exp(-1.96 * prior), np.exp(1.96 * prior), color=c.grey, alpha=0.13, lw=0, label="prior, 95 %")
-    for level, alpha in ((0.95, 0.2), (0.6827, 0.35)):
+    for level, alpha in zip(LEVELS[::-1], (0.2, 0.35), strict=True):
         ax.fill_between(x, *found.interval(level), color=c.blue, alpha=alpha, lw=0, label=f"{level:.0%} band")
     ax.plot(x, found.profile, color=c.blue, label="recovered")
     if found.readings is not None:
@@ -40,7 +41,7 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
         at_bottom = {"transform": ax.get_xaxis_transform(), "clip_on": False}
         ax.plot(found.measurements.length, 0 * found.fitted, "|", ms=8, color=c.vermilion, label="arrests", **at_bottom)
     shown = x <= 1.15 * found.measurements.length.max()
-    low, high = (end[shown] for end in found.interval(0.95))
+    low, high = (end[shown] for end in found.interval(LEVELS[-1]))
     room = 0.15 * (high.max() - low.min())
     ax.set(xlabel=DISTANCE, ylabel=LABEL[found.kind], xlim=(0, x[shown][-1]), ylim=(low.min() - room, high.max() + room))
     # the bands leave no corner free

@@ -156,10 +156,8 @@ def drawn(function: Draw) -> Draw:
 
     @functools.wraps(function)
     def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
-        if ax is not None:
+        with _in_force() if ax is None else nullcontext():
             return function(*arguments, ax=ax, **options)
-        with _in_force():
-            return function(*arguments, ax=axes(), **options)
 
     return draw  # pyright: ignore[reportReturnType]
 
