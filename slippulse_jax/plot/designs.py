@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slippulse_jax.inference.design.design import lengths_of
-from slippulse_jax.inference.design.report import BIT, label
+from slippulse_jax.inference.design.report import BIT, labels
 from slippulse_jax.plot.labels import axis_label
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
 
@@ -46,7 +46,7 @@ def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
             said += f", roots apart {found.told_apart[i]:.0%}"
         longer = max(found.information[i], found.d_optimal[i]) / BIT
         ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
-    ax.set_yticks(y, [label(found.candidates[i], found.candidates) for i in order])
+    ax.set_yticks(y, np.array(labels(found.candidates))[order])
     room = 1.9 if len(found.knowledge.roots) > 1 else 1.4
     ax.set(xlabel="gain (bits)", xlim=(0, room * most))
     ax.legend(**ABOVE, ncols=2)
@@ -62,24 +62,25 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     ax = axes(ax)
     c = colours(ax)
     known = found.knowledge.theta
-    theta = np.linspace(known[0], known[-1], 400)  # the samples may stand in two far heaps
+    theta = np.linspace(known[0], known[-1], 400)  # the samples may form two distant clusters
     length = lengths_of(found.candidates, theta, found.knowledge.event)[0]
+    names = labels(found.candidates)
     shown = found.ranking[: len(c.data)]
     top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):
         one = found.candidates[i]
         height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
         share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
-        ax.plot(np.exp(theta), share, color=color, label=label(one, found.candidates))
+        ax.plot(np.exp(theta), share, color=color, label=names[i])
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
         top = max(top, np.nanmax(share + sigma / height, initial=0.0))
         low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
     # the density stands in a strip of its own, below the lengths
     strip = 0.35 * (top - low) if low < top else 0.0
     base = max(low - strip, 0.0) if strip else 0.0
-    heaps = list(_densities(found.knowledge))
-    highest = max(density.max() for _, density in heaps)
-    for number, (middle, density) in enumerate(heaps):
+    densities = list(_densities(found.knowledge))
+    highest = max(density.max() for _, density in densities)
+    for number, (middle, density) in enumerate(densities):
         height = 0.8 * (strip or 0.3 * top) * density / highest
         ax.fill_between(
             np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known so far"
@@ -96,7 +97,7 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _densities(knowledge: "Knowledge") -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the density of ln(stiffness) about each root, where it is more than a trifle."""
+    """Yield the density of ln(stiffness) about each root, where it is not negligible."""
     for root in range(len(knowledge.roots)):
         own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
         weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])

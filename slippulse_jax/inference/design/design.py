@@ -20,7 +20,7 @@ from slippulse_jax.block import OF_SIDE, Control, Push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
-from slippulse_jax.inference.design.report import BIT, label, report, scale_of, to_dict
+from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
 from slippulse_jax.lattice.events import EventKind
@@ -94,9 +94,10 @@ class Design:
 
     def _repr_html_(self) -> str:
         scale, unit = scale_of(self)
+        names = labels(self.candidates)
         rows = [
             (
-                label(self.candidates[i], self.candidates),
+                names[i],
                 f"{self.expected_length[i, 0] * scale[i]:.4g} ± {self.expected_length[i, 1] * scale[i]:.2g} {unit}",
                 f"{self.information[i] / BIT:.3f} bit",
                 f"{self.log_stderr[i]:.3g}",

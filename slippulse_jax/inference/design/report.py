@@ -12,10 +12,17 @@ if TYPE_CHECKING:
 BIT = np.log(2)
 
 
-def label(one: "Candidate", many: list["Candidate"]) -> str:
-    """Name a candidate by the conditions in which the candidates differ."""
+def labels(candidates: list["Candidate"]) -> list[str]:
+    """Name each candidate by the conditions in which the candidates differ."""
+    each = [_conditions(one) for one in candidates]
+    differ = [field for field in each[0] if len({getattr(c, field) for c in candidates}) > 1] or ["height"]
+    return [", ".join(conditions[field] for field in differ) for conditions in each]
+
+
+def _conditions(one: "Candidate") -> dict[str, str]:
+    """Conditions of a candidate in words, by field."""
     size, unit = (1, "λc") if one.correlation_length is None else (1e3, "mm")
-    names = {
+    return {
         "height": f"H = {one.height * size:.5g} {unit}",
         "poisson": f"ν = {one.poisson:g}",
         "prestress": f"φ = {one.prestress:g}",
@@ -26,8 +33,6 @@ def label(one: "Candidate", many: list["Candidate"]) -> str:
         "push_height": f"h = {(one.push_height or 0) * size:.4g} {unit}",
         "push_width": f"pusher {(one.push_width or 0) * size:.4g} {unit}",
     }
-    differ = [text for field, text in names.items() if len({getattr(c, field) for c in many}) > 1]
-    return ", ".join(differ) or names["height"]
 
 
 def report(found: "Design") -> str:
@@ -40,16 +45,17 @@ def report(found: "Design") -> str:
         f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots
     )]  # fmt: skip
     lines.append(f"       standard deviation of ln k, over all roots: {k.log_sd:.3g}")
-    wide = max(len(label(c, found.candidates)) for c in found.candidates)
+    names = labels(found.candidates)
+    wide = max(map(len, names))
     apart = f" {'told apart':>11}" if several else ""
     lines.append(f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'D-optimal':>10} {'se of ln k':>11}{apart}")
-    scale, name = scale_of(found)
+    scale, length_unit = scale_of(found)
     for place, i in enumerate(found.ranking, 1):
         mean, sd = found.expected_length[i] * scale[i]
-        span = f"{mean:8.4g} ± {sd:<6.2g}{name}" if np.isfinite(mean) else "never stops"
+        span = f"{mean:8.4g} ± {sd:<6.2g}{length_unit}" if np.isfinite(mean) else "never stops"
         last = f" {found.told_apart[i]:11.0%}" if several else ""
         lines.append(
-            f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} {span:{17 + len(name)}} "
+            f"{place:3}. {names[i]:{wide}} {span:{17 + len(length_unit)}} "
             f"{found.information[i] / BIT:6.3f} ± {_small(found.information_error[i] / BIT)} bit "
             f"{found.d_optimal[i] / BIT:6.3f} bit {found.log_stderr[i]:11.3g}{last}"
         )
@@ -59,7 +65,7 @@ def report(found: "Design") -> str:
         for place, (i, gain) in enumerate(found.sequence, 1):
             last = f", roots told apart {gain.told_apart:.0%}" if several else ""
             lines.append(
-                f"{place:3}. {label(found.candidates[i], found.candidates):{wide}} together {gain.information / BIT:.3f} ± "
+                f"{place:3}. {names[i]:{wide}} together {gain.information / BIT:.3f} ± "
                 f"{_small(gain.error / BIT)} bit, se of ln k {gain.log_stderr:.3g}{last}"
             )
     lines += [f"  {note}" for note in notes(found)]
@@ -76,7 +82,7 @@ def _by_root(found: "Design") -> str:
         weight = k.probability[own]
         length = weight @ found.length[own, best] / weight.sum() if weight.sum() > 0 else np.inf
         seen.append(f"{length * scale[best]:.4g} {name} if {'k/λc²' if k.in_si else 'k/K'} = {value:.3g}")
-    return f"Next: {label(found.candidates[best], found.candidates)}; expect {', '.join(seen)}."
+    return f"Next: {labels(found.candidates)[best]}; expect {', '.join(seen)}."
 
 
 def notes(found: "Design") -> list[str]:
@@ -92,8 +98,7 @@ def notes(found: "Design") -> list[str]:
         said.append("Note: too few samples for an error this small; give more (nodes, or a longer chain).")
     endless = found.knowledge.probability @ np.isinf(found.length)
     for i in np.flatnonzero(endless > 1e-3).tolist():
-        name = label(found.candidates[i], found.candidates)
-        said.append(f"Note: {name}: with probability {endless[i]:.0%} the front never stops.")
+        said.append(f"Note: {labels(found.candidates)[i]}: with probability {endless[i]:.0%} the front never stops.")
     if found.information.max() < 0.1:
         said.append("Note: no candidate adds much information: the lengths are on their plateau, or already known to within σ.")
     return said
@@ -124,7 +129,7 @@ def to_dict(found: "Design") -> dict[str, Any]:
         "candidates": [
             {
                 **c._asdict(),
-                "label": label(c, found.candidates),
+                "label": label,
                 "rank": int(np.flatnonzero(found.ranking == i)[0]) + 1,
                 "length": lengths[i, 0],
                 "length_sd": lengths[i, 1],
@@ -134,7 +139,7 @@ def to_dict(found: "Design") -> dict[str, Any]:
                     for name in ("information", "information_error", "d_optimal", "log_stderr", "told_apart")
                 },
             }
-            for i, c in enumerate(found.candidates)
+            for i, (c, label) in enumerate(zip(found.candidates, labels(found.candidates), strict=True))
         ],
         "sequence": [{"candidate": s.candidate, **s.gain._asdict()} for s in found.sequence],
         "notes": notes(found),
