@@ -1,7 +1,7 @@
 """Events on given profiles, in NumPy: many profiles by their fronts, one profile contact by contact.
 
 `fronts` breaks the contacts from the edge on, as `slippulse_jax.inference.recover.model` does, for many profiles at once.
-`follow` breaks the most overloaded contact again and again, wherever it lies, and so tells what the first leaves out: events
+`follow` breaks the most overloaded contact again and again, wherever it lies, and so finds what the first leaves out: events
 that start far inside, stop short of the edge, or break a contact twice.
 """
 

@@ -16,7 +16,6 @@ Two functions of the unknown u, which is the profile at its knots (ln(θ/θ_0), 
   stops, so a search starts with it. Near the solution both are equivalent: ℓ − measured = −e/e'.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -58,11 +57,11 @@ class ProfileModel(NamedTuple):
 
     def lengths(self, u: Float[np.ndarray, " k1"]) -> Look:
         """ℓ of every front; NaN where it does not stop within the sites."""
-        return self._look(_lengths, u)
+        return self._look(_LENGTHS, u)
 
     def excess(self, u: Float[np.ndarray, " k1"]) -> Look:
         """Excess stress t − θ at every measured arrest."""
-        return self._look(_excesses, u)
+        return self._look(_EXCESSES, u)
 
     def contacts(
         self, u: Float[np.ndarray, "... k1"]
@@ -74,13 +73,13 @@ class ProfileModel(NamedTuple):
             return self.threshold * np.exp(along), self.prestress + 0 * along
         return self.threshold + 0 * along, self.prestress + along
 
-    def _look(self, function: Any, u: np.ndarray) -> Look:
+    def _look(self, function: Callable[..., tuple[Array, ...]], u: np.ndarray) -> Look:
         theta, phi = self.contacts(u)
         height, stiffness, poisson = self.lanes
         lanes = (height, stiffness * np.exp(u[-1]), poisson, self.measured, theta, phi)
         padded = np.resize(np.arange(len(height)), LANES * -(-len(height) // LANES))
         with jax.enable_x64(True):
-            columns = function()(*(lane[padded] for lane in lanes))
+            columns = function(*(lane[padded] for lane in lanes))
         value, by_theta, by_phi, by_log_k, stress, slope = (np.array(x)[: len(height)] for x in columns)
         by_site = by_phi
         if self.kind == "threshold":
@@ -111,25 +110,15 @@ def profile_model(
     site = np.arange(sites)
     phi, slope = (m.or_zero(name)[:, None] for name in ("prestress", "threshold_slope"))
     slider = Slider(m.height, stiffness, m.poisson)
-    lanes = tuple(np.broadcast_to(np.asarray(x), (n,)) for x in (slider.height, slider.stiffness, slider.poisson))
+    height, stiffness, poisson = (np.broadcast_to(x, (n,)) for x in (slider.height, slider.stiffness, slider.poisson))
     return ProfileModel(
         kind=kind,
         knots=np.linspace(0, sites - 1, min(sites, knots)),
         measured=measured,
-        lanes=(lanes[0], lanes[1], lanes[2]),
+        lanes=(height, stiffness, poisson),
         threshold=1 + slope * site,
         prestress=phi + np.zeros((n, sites)),
     )
-
-
-@functools.cache
-def _lengths() -> Callable[..., tuple[Array, ...]]:
-    return _along_the_front(lambda excess, at, first: _length(excess, first))
-
-
-@functools.cache
-def _excesses() -> Callable[..., tuple[Array, ...]]:
-    return _along_the_front(lambda excess, at, first: _between(excess, at)[0])
 
 
 def _along_the_front(function: Callable[[Array, Array, Array], Array]) -> Callable[..., tuple[Array, ...]]:
@@ -148,6 +137,10 @@ def _along_the_front(function: Callable[[Array, Array, Array], Array]) -> Callab
         return found, *derivatives, stress, slope
 
     return jax.jit(jax.vmap(one))
+
+
+_LENGTHS = _along_the_front(lambda excess, at, first: _length(excess, first))
+_EXCESSES = _along_the_front(lambda excess, at, first: _between(excess, at)[0])
 
 
 def edge_load(modes: Modes, theta: Array, phi: Array) -> tuple[Array, Array]:
