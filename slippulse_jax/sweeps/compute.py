@@ -1,7 +1,7 @@
 """Compute the chunks of a sweep, in this process or as tasks on a Dask cluster.
 
-What is computed is a request, whose values are returned, or a store, to which they are written: then a chunk that is there and
-whole is left alone, and what was wrong with a damaged one is returned.
+The values of a request are returned, those of a store are written to it. There, intact chunks are left alone, and damaged ones
+are computed again; a description of the damage is returned.
 """
 
 import threading

@@ -17,7 +17,7 @@ from slippulse_jax.sweeps.request import PARAMETERS, Request, chunk_shape, shape
 
 
 def lazily(request: Request, points: int) -> xr.Dataset:
-    """Dataset backed by dask arrays, with chunks of at most so many points: a chunk is computed when a value of it is needed.
+    """Dataset backed by dask arrays, in chunks of at most `points` points, each computed when one of its values is needed.
 
     Outputs that are computed together are one task.
     """

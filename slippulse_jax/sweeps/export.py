@@ -15,6 +15,7 @@ import xarray as xr
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.plain import plain
+from slippulse_jax.sweeps.dataset import current_versions
 
 ROWS = 1 << 18
 """Points read at a time."""
@@ -56,7 +57,7 @@ def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
         "coords": {str(name): plain(found[name].values) for name in found.coords},
         "request": json.loads(found.attrs["request"]),
         "request_sha256": found.attrs["request_sha256"],
-        "versions": {name: found.attrs[name] for name in ("slippulse_jax", "jax", "jaxlib")},
+        "versions": {name: found.attrs[name] for name in current_versions()},
         "units": {str(name): found[name].attrs["units"] for name in (*found.coords, *found.data_vars)},
     }
     if values:

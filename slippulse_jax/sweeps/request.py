@@ -215,7 +215,8 @@ def _check_domains(parameters: Columns) -> None:
     if "width" in parameters:
         SmoothBreak(parameters["width"])
     for name in PUSH:
-        OF_SIDE.check(name, parameters.get(name, np.array(0.5)))
+        if name in parameters:
+            OF_SIDE.check(name, parameters[name])
 
 
 def _check_push(parameters: Columns, points: bool, control: Control) -> None:

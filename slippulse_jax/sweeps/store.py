@@ -43,8 +43,8 @@ class Place:
         self.url = os.fspath(url)
         try:
             self.files, self.root = fsspec.url_to_fs(self.url, use_listings_cache=False)  # others write there too
-            local = isinstance(self.files, LocalFileSystem)
-            self.zarr = LocalStore(self.root) if local else FsspecStore.from_url(self.url)
+            self.is_local = isinstance(self.files, LocalFileSystem)
+            self.zarr = LocalStore(self.root) if self.is_local else FsspecStore.from_url(self.url)
         except (ValueError, ImportError) as error:  # no such protocol, or its package is not installed
             raise StoreError(f"{self.url}: {error}") from None
 
@@ -142,7 +142,7 @@ def create(place: Place, request: Request, chunk: int, computed_on: str) -> None
             raise StoreError(f"{place.url}: is a folder with other things in it; give a new or empty one")
         for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest after all else
             path = f"{place.root}/{key}"
-            if isinstance(place.files, LocalFileSystem):
+            if place.is_local:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, documents[key])
             else:
@@ -235,7 +235,7 @@ NOT = ("not given",)
 
 
 def _briefly(request: Request) -> dict[str, tuple[Any, ...]]:
-    """What a request says of each of its parts in a message, and what it compares by."""
+    """Parts of a request by name: the text of each for a message, then what it is compared by."""
     described = request.describe()
     axes = described.pop("parameters")
     brief = {
