@@ -109,14 +109,14 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     try:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
-        asked = from_request(_asked(request, options))
-        body = body_of(measurements, asked.get("event"), asked.get("body"))
-        prestressed = any(one.name == "prestress" for one in asked["free"])
-        for warning in before_fit(measurements, asked.get("event") or "domino", body, prestressed=prestressed):
+        settings = from_request(_with_options(request, options))
+        body = body_of(measurements, settings.get("event"), settings.get("body"))
+        prestressed = any(one.name == "prestress" for one in settings["free"])
+        for warning in before_fit(measurements, settings.get("event") or "domino", body, prestressed=prestressed):
             click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)  # said before
-            result = fit(measurements, bounds=options["bounds"] or None, **asked)
+            result = fit(measurements, bounds=options["bounds"] or None, **settings)
         more, drawn = {}, None
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
@@ -136,7 +136,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
 
 def _draw(result: "FitResult", samples: Any, options: dict[str, Any]) -> None:
-    """Draw the pictures asked for."""
+    """Draw the requested pictures."""
     if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
         return
     from slippulse_jax import plot
@@ -160,12 +160,12 @@ def _check(options: dict[str, Any]) -> None:
         raise click.UsageError("--case says how --bootstrap draws: give --bootstrap COUNT too")
 
 
-def _asked(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
-    """The request with the options added."""
+def _with_options(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Add the options to the request."""
     parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
     for name in options["free"]:
         parameters.setdefault(name, {})
-    if not parameters and not options["free"]:
+    if not parameters:
         parameters["stiffness"] = {}
     for name, values in options["fix"].items():
         if len(values) != 1:

@@ -27,7 +27,7 @@ COMMANDS = {
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are modules of slippulse_jax.cli, imported when asked for."""
+    """A group whose commands are modules of slippulse_jax.cli, imported when needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all commands."""

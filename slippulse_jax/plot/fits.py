@@ -41,7 +41,7 @@ MOST_VALUES = 4
 TITLE = 100
 """Characters in a line of a title."""
 CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
-"""What a title says of the material, by column: symbol, size and unit."""
+"""Constants of the material in a title, by column: symbol, factor and unit."""
 INPUTS = {"height": "log_height", "push_height": "log_push"}
 """Input of the model that is drawn along the axis, by the column of the table."""
 GAUGE_POINTS = 801

@@ -194,7 +194,7 @@ def _label_decades(axis: "Axis") -> None:
 
 
 def _short(values: np.ndarray) -> list[str]:
-    """Values in as few digits as tell them apart, three or more."""
+    """Format values with the fewest digits that distinguish them, three or more."""
     written: list[str] = []
     for digits in range(3, 17):
         written = [f"{float(f'{value:.{digits}g}'):.{digits + 3}g}" for value in values]
