@@ -49,7 +49,7 @@ def main(count: int, sampled: int) -> None:
         part = Slider(*(x[here] for x in points))
         fewer = tuple(x[here[:2000]] for x in points)
         exact = min(seconds(lambda part=part: exact_lengths(part)) for _ in range(2)) / here.size
-        numba = seconds(lambda fewer=fewer: parallel(*fewer, out[: fewer[0].size])) / fewer[0].size
+        numba = seconds(lambda fewer=fewer: parallel(*fewer, np.empty(fewer[0].size))) / fewer[0].size
         print(f"{low:7.0f}–{high:<7.0f} {exact * 1e6:10.2f} {numba * 1e6:10.2f} {numba / exact:7.1f}")
 
 
