@@ -17,7 +17,7 @@ KEPT_DAYS = 60
 
 
 def keep_compiled_programs() -> None:
-    """Let JAX keep what it compiles; without a folder that can be written, it compiles anew each time.
+    """Keep compiled programs in the user's cache folder; without a writable folder JAX compiles each time.
 
     A folder that the user has chosen, by JAX_COMPILATION_CACHE_DIR, is left to the user's settings.
     """
@@ -25,16 +25,16 @@ def keep_compiled_programs() -> None:
         return
     try:
         folder = _folder()
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # JAX runs what it finds there
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # JAX runs whatever programs it finds there
         for program in folder.iterdir():
             if time.time() - program.stat().st_mtime > KEPT_DAYS * 86400:
                 program.unlink(missing_ok=True)
-    except (OSError, RuntimeError):  # no folder, or no home for one
+    except (OSError, RuntimeError):  # no folder, or no home folder to put it in
         return
     if os.access(folder, os.W_OK):
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-        # what cannot be read is compiled, what cannot be written is left: nothing that a user needs to know
+        # unreadable programs are compiled, unwritable ones dropped; the user need not know
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
 
 
@@ -44,7 +44,7 @@ def compile_everything_anew() -> None:
 
 
 def _folder() -> Path:
-    """Folder of this user and this kind of processor: home folders are shared by machines that cannot run each other's code."""
+    """Folder for this user and this kind of processor, as machines that cannot run each other's code may share a home."""
     if platform.system() == "Windows":
         cache = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif platform.system() == "Darwin":
@@ -55,7 +55,7 @@ def _folder() -> Path:
 
 
 def _processor() -> str:
-    """What a compiler sees of the first core; where that cannot be read, the machine's name."""
+    """Features of the first core that a compiler uses; the machine's name where they cannot be read."""
     kinds = ("vendor_id", "model name", "flags", "CPU implementer", "CPU part", "Features")
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as cores:

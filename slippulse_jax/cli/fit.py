@@ -115,7 +115,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         for warning in before_fit(measurements, settings.get("event") or "domino", body, prestressed=prestressed):
             click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeasurementWarning)  # said before
+            warnings.simplefilter("ignore", MeasurementWarning)  # printed above
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
         more, drawn = {}, None
         if options["bootstrap"]:

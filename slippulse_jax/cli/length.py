@@ -111,7 +111,7 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
     except ValueError as error:
         refuse(error)
     slider = _slider(form, poisson)
-    ended, load = jax.jit(  # one program: step by step JAX would compile sixty
+    ended, load = jax.jit(  # one program: op by op JAX would compile sixty
         lambda slider, ends: (arrest(slider, None, ends), lattice_modes(slider, ends).load)
     )(slider, ends)
     status = Outcome(int(ended.status))

@@ -91,14 +91,14 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        # the reader closed the pipe, as head does: nothing more can be written there
+        # the reader closed the pipe, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(FAILURE)
     except OSError as error:
         click.echo(f"Error: {error}", err=True)
         sys.exit(FAILURE)
     except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and not str(error).startswith("RESOURCE_EXHAUSTED"):  # XLA's word for it
+        if not isinstance(error, MemoryError) and not str(error).startswith("RESOURCE_EXHAUSTED"):  # as XLA reports it
             raise
         click.echo(f"Error: not enough memory ({error}); a sweep with --store needs it for a few chunks only", err=True)
         sys.exit(FAILURE)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slippulse_jax.lattice.catalogue import Catalogue
 
 BREAKS_AN_EVENT = 50
-"""Room for breaks at first, where they are drawn."""
+"""Initial capacity of the record of breaks, where they are drawn."""
 
 
 @click.command()
@@ -51,7 +51,7 @@ def command(
 ) -> None:  # fmt: skip
     """Compute a series of precursors of one slider: a catalogue of events, as CSV on stdout."""
     _check(step, spring, newborn, recovery)
-    if click.get_current_context().parent is not None:  # a process of slippulse: another's environment is left alone
+    if click.get_current_context().parent is not None:  # only in a process of slippulse itself
         from slippulse_jax.bulk.compiler import compile_loops_whole
 
         compile_loops_whole()
@@ -72,7 +72,7 @@ def command(
             room = BREAKS_AN_EVENT * events if figure else 0
             found = run(recorded_breaks=room)
             breaks = int(found.breaks.sum())
-            if figure and breaks > room:  # the same series again, with room for all breaks
+            if figure and breaks > room:  # repeat the series with room for all breaks
                 found = run(recorded_breaks=breaks)
         except ValueError as error:
             refuse(error)

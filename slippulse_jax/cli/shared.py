@@ -65,7 +65,7 @@ last_words: list[str] = []
 
 
 def leave_when_interrupted() -> None:
-    """Let Ctrl-C print the last words and end the program at once, with status 130.
+    """Let Ctrl-C print a last message and end the program at once, with status 130.
 
     A KeyboardInterrupt would be swallowed in a callback of JAX's compiler, and unloading JAX during a compilation can crash.
     Files are written whole or not at all, so nothing is lost.
@@ -75,7 +75,7 @@ def leave_when_interrupted() -> None:
 
     def leave(*_: Any) -> None:
         message = "\n" * os.isatty(2) + "".join(line + "\n" for line in (*last_words, "interrupted"))
-        os.write(2, message.encode())  # not through Python's buffers, which may be in use
+        os.write(2, message.encode())  # bypass Python's buffers, which may be in use
         os._exit(INTERRUPTED)
 
     signal.signal(signal.SIGINT, leave)

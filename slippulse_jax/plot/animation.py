@@ -101,7 +101,7 @@ def animate(
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # laid out once: the layout takes far longer than a frame
+        figure.set_layout_engine("none")  # lay out once: it takes far longer than a frame
         if path is not None:
             _save(movie, Path(path), writer, fps)
         movie._repr_html_ = lambda: movie.to_jshtml(fps=fps)  # pyright: ignore[reportAttributeAccessIssue, reportArgumentType]
@@ -159,7 +159,7 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
 
 
 def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray) -> "tuple[Line2D, Text]":
-    """Draw the stress at nucleation and the threshold; return the line and the words that change from frame to frame."""
+    """Draw the stress at nucleation and the threshold; return the line and the text that change between frames."""
     c = style.colours(below)
     below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
     below.axhline(1, color=c.grey, lw=0.8, label="threshold")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 REACH = 2.0
-"""Largest stress that has a colour of its own, in σ_s."""
+"""Largest stress on the colour scale, in σ_s."""
 
 
 class Frames(NamedTuple):

@@ -75,7 +75,7 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
         top = max(top, np.nanmax(share + sigma / height, initial=0.0))
         low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
-    # the density stands in a strip of its own, below the lengths
+    # the density has its own strip below the lengths
     strip = 0.35 * (top - low) if low < top else 0.0
     base = max(low - strip, 0.0) if strip else 0.0
     densities = list(_densities(found.knowledge))

@@ -21,7 +21,7 @@ COLOURS = {
 """Colour of each class of event, by its name in `slippulse_jax.plot.style.Colours`."""
 
 NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
-"""Of a class in a legend, where its own name says too little."""
+"""Legend entry of a class whose name says too little."""
 
 
 @drawn

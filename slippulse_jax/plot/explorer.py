@@ -28,7 +28,7 @@ STEPS = {
     "+0.01 prestress": (3, 0.01, False),
     "+0.001 slope": (4, 0.001, False),
 }
-"""Small changes whose effect is shown: index of the parameter, change, and whether it is relative."""
+"""Small changes whose effect is shown: index of the parameter, change, whether it is relative."""
 
 
 class View(NamedTuple):
@@ -40,7 +40,7 @@ class View(NamedTuple):
     status: Array
     load: Array
     front_stress: Array
-    again: Array  # contacts broken from which on the edge contact is back at its threshold; −1 where it never is
+    again: Array  # number of broken contacts at which the edge contact is back at its threshold; −1 where it never is
     threshold: Array
     upper: Array
     layer: Array
@@ -83,7 +83,7 @@ def view(theta: Array, position: Array) -> View:
 
 
 def explore(*, dark: bool = False) -> Any:
-    """Show fields, length and sensitivities beside sliders for the parameters.
+    """Show fields, length and sensitivities next to sliders for the parameters.
 
     The sliders are for H/λc, k/K, ν, prestress and threshold slope.
 
@@ -247,7 +247,7 @@ class Drawing:
         self._draw_slopes(seen, theta, stops)
         if not self._laid_out:
             self.figure.draw_without_rendering()
-            self.figure.set_layout_engine("none")  # laid out once: the layout takes longer than the drawing
+            self.figure.set_layout_engine("none")  # lay out once: it takes longer than the drawing
             self._laid_out = True
         picture = io.BytesIO()
         self.canvas.print_png(picture)

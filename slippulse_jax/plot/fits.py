@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6
 MOST_PROFILES = 4
-"""Profiles beside the lengths; more would be too small to read."""
+"""Most profiles next to the lengths; more would be too small to read."""
 HELD_BY_PRIOR = 0.5
-"""Standard error, over that of the prior, above which it is the prior that holds a parameter."""
+"""Standard error, over that of the prior, above which the prior determines a parameter."""
 WIDEST_LEGEND = 54
-"""Characters beside each other in a legend of two columns."""
+"""Most characters per line in a legend of two columns."""
 MARKERS = "osD^v<>P"
 MOST_VALUES = 4
-"""Parameters in a title."""
+"""Most parameters in a title."""
 TITLE = 100
-"""Characters in a line of a title."""
+"""Most characters per line of a title."""
 CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
 """Constants of the material in a title, by column: symbol, factor and unit."""
 INPUTS = {"height": "log_height", "push_height": "log_push"}
@@ -105,7 +105,7 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
 
 
 def _title(result: "FitResult") -> Iterator[str]:
-    """The result, and what it was fitted to."""
+    """State the result and what it was fitted to."""
     m, one_of = result.measurements, {one.label: one for one in result.parameters.free}
     if result.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
         values = []
@@ -133,18 +133,18 @@ def _in_lines(parts: list[str], between: str = ", ") -> list[str]:
 
 
 def _is_constant(one: "Free") -> bool:
-    """Whether it is a constant of the material that was stated with an error."""
+    """Whether a parameter is a material constant that was stated with an error."""
     return one.name in CONSTANTS and np.isfinite(one.prior_sigma)
 
 
 def _constants(result: "FitResult") -> Iterator[str]:
-    """E, ν and λc; with ± where they were stated with an error, as fitted or, where there is no sound fit, as stated."""
+    """List E, ν and λc; where they have an error, with the fitted value, or the stated one if there is no sound fit."""
     q, covariance = result.parameters, None if _rejected(result) else result.covariance
     for name, (sign, size, unit) in CONSTANTS.items():
         stated = getattr(result.measurements, name)
         each = [j for j, one in enumerate(q.free) if one.name == name]
         if stated is None or not all(_is_constant(q.free[j]) for j in each):
-            continue  # what has no prior is a result
+            continue  # a parameter without a prior is a result
         if not each:
             yield f"{sign} = {_ends_of(stated * size)}{unit}"
             continue
@@ -159,7 +159,7 @@ def _constants(result: "FitResult") -> Iterator[str]:
 
 
 def _ends_of(x: np.ndarray, digits: int = 4) -> str:
-    """One number, or the least and the largest."""
+    """Write one number, or the smallest and largest."""
     low, high = (f"{end:.{digits}g}" for end in (x.min(), x.max()))
     return low if low == high else f"{low} to {high}"
 
@@ -294,7 +294,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _columns(labels: list[str]) -> int:
-    """Columns of a legend: two, or one where two would be wider than half a page, for which panels would shrink."""
+    """Number of columns of a legend: two, or one if two would be so wide that panels shrink."""
     seen = [len(text.replace("$", "").replace("\\", "")) for text in labels]
     half = -(-len(seen) // 2)
     return 2 if max(seen[:half]) + max(seen[half:], default=0) <= WIDEST_LEGEND else 1
@@ -325,7 +325,7 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
 
 
 def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
-    """Mark the fitted lengths that are farther than `visible` from the curve, whose inputs are a mean over its points."""
+    """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
     scale, at, c, groups = result.measurements.unit[0], _abscissa(result)[1], colours(ax), _groups(result)
     x, label = _apart(at * scale), "fitted (own inputs)"
     for number, rows in enumerate(groups):
@@ -356,7 +356,7 @@ def _of_curve(c: Colours, number: int, groups: list[np.ndarray]) -> str:
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
-    """Places along an axis, those that lie on each other a little apart."""
+    """Move apart places along an axis that coincide."""
     value, which, count = np.unique(x, return_inverse=True, return_counts=True)
     order = np.array([int((which[:i] == which[i]).sum()) for i in range(len(x))])
     step = (np.ptp(value) or 0.3 * np.abs(value).max()) * np.minimum(0.012, 0.05 / np.maximum(count - 1, 1))
@@ -401,7 +401,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     shown = first[np.unique(np.linspace(0, len(first) - 1, MOST_CURVES).round().astype(int))]
     largest, any_again = 0.0, False
     visible = []
-    for color, i in zip((*c.data[:-1], c.ink), shown, strict=False):  # the last two blues would be taken for each other
+    for color, i in zip((*c.data[:-1], c.ink), shown, strict=False):  # the last two blues look alike
         together = np.nonzero(at == at[i])[0]
         name = equation(along, float(at[i] * scale[i]), unit)
         name += f" ({len(together)}×)" if len(together) > 1 else ""
@@ -419,7 +419,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(numticks=8))
     if largest > 0:
-        # from where a precursor is worth a hundredth of the longest
+        # from where a precursor reaches a hundredth of the longest
         ax.set_xlim(stiffness[np.max(visible, axis=0) > 0.01 * largest][0], stiffness[-1])
         ax.set_ylim(0, 1.1 * largest)
     _name(q.free[0], ax.xaxis)
@@ -431,7 +431,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
 
 
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
-    """ℓ/H measured at one height, all its measurements together, less and plus a standard error."""
+    """Range of ℓ/H measured at one height: mean of its measurements minus and plus a standard error."""
     m = result.measurements
     sigma = np.where(result.sigma[rows] > 0, result.sigma[rows], 0.5)
     weight = 1 / sigma**2
@@ -503,7 +503,7 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     ax.set_ylim(0, limit)
     _name(one, ax.xaxis)
     ax.set_ylabel("rise of the deviance")
-    # of those in sight
+    # among those shown
     seen = (one.value(curve.node) >= ax.get_xlim()[0]) & (one.value(curve.node) <= ax.get_xlim()[1]) & (rise < limit)
     ax.legend(handles=handles_of(ax, again=bool(again[seen].any())), **ABOVE, ncols=2, fontsize="small")
     return ax
@@ -576,7 +576,7 @@ def _name(one: "Free", axis: "Axis") -> None:
 
 
 def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
-    """What lengths are drawn against, in stated λc: height of the block, or of the push where one block has several."""
+    """Abscissa of the lengths, in stated λc: height of the block, or of the push where one block has several."""
     m = result.measurements
     if m.push_height is not None and result.parameters.body == "block" and not np.ptp(m.height) and np.ptp(m.push_height):
         return "push_height", m.push_height
@@ -610,14 +610,14 @@ def _lengths_over(result: "FitResult", theta: np.ndarray, rows: Any, height: np.
 
 
 def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
-    """Whether the edge contact breaks again before the front stops, where the model is that of a front under the hard rule."""
+    """Whether the edge contact breaks again before the front stops, for models of a front under the hard rule."""
     if result.parameters.event != "domino" or result.parameters.smooth:
         return np.zeros(np.shape(inputs.log_height), bool)
     return (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(np.shape(inputs.log_height))
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
-    """Group the measurements that lie on one curve: all but the abscissa the same. In the order of the table.
+    """Group the measurements that lie on one curve (equal but for the abscissa), in the order of the table.
 
     Inputs with an error are those fitted where every curve then has two heights, else those stated.
     """
@@ -629,7 +629,7 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
 
 
 def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
-    """Group the measurements whose inputs at θ are the same, but for the abscissa."""
+    """Group the measurements whose inputs at θ are equal but for the abscissa."""
     m = result.measurements
     same = result.parameters.inputs_at(theta)._asdict()
     del same[INPUTS[_abscissa(result)[0]]]
@@ -640,7 +640,7 @@ def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
 
 
 def _group_names(result: "FitResult") -> list[str]:
-    """Name the curves by specimen where each has one, and by what differs between those of one name."""
+    """Name the curves by specimen if each has one, and by what differs within a specimen."""
     groups = _groups(result)
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
     numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
@@ -660,7 +660,7 @@ def _rejected(result: "FitResult") -> bool:
 
 
 def _best(result: "FitResult") -> str:
-    """What the curve of least deviance is called: no fit where the model is rejected, nor the best of those that fit alike."""
+    """Name the curve of least deviance: not a fit if the model is rejected, nor the best if others fit equally."""
     if _rejected(result):
         return "closest (rejected)"
     alike = (Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE)

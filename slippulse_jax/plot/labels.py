@@ -27,7 +27,7 @@ NAMES = {
     "front_stress": ("front stress", "t(s)"),
     "load": ("load", "U"),
 }
-"""What each quantity is called, and its symbol."""
+"""Name and symbol of each quantity."""
 
 UNITS = {"λc": r"\lambda_c", "lambda_c": r"\lambda_c", "σ_s": r"\sigma_s", "sigma_s": r"\sigma_s", "u_s": "u_s"}
 """Units of the model."""
@@ -90,4 +90,4 @@ DISTANCE = axis_label("position", "λc")
 """Label of every axis along the interface."""
 
 AGAIN = "edge breaks again"
-"""Legend entry of what lies beyond the onset of re-breaking, where the length is that of the front, not of the event."""
+"""Legend entry beyond the onset of re-breaking, where the length is that of the front, not of the event."""

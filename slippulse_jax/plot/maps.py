@@ -22,10 +22,10 @@ UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per si
 """Units of the parameters of a sweep that are not dimensionless."""
 
 WIDEST = 44
-"""Characters in a line of the label of a colour bar."""
+"""Most characters per line of the label of a colour bar."""
 
 NARROW = 16
-"""Characters in a line of a legend beside the lines."""
+"""Most characters per line of a legend next to the lines."""
 
 LINES = 8
 """Largest number of lines in a family; an axis with more values makes a map."""
@@ -72,13 +72,13 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
         for name in NAMES
         if name in column.coords and not column[name].ndim
     ]
-    above = ax.get_legend() is not None and (not len(ax.lines) or len(axes) == 1)  # where no family is at the side
+    above = ax.get_legend() is not None and (not len(ax.lines) or len(axes) == 1)  # with no family of lines at the side
     ax.set_title(", ".join(fixed), fontsize="medium", pad=16 if above else None)
     return ax
 
 
 def not_drawn(axes: "Sequence[str]", instead: str) -> str:
-    """Why a sweep over these axes is not drawn, and what to do instead."""
+    """Explain why a sweep over these axes is not drawn, and what to do instead."""
     return f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'}): {instead}"
 
 
@@ -132,7 +132,7 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
         subs = (1, 2, 5) if shown.max() < 1e3 * low else (1, 3)
         locator = LogLocator(subs=subs, numticks=9) if decades else MaxNLocator(7)
         levels = np.asarray(locator.tick_values(low, shown.max()))
-        levels = levels[(levels > shown.min()) & (levels < shown.max())]  # not the edge of a plain of zeros
+        levels = levels[(levels > shown.min()) & (levels < shown.max())]  # not the edge of an area of zeros
         labelled = ax.contour(x, y, shown, levels=levels, colors="white", linewidths=0.7)
     if again.any():
         shaded = again.transpose(vertical, horizontal).values

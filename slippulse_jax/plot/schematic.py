@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CONTACTS = 7
-"""Drawn of many."""
+"""Number drawn."""
 
 
 @drawn

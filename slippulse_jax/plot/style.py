@@ -28,7 +28,7 @@ COLUMN, PAGE = 3.4, 7.0
 ABOVE: dict[str, Any] = {
     "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
 }  # fmt: skip
-"""Of ``ax.legend``: above the Axes, where lines leave no room inside."""
+"""Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
 
 
 class Colours(NamedTuple):
@@ -165,7 +165,7 @@ def drawn(function: Draw) -> Draw:
 def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **options: Any) -> None:
     """Draw a line, dashed where the edge contact breaks again."""
     ax.plot(x, np.where(again, np.nan, y), **options)
-    if again.any():  # from the last point before on, so that the line has no gap
+    if again.any():  # starting at the point before, so that the line has no gap
         near = again | np.append(again[1:], False) | np.append(False, again[:-1])
         ax.plot(x, np.where(near, y, np.nan), **options | {"linestyle": "--", "linewidth": 0.8, "label": None})
 

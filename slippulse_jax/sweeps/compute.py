@@ -18,11 +18,11 @@ from slippulse_jax.sweeps.store import Store, StoreError
 if TYPE_CHECKING:
     from distributed import Client
 
-PROBE, RETRIES = 1024, 2  # points computed again to compare their digits; times that Dask tries again a task that failed
+PROBE, RETRIES = 1024, 2  # points computed again to compare their digits; retries of a failed Dask task
 
 
 class Probe(NamedTuple):
-    """The first points of a chunk as computed before: another processor or build may round differently."""
+    """First points of a chunk as computed before; another processor or build may round differently."""
 
     region: Region
     columns: Columns
@@ -50,7 +50,7 @@ def _stored_probe(store: Store) -> Probe | None:
 
 
 def complete(store: Store, chunks: list[Region]) -> Iterator[tuple[Region, str]]:
-    """Complete chunks of a store in this process; one is written while the next is computed."""
+    """Compute the missing chunks of a store in this process; one is written while the next is computed."""
     if (first := _stored_probe(store)) is not None:
         first.check(store.request)
     with ThreadPoolExecutor(1) as writer:

@@ -48,7 +48,7 @@ def _block(request: Request, block_info: Any = None) -> np.ndarray:
 
 
 def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset:
-    """Arrays of the shape of the request as a dataset, with units; request, versions and `about` as attributes."""
+    """Make a dataset of arrays of the request's shape, with units; request, versions and `about` become attributes."""
     coords = {
         name: xr.Variable(() if not values.ndim else (name if request.product else "point"), values, _parameter(name))
         for name, values in request.parameters.items()
@@ -65,7 +65,7 @@ def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset
 
 @functools.cache
 def current_versions() -> dict[str, str]:
-    """Versions of the packages on which the digits of a result depend, beside the request and the processor."""
+    """Versions of the packages on which, besides request and processor, the digits of a result depend."""
     return {name: version(name) for name in ("slippulse_jax", "jax", "jaxlib")}
 
 

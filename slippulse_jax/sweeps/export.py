@@ -22,7 +22,7 @@ ROWS = 1 << 18
 
 
 def write(found: xr.Dataset, path: Path) -> None:
-    """Write to ``.nc`` (with units, request and versions) or ``.csv``, whole or not at all."""
+    """Write to ``.nc`` (with units, request and versions) or ``.csv``, atomically."""
     if path.suffix == ".nc":
         content = bytes(found.drop_encoding().to_netcdf(engine="h5netcdf"))
     else:
@@ -83,7 +83,7 @@ def summary(found: xr.Dataset, where: str) -> str:
 
 
 def _outcomes(column: xr.DataArray) -> str:
-    """How often each outcome is there: ``arrested 12, no_domino 3``."""
+    """Count each outcome: ``arrested 12, no_domino 3``."""
     values = np.asarray(column.attrs["flag_values"])
     count = np.sum(
         [(piece.values[..., None] == values).reshape(-1, len(values)).sum(axis=0) for piece in _pieces(column)], axis=0

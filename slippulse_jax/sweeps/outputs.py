@@ -22,7 +22,7 @@ from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps.request import INTERFACE, PUSH, SLIDER, Columns, Region, Request, shape_of
 
 LAYOUT = Layout(chunk=512)
-"""Of the outputs that have no layout of their own."""
+"""Layout of outputs without one of their own."""
 
 
 class Output(NamedTuple):
@@ -103,7 +103,7 @@ SETS = {
     "theory": tuple(name for name, output in OUTPUTS.items() if output.group in ("theory", "macroscopic")),
     "validity": ("is_one_domino", "is_continuous", "is_frozen", "is_far_from_edge"),
 }
-"""Names that stand for several outputs; those that the request does not allow are left out."""
+"""Names of sets of outputs; those that the request does not allow are left out."""
 
 
 def choose(requested: str | Iterable[str], parameters: set[str]) -> tuple[str, ...]:
@@ -146,7 +146,7 @@ def _objection(name: str, given: set[str]) -> str:
     needed = name.removeprefix("dlength_d")
     if output.group == "gradient" and needed in _FRONT and not given & _FRONT:
         return f"output {name!r} needs {needed}: give it, 0 for instance"
-    ignored = given - output.takes - {"width", *PUSH}  # which are for one output each and do not disturb the others
+    ignored = given - output.takes - {"width", *PUSH}  # each serves one output and does not affect the others
     return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
 
 
@@ -160,7 +160,7 @@ def evaluate(request: Request, region: Region) -> Columns:
 
 
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
-    """``function(slider, **options)`` on the points of one repinning delay after another: a program is compiled for each."""
+    """Evaluate ``function(slider, **options)`` for one repinning delay after another; each needs its own compiled program."""
     options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
     if not INTERFACE.keys() & request.parameters:
         return function(_slider(columns), **options)
@@ -187,7 +187,7 @@ def _length(request: Request, columns: Columns) -> Columns:
 
 def _front(request: Request, columns: Columns) -> Columns:
     found = _by_delay(request, columns, lambda slider, **options: bulk.arrests(slider, **options)._asdict())
-    del found["length"]  # `_length` gives it, whatever other outputs there are: the two may round differently
+    del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 

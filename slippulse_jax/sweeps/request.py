@@ -24,7 +24,7 @@ Columns = dict[str, np.ndarray]
 """Values by name of parameter or output, one per point."""
 
 Region = tuple[slice, ...]
-"""A part of the result: from where to where along each of its dimensions."""
+"""Part of the result: a slice along each dimension."""
 
 SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
 INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name="delay before a contact repins")}
@@ -169,7 +169,7 @@ def make_request(
 
 
 def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
-    """Add the fixed numbers of `interface` to the parameters; an axis takes the place of one that is 0.
+    """Add the numbers of `interface` to the parameters; an axis may replace one that is 0.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[s
     if twice := [name for name, number in numbers.items() if number != 0 and given[name] is not None]:
         raise ValueError(f"{twice[0]} is given twice: in the interface and as an axis")
     if interface.repin_delay == 0:
-        del numbers["repin_delay"]  # which the closed form has no place for
+        del numbers["repin_delay"]  # which the closed form does not include
     return given | {name: number for name, number in numbers.items() if given[name] is None}
 
 

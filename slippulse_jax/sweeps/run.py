@@ -27,7 +27,7 @@ LARGE, SMALL, COSTLY = 1 << 20, 1 << 14, 1 << 7
 """Points per chunk by default: of lengths by the recursion, of anything that costs more, and of blocks."""
 
 TASKS, LEAST = 256, 1 << 12
-"""Chunks into which a sweep that goes into no store is cut for Dask, as long as each has so many points."""
+"""Number of chunks into which Dask cuts a sweep without a store, and the fewest points of each."""
 
 
 def sweep(
@@ -145,7 +145,7 @@ def sweep(
     opened = open_store(place)
     check_same(opened, request, chunk)
     chunks = opened.regions[share[0] :: share[1]] if share else opened.regions
-    if resumed:  # another process may be at work: two seldom compute the same chunk
+    if resumed:  # another process may be at work, in another order, so that two rarely compute the same chunk
         np.random.default_rng().shuffle(chunks)
     for _, damage in _run(opened, chunks, client, progress):
         if damage:
@@ -169,7 +169,7 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def default_chunk(request: Request, *, tasks: bool) -> int:
-    """Points per chunk: enough that files are few, few enough that little is lost by a kill; smaller for tasks in memory."""
+    """Points per chunk: few files, but little lost if the process is killed; smaller for tasks in memory."""
     groups = {OUTPUTS[name].group for name in request.outputs}
     chunk = COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
     return min(chunk, max(LEAST, -(-request.size // TASKS))) if tasks else chunk

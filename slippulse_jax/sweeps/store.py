@@ -33,7 +33,7 @@ FORMAT, MANIFEST, COORDINATE_CHUNK = 2, "zarr.json", 1 << 20
 
 
 class StoreError(ValueError):
-    """A store that cannot be used: of another request or version, damaged, or no store at all."""
+    """A store that cannot be used: it belongs to another request or version, is damaged, or does not exist."""
 
 
 class Place:
@@ -77,13 +77,13 @@ class Store:
         return "/".join((name, "c", *map(str, index)))
 
     def present(self) -> list[Region]:
-        """Finished chunks, by their keys: none is read."""
+        """Keys of the finished chunks, without reading them."""
         last = self.request.outputs[-1]
         there = {path.removeprefix(f"{self.place.root}/") for path in self.place.files.find(f"{self.place.root}/{last}/c")}
         return [region for region in self.regions if self.key(region, last) in there]
 
     def read(self, region: Region) -> tuple[Columns | None, str]:
-        """Values of a chunk of all outputs if it is there and whole; and what is wrong with it if it is damaged."""
+        """Values of a chunk of all outputs if present and intact, and a description of the damage if not intact."""
         keys = {name: self.key(region, name) for name in self.request.outputs}
         if keys[self.request.outputs[-1]] not in self.place:
             return None, ""
@@ -94,7 +94,7 @@ class Store:
                 damage = "" if key in self.place else "it is missing"
             except OSError:
                 raise
-            except Exception as error:  # damaged bytes fail in as many ways as there are readers
+            except Exception as error:  # each codec raises its own errors on damaged bytes
                 damage = shortened(str(error))
             if damage:
                 return None, f"{self.url}: damaged chunk {key} ({damage})"
@@ -103,7 +103,7 @@ class Store:
     def write(self, region: Region, columns: Columns) -> None:
         """Write one chunk of all outputs."""
         try:
-            self.place.files.info(f"{self.place.root}/{MANIFEST}")  # Zarr would make a folder that is gone anew
+            self.place.files.info(f"{self.place.root}/{MANIFEST}")  # Zarr would recreate a folder that was removed
             for name in self.request.outputs:
                 self._arrays[name][region] = columns[name]
         except FileNotFoundError:
@@ -129,18 +129,18 @@ class Store:
 
 
 def create(place: Place, request: Request, chunk: int, computed_on: str) -> None:
-    """Make a new store where there is nothing else; another process may have just made it."""
+    """Create a store in an empty place, unless another process has just created it."""
     documents = _documents(request, chunk, computed_on)
     try:
         if place.files.isfile(place.root):
             raise StoreError(f"{place.url}: is a file; a store is a folder")
         there = place.files.ls(place.root, detail=False) if place.files.exists(place.root) else []
-        ours = {key.split("/")[0] for key in documents}  # a process that was killed while it made the store left some of them
+        ours = {key.split("/")[0] for key in documents}  # a process killed while creating the store left some of them
         names = {path.rstrip("/").rsplit("/", 1)[-1] for path in there}
         others = any(name not in ours and not name.startswith(".") for name in names)
         if (others or any(f"{name}/c" in place for name in request.outputs)) and not place.is_store:
             raise StoreError(f"{place.url}: is a folder with other things in it; give a new or empty one")
-        for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest after all else
+        for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest last
             path = f"{place.root}/{key}"
             if place.is_local:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -185,7 +185,7 @@ def _unknown(dtype: Any) -> np.ndarray:
 
 
 def open_store(place: Place) -> Store:
-    """Open the stored sweep at a place; a `StoreError` says what is there instead."""
+    """Open the stored sweep at a place; raise a `StoreError` if there is none."""
     if not place.is_store:
         raise StoreError(f"{place.url}: not the store of a sweep ({MANIFEST} is missing)")
     with _damage_named(place):
@@ -210,13 +210,13 @@ def open_store(place: Place) -> Store:
 def _damage_named(place: Place) -> Iterator[None]:
     try:
         yield
-    except Exception as error:  # damaged bytes fail in as many ways as there are readers
+    except Exception as error:  # each codec raises its own errors on damaged bytes
         what = shortened(f"{type(error).__name__}: {error}")
         raise StoreError(f"{place.url}: the store of a sweep with a damaged manifest or axes ({what})") from None
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Check that the store is of the same request, chunks and versions; a `StoreError` says what differs."""
+    """Check that request, chunks and versions of the store are the same; raise a `StoreError` naming what differs."""
     if store.request.digest != request.digest:
         old, new = _briefly(store.request), _briefly(request)
         changed = (name for name in old | new if old.get(name) != new.get(name))

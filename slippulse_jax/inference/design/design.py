@@ -46,7 +46,7 @@ class Candidate(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One experiment of a sequence, and the gain expected from it and all before it together."""
+    """One experiment of a sequence, and the gain expected from it together with all before."""
 
     candidate: int
     gain: Gain
@@ -266,7 +266,7 @@ def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
 
 
 def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind) -> tuple[np.ndarray, np.ndarray]:
-    """Length of every candidate at every ln(stiffness), in λc, and dℓ/d ln k, which is 0 where the front never stops.
+    """Length of every candidate at every ln(stiffness), in λc, and dℓ/d ln k, 0 where the front never stops.
 
     ℓ* of a slider's front, or the length of the whole event; of a block always that.
     """

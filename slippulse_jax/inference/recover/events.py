@@ -75,7 +75,7 @@ def _modes(slider: Slider) -> tuple[jax.Array, ...]:
 
 
 def fronts(of: Blocks, theta: Float[np.ndarray, "... sites"], phi: Float[np.ndarray, "... sites"]) -> Fronts:
-    """Where fronts stop whose contacts break from the edge on, under the load at which the first contact breaks.
+    """Follow fronts whose contacts break from the edge on, under the load at which the first contact breaks.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def fronts(of: Blocks, theta: Float[np.ndarray, "... sites"], phi: Float[np.ndar
 
 
 def follow(of: Blocks, theta: Float[np.ndarray, " sites"], phi: Float[np.ndarray, " sites"]) -> Event:
-    """Break the most overloaded contact of one block until none is at its threshold, from the one that reaches it first on."""
+    """Break the most overloaded contact of one block until none is at its threshold, starting with the first to reach it."""
     sites = len(theta)
     profile, drive = of.profile(sites), of.drive(sites)
     wait = (theta - phi) / drive

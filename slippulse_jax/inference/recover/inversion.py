@@ -45,7 +45,7 @@ class LinearPosterior(NamedTuple):
 
 
 class Inversion(NamedTuple):
-    """The data, and the prior but for its smoothness."""
+    """The data, and the prior except for its smoothness."""
 
     model: ProfileModel
     sigma: np.ndarray  # (n,), in λc
@@ -151,7 +151,7 @@ def quantile(
 
 
 def invert(problem: Inversion, settings: list[Smoothness], max_steps: int) -> Found:
-    """Fit under the setting of most evidence, weigh the settings where the search ended, and repeat until it stays the same."""
+    """Fit with the setting of most evidence, weight all settings where the search ended, and repeat until it stays."""
     priors = [problem.prior(s) for s in settings]
     weight = np.full(len(settings), 1 / len(settings))
     best, total, tried = len(settings) // 2, 0, set()
@@ -192,7 +192,7 @@ def _descend(problem: Inversion, prior: np.ndarray, max_steps: int) -> tuple[np.
             if trial[0] < value:
                 break
         else:
-            # no lower along the step: rounding if it is small, a kink of ℓ at a site if it is not
+            # no lower along the step: rounding if the step is small, else a kink of ℓ at a site
             return c, step, bool(size < KINK)
         gained = value - trial[0]
         value, c, at = trial

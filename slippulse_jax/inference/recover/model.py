@@ -186,6 +186,6 @@ def _onto_knots(by_site: Float[np.ndarray, "n sites"], knots: np.ndarray) -> Flo
 
 
 def _between_knots(site: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The knot to the left of each site, and how far the site is on the way to the next."""
+    """Index of the knot to the left of each site, and the fraction of the way to the next."""
     left = np.clip(np.searchsorted(knots, site, side="right") - 1, 0, len(knots) - 2)
     return left, (site - knots[left]) / (knots[left + 1] - knots[left])

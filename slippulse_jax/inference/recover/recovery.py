@@ -37,7 +37,7 @@ from slippulse_jax.inference.recover.model import Look, ProfileKind, profile_mod
 from slippulse_jax.inference.recover.report import report, to_dict
 
 MOST_KNOTS = 256
-"""Positions at which a profile is described; between them it is a straight line."""
+"""Most knots of a profile; between them it is a straight line."""
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
@@ -215,7 +215,7 @@ def recover_profile(
     mean_u, covariance, resolution = mixture(found.posteriors, found.weight)
     f, covariance, resolution = (problem.mean + mean_u)[:k], covariance[:k, :k], resolution[:k, :k]
     prior_variance = np.sum([w * np.diag(problem.prior(s))[:k] for w, s in zip(found.weight, settings, strict=True)], axis=0)
-    # a better known level of the prestress determines it at no particular place
+    # better knowledge of the mean prestress does not determine it at any place
     varying = prior_variance - (LEVEL**2 if kind == "prestress" else 0)
     at_mean = model.lengths(problem.mean + mean_u)
     fitted = at_mean.value
@@ -351,7 +351,7 @@ def _stderr(covariance: np.ndarray) -> np.ndarray:
 def _judge(found: Found, chi2: float, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray) -> Determination:
     if not found.converged:
         return Determination.NOT_CONVERGED
-    # equal weights: where no variation is seen, the evidence prefers a stiff prior, which no data determine
+    # equal weights: where no variation is seen, the evidence prefers a stiff prior without being able to determine it
     degrees = np.mean([np.trace(p.resolution[: len(knots), : len(knots)]) for p in found.posteriors])
     spare = max(len(measured) - degrees, 1.0)
     if not np.isfinite(chi2) or chdtrc(spare, chi2) < 1e-3:
