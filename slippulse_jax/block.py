@@ -3,7 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
 
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain
+from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, as_float, quantity_field
@@ -73,8 +73,7 @@ class Push(eqx.Module):
         ) -> None: ...
 
     def __check_init__(self) -> None:
-        if self.control not in get_args(Control):
-            raise ValueError(f"Push.control = {self.control!r}: one of {', '.join(map(repr, get_args(Control)))}")
+        check_choice("Push.control", self.control, Control)
         if self.height is None:
             if self.width is not None:
                 raise ValueError("Push.width is given without a height: say at what height its centre is")
@@ -155,8 +154,7 @@ class Block(eqx.Module):
         ) -> None: ...
 
     def __check_init__(self) -> None:
-        if self.plane not in get_args(Plane):
-            raise ValueError(f"Block.plane = {self.plane!r}: one of {', '.join(map(repr, get_args(Plane)))}")
+        check_choice("Block.plane", self.plane, Plane)
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
         for name, domain in domains.items():
             value = getattr(self, name)

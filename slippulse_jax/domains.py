@@ -1,6 +1,6 @@
 """Domains of the numbers of the model, and their checks."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -18,11 +18,8 @@ class Domain(NamedTuple):
         return (x > self.low) & ((x <= self.high) if self.closed else (x < self.high))
 
     def check(self, name: str, value: Any) -> None:
-        """Check a value as `check_domain` does, unless it is traced."""
-        from jax.core import Tracer  # here, because a table of measurements is read without JAX
-
-        if not isinstance(value, Tracer):
-            check_domain(name, np.asarray(value, dtype=float), self.holds, self.requirement)
+        """Check a value as `check_domain` does."""
+        check_domain(name, value, self.holds, self.requirement)
 
 
 HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
@@ -66,14 +63,44 @@ def check_whole(name: str, value: object, least: int) -> None:
         raise ValueError(f"{name} = {value!r}: must be a whole number, at least {least}")
 
 
-def check_domain(name: str, value: np.ndarray, inside: Any, requirement: str) -> None:
-    """Check that all values are finite and inside a domain.
+def check_choice(name: str, value: object, choices: Any) -> None:
+    """Check that an argument is one of the values of a ``Literal``.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument, its value, and the choices.
+    """
+    if value not in get_args(choices):
+        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(choices)))}")
+
+
+def check_single(owner: str, **given: Any) -> None:
+    """Check that arguments with a `shape` (None for one that was not given) are no batches.
+
+    Raises
+    ------
+    ValueError
+        Naming the owner, the argument, and its shape.
+    """
+    for name, value in given.items():
+        if value is not None and value.shape != ():
+            raise ValueError(f"{owner} takes one {name}, got a batch of shape {value.shape}: use jax.vmap")
+
+
+def check_domain(name: str, value: Any, inside: Any, requirement: str) -> None:
+    """Check that all values are finite and inside a domain; those that JAX traces are not checked.
 
     Raises
     ------
     ValueError
         With name, value and index of the first that is not, and `requirement`.
     """
+    from jax.core import Tracer  # here, because a table of measurements is read without JAX
+
+    if isinstance(value, Tracer):
+        return
+    value = np.asarray(value, dtype=float)
     bad = ~(np.isfinite(value) & inside(value))
     if bad.any():
         index = [int(i) for i in np.argwhere(bad)[0]]

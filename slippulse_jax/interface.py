@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain, check_whole
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
@@ -31,12 +31,6 @@ def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike)
         return
     carried, most = np.broadcast_arrays(np.asarray(prestress, dtype=float), np.asarray(threshold))
     check_domain(f"{owner}prestress", carried, lambda x: abs(x) < most, "must lie within the threshold of its contact, in σ_s")
-
-
-def _check_delay(interface: "Interface | Profile") -> None:
-    delay = interface.repin_delay
-    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise ValueError(f"{type(interface).__name__}.repin_delay = {delay!r}: must be a whole number of sites, 0 or more")
 
 
 def check_bulk(interface: "Interface | None") -> None:
@@ -95,7 +89,7 @@ class Interface(eqx.Module):
         return in_a_line(self)
 
     def __check_init__(self) -> None:
-        _check_delay(self)
+        check_whole("Interface.repin_delay", self.repin_delay, 0)
         PRESTRESS.check("Interface.prestress", self.prestress)
         THRESHOLD_SLOPE.check("Interface.threshold_slope", self.threshold_slope)
 
@@ -160,7 +154,7 @@ class Profile(eqx.Module):
         def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None: ...
 
     def __check_init__(self) -> None:
-        _check_delay(self)
+        check_whole("Profile.repin_delay", self.repin_delay, 0)
         if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
             raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with at least one value")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):

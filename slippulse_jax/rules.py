@@ -6,12 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.nn import sigmoid
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.domains import Domain
 from slippulse_jax.units import quantity_field
+
+WIDTH = Domain(0.999e-6, 1, "must lie in [1e-6, 1], in σ_s", closed=True)
 
 
 class HardBreak(eqx.Module):
@@ -53,10 +55,7 @@ class SmoothBreak(eqx.Module):
     width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", name="width of the smooth break rule", default=0.01)
 
     def __check_init__(self) -> None:
-        if not isinstance(self.width, Tracer):
-            width = np.asarray(self.width)
-            if not np.all((width >= 0.999e-6) & (width <= 1)):
-                raise ValueError(f"SmoothBreak.width = {self.width}: must lie in [1e-6, 1], in σ_s")
+        WIDTH.check("SmoothBreak.width", self.width)
 
     def broken(self, stress: Array, threshold: Array) -> Array:
         """Fraction p(t) of a contact's junctions that break under a stress.

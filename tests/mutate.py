@@ -73,7 +73,6 @@ EQUIVALENT: dict[tuple[str, str], str] = {
         "inference/likelihood",
         "slope = self(around.reshape(- 2, p), np.repeat(lane, around.shape[1]), 1).gradient",
     ): "NumPy takes any negative size for the one that is left",
-    ("lattice/chain", "if slider.shape > ():"): "of tuples, all but () are greater",
     (
         "lattice/chain",
         "return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning).sum(where=chain.contact != 0)",

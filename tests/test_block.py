@@ -474,7 +474,7 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         (lambda: sp.Push(1.2), r"Push.height = 1.2: must lie in \(0, 1\)"),
         (lambda: sp.Push(0.9, 0.3), r"Push.width = 0.3 about height = 0.9: reaches from 0.75 to 1.05 H, beyond the side"),
         (lambda: sp.Push(width=0.1), r"Push.width is given without a height"),
-        (lambda: sp.Push(0.3, control="speed"), r"Push.control = 'speed': one of 'displacement', 'force'"),
+        (lambda: sp.Push(0.3, control="speed"), r"Push.control = 'speed': must be one of 'displacement', 'force'"),
         (lambda: sp.Block([5.0, 6.0], 0.1, 0.3), r"Block.height has shape \(2,\): one block at a time"),
         (lambda: sp.Block(0.5, 0.1, 0.3), r"Block.height = 0.5: must exceed 1"),
         (

@@ -9,19 +9,22 @@ Newton's method starts where the curves approach each other. By concavity its fi
 returns to the crossing without overshooting.
 """
 
-from typing import Literal, get_args
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.domains import Domain, check_choice
 from slippulse_jax.units import quantity_field
 
 Law = Literal["exponential", "logarithmic"]
+Clock = Literal["load", "time"]
+
+NEWBORN = Domain(0, 1, "must lie in (0, 1]: the threshold of a newborn contact over that of an old one", closed=True)
+SCALE = Domain(0, float("inf"), "must be positive: the age by which a contact recovers")
 
 
 class Ageing(eqx.Module):
@@ -42,19 +45,13 @@ class Ageing(eqx.Module):
     newborn: Float[AnyArrayLike, ""] = quantity_field("\\nu", "1")
     scale: Float[AnyArrayLike, ""] = quantity_field("\\tau", "u_s")
     law: Law = eqx.field(default="exponential", static=True)
-    clock: Literal["load", "time"] = eqx.field(default="load", static=True)
+    clock: Clock = eqx.field(default="load", static=True)
 
     def __check_init__(self) -> None:
-        if self.law not in get_args(Law):
-            raise ValueError(f"Ageing.law = {self.law!r}: must be one of {', '.join(map(repr, get_args(Law)))}")
-        if self.clock not in ("load", "time"):
-            raise ValueError(f"Ageing.clock = {self.clock!r}: must be 'load' or 'time'")
-        domain = {"newborn": lambda x: (x > 0) & (x <= 1), "scale": lambda x: (x > 0) & np.isfinite(x)}
-        for name, inside in domain.items():
-            value = getattr(self, name)
-            if not isinstance(value, Tracer) and not np.all(inside(np.asarray(value))):
-                requirement = "must lie in (0, 1]" if name == "newborn" else "must be positive"
-                raise ValueError(f"Ageing.{name} = {value}: {requirement}")
+        check_choice("Ageing.law", self.law, Law)
+        check_choice("Ageing.clock", self.clock, Clock)
+        NEWBORN.check("Ageing.newborn", self.newborn)
+        SCALE.check("Ageing.scale", self.scale)
 
     def strength(self, age: Array, velocity: Array | float = 1.0) -> Array:
         """Threshold relative to that of an old contact.

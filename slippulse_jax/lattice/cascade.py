@@ -214,12 +214,6 @@ class Cascade(NamedTuple):
     book: Any  # the caller's record of the breaks
 
 
-def check_delay(delay: object) -> None:
-    """Check that a repinning delay is a number of breaks."""
-    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise ValueError(f"repin_delay = {delay!r}: must be a whole number of breaks, 0 or more")
-
-
 def run(
     max_breaks: int | Array,
     delay: int,

@@ -8,18 +8,17 @@ the equivalent of an endless uniform interface, which makes the end exactly abso
 
 from collections.abc import Callable
 from types import NoneType
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.slider import Slider
@@ -129,12 +128,10 @@ def chain(
         If a value lies outside its domain or a shape does not fit (the message names both; traced values are not checked),
         or if the interface has a repinning delay, which is an argument of `rupture` and `series`.
     """
-    if right not in get_args(RightEnd):
-        raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
+    check_choice("right", right, RightEnd)
     check_kind("slider", slider, Slider)
     check_kind("interface", interface, Interface, Profile, NoneType)
-    if slider.shape != ():
-        raise ValueError(f"slider has shape {slider.shape}: a chain takes one slider; use jax.vmap for a batch")
+    check_single("chain", slider=slider, interface=interface)
     check_whole("sites", sites, 2)
     of_interface = _of_interface(interface, sites)
     threshold = of_interface[0] if threshold is None else threshold
@@ -145,11 +142,7 @@ def chain(
     def along(name: str, value: AnyArrayLike, count: int, domain: str, inside: Callable[[Any], Any]) -> Array:
         if np.shape(value) not in ((), (count,)):
             raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
-        if not isinstance(value, Tracer):
-            known = as_float(value)
-            bad = ~(np.isfinite(known) & inside(np.asarray(known)))
-            if bad.any():
-                raise ValueError(f"{name} = {np.asarray(value)[bad].flat[0]:g}: must be {domain}")
+        check_domain(name, as_float(value), inside, f"must be {domain}")
         array = jnp.asarray(value)  # a Python number takes the slider's precision: a weak type would compile another program
         given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
         return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
@@ -175,12 +168,16 @@ def chain(
     )
 
 
+def check_linear(chain: Chain, owner: str) -> None:
+    """Refuse a chain whose contacts have a force law."""
+    if chain.law is not None:
+        raise ValueError(f"{owner} needs linear contacts: this chain has a force law")
+
+
 def _of_interface(interface: Interface | Profile | None, sites: int) -> tuple[AnyArrayLike, AnyArrayLike]:
     """Thresholds and prestress of the first sites of an interface."""
     if interface is None:
         return 1.0, 0.0
-    if interface.shape != ():
-        raise ValueError(f"interface has shape {interface.shape}: a chain takes one interface; use jax.vmap for a batch")
     if interface.repin_delay:
         raise ValueError("chain takes no repin_delay, only prestress and thresholds: pass the delay to rupture or series")
     numbers = jnp.arange(sites)

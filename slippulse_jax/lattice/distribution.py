@@ -14,19 +14,19 @@ weaken too are softer, so the whole chain loses stability earlier: where its loa
 """
 
 import functools
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.scipy.special import gamma, ndtr
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.domains import Domain, check_choice
 from slippulse_jax.lattice.chain import Chain, State
 from slippulse_jax.lattice.equilibrium import imbalance
 from slippulse_jax.lattice.modes import lattice_modes
@@ -53,14 +53,10 @@ class ThresholdDistribution(eqx.Module):
     width: Float[AnyArrayLike, ""] = quantity_field("w", "u_s")
 
     def __check_init__(self) -> None:
-        if self.kind not in get_args(Kind):
-            raise ValueError(
-                f"ThresholdDistribution.kind = {self.kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}"
-            )
-        if not isinstance(self.width, Tracer):
-            most = {"normal": np.inf, "uniform": 1 / np.sqrt(3) + 1e-15, "weibull": 1.0}[self.kind]
-            if not np.all((np.asarray(self.width) > 0) & (np.asarray(self.width) <= most)):
-                raise ValueError(f"ThresholdDistribution.width = {self.width}: must be positive and at most {most:.4g}")
+        check_choice("ThresholdDistribution.kind", self.kind, Kind)
+        most = {"normal": np.inf, "uniform": 1 / np.sqrt(3) + 1e-15, "weibull": 1.0}[self.kind]
+        domain = Domain(0, most, f"must be positive and at most {most:.4g}", closed=True)
+        domain.check("ThresholdDistribution.width", self.width)
 
     def cumulative(self, x: Array) -> Array:
         """Integrate P_c from 0 to x."""

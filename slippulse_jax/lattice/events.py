@@ -7,7 +7,7 @@ resolved. Everywhere else the event is its front.
 """
 
 import functools
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS
+from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_choice
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.crossing import system_of
@@ -121,8 +121,7 @@ def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
 
 def check_event(event: str) -> None:
     """Refuse an unknown kind of event."""
-    if event not in get_args(EventKind):
-        raise ValueError(f"event = {event!r}: must be one of {', '.join(map(repr, get_args(EventKind)))}")
+    check_choice("event", event, EventKind)
 
 
 def event_lengths(

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
@@ -101,9 +100,8 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     prestress, threshold_slope = uniform(interface)
     if not _is_zero(threshold_slope):
         raise ValueError("a crack-like front has a closed form on level thresholds only: interface.threshold_slope must be 0")
-    _require(
-        "CrackLike.friction", rule.friction, lambda x: (x >= 0) & (x < 1), "must be 0 or more and below the threshold of 1"
-    )
+    requirement = "must be 0 or more and below the threshold of 1"
+    check_domain("CrackLike.friction", as_float(rule.friction), lambda x: (x >= 0) & (x < 1), requirement)
     return _each(_crack_length, (True, True), *of_one_type(slider, rule.friction, prestress))
 
 
@@ -145,7 +143,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
         If a concrete `s` is negative or not finite; if the closed form does not hold for `interface`.
     """
     check_kind("slider", slider, Slider)
-    _require("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
+    check_domain("s", as_float(s), lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     prestress, _ = uniform(interface)
     return _each(_stress, (_is_zero(prestress), True), *of_one_type(slider, prestress, s))
 
@@ -180,7 +178,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     """
     check_kind("slider", slider, Slider)
     for name, value in (("s", s), ("site", site)):
-        _require(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
+        check_domain(name, as_float(value), lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     prestress, _ = uniform(interface)
     plain = (_is_zero(prestress), True)
     return ExactFields(*_each(_fields, plain, *of_one_type(slider, prestress, s, site)))
@@ -241,11 +239,6 @@ def _each(function: Any, static: Any, *arguments: Array) -> Any:
     maps only the axes that an argument has.
     """
     return jnp.vectorize(lambda *scalars: function(static, *scalars))(*arguments)
-
-
-def _require(name: str, value: Any, inside: Any, requirement: str) -> None:
-    if not isinstance(value, Tracer):
-        check_domain(name, np.asarray(as_float(value), dtype=float), inside, requirement)
 
 
 def _is_zero(value: Any) -> bool:

@@ -26,7 +26,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_domain
-from slippulse_jax.lattice.chain import Chain, State, potential_energy
+from slippulse_jax.lattice.chain import Chain, State, check_linear, potential_energy
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
 from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
@@ -169,15 +169,14 @@ def simulate_inertial(
     TypeError
         If the rule is neither of these, or if a derivative is taken, which would be that of the time step.
     """
-    if chain.law is not None:
-        raise ValueError("the inertial chain needs linear contacts: this chain has a force law")
+    check_linear(chain, "the inertial chain")
     if not isinstance(rule, SelfHealing | CrackLike):
         raise TypeError(f"rule = {rule!r}: must be SelfHealing(break_time) or CrackLike(friction)")
     first = -1 if trigger is None else trigger
     asked = Asked(chain, rule, duration, damping, velocity, safety, rest, first)
     for name, (value, holds, requirement) in domains(asked).items():
         if not any(isinstance(x, Tracer) for x in (value, holds(value))):
-            check_domain(name, np.asarray(value), holds, requirement)
+            check_domain(name, value, holds, requirement)
     if state is None:
         state, found = nucleate(chain)
         first = found if trigger is None else trigger

@@ -17,7 +17,7 @@ the mirror of a free end at (N − ½) λc from contact 0, a clamped wall at N �
 then those that lie before (N − ½) λc.
 """
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.domains import MACHINE
+from slippulse_jax.domains import MACHINE, check_choice
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.units import Numbers, as_float
 
@@ -307,8 +307,7 @@ def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
 
 def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
     """Refuse an unknown right end, or a number of sites that does not go with it; traced numbers are not checked."""
-    if right not in get_args(RightEnd):
-        raise ValueError(f"right = {right!r}: must be one of {', '.join(map(repr, get_args(RightEnd)))}")
+    check_choice("right", right, RightEnd)
     if right == "semi-infinite":
         if sites is not None:
             raise ValueError(f"sites = {sites}: a semi-infinite chain has no number of sites; choose right='free' or 'clamped'")

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
 from slippulse_jax.lattice.blocks import BlockPrecursor
@@ -255,7 +255,7 @@ def precursor_length(
         length, status = _smooth(slider, rule, max_contacts)
     else:
         if isinstance(interface, Profile):
-            _check_one(slider, "a Profile belongs to one slider")
+            check_single("a Profile", slider=slider)
         length = _each("length", slider, interface, ends, max_contacts)
         # only looked at where a length is missing
         missing = not isinstance(length, Tracer) and np.isnan(length).any()
@@ -321,9 +321,7 @@ def first_precursor(
         return blocks.first_precursor(slider, interface, sites)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
-    _check_one(slider, "first_precursor takes one slider (lengths of many: precursor_lengths)")
-    if interface is not None and interface.shape != ():
-        raise ValueError(f"first_precursor takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
+    check_single("first_precursor", slider=slider, interface=interface)
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
@@ -385,16 +383,11 @@ def check_smooth(interface: Contacts, ends: Ends) -> None:
         raise ValueError(f"{given}: a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
 
 
-def _check_one(slider: Slider, why: str) -> None:
-    if slider.shape != ():
-        raise ValueError(f"{why}, got a batch of shape {slider.shape}: use jax.vmap")
-
-
 def check_max_contacts(max_contacts: int) -> None:
-    """Refuse a cap on breaks that is none, or that a 32-bit count cannot hold."""
-    whole = isinstance(max_contacts, int | np.integer) and not isinstance(max_contacts, bool)
-    if not (whole and 1 <= max_contacts < 2**31 - 1):
-        raise ValueError(f"max_contacts = {max_contacts!r}: must be a whole number, at least 1 and below 2**31 - 1")
+    """Check the cap on breaks, which a 32-bit count must hold."""
+    check_whole("max_contacts", max_contacts, 1)
+    if max_contacts >= 2**31 - 1:
+        raise ValueError(f"max_contacts = {max_contacts!r}: must be below 2**31 - 1")
 
 
 def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:

@@ -26,8 +26,8 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, check_delay, run, whole
-from slippulse_jax.lattice.chain import Chain, State, eliminate
+from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, run, whole
+from slippulse_jax.lattice.chain import Chain, State, check_linear, eliminate
 from slippulse_jax.lattice.equilibrium import (
     Equilibrium,
     EquilibriumStatus,
@@ -126,7 +126,7 @@ def rupture(
     check_kind("chain", chain, Chain)
     check_rule(rule, one=True)
     _check(chain, state)
-    check_delay(repin_delay)
+    check_whole("repin_delay", repin_delay, 0)
     if max_breaks is not None:
         check_whole("max_breaks", max_breaks, 1)
     if (
@@ -184,8 +184,7 @@ def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
 
 def _check(chain: Chain, state: State) -> None:
     check_kind("state", state, State)
-    if chain.law is not None:
-        raise ValueError("a rupture needs linear contacts: this chain has a force law")
+    check_linear(chain, "a rupture")
     if chain.contact.ndim != 1:
         raise ValueError(f"the chain is a batch, with contacts of shape {chain.contact.shape}: use jax.vmap")
     if jnp.shape(state.pinning) != (chain.sites,):

@@ -22,7 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.front import Contacts, Front, advance, contact_at, nucleate, straight_line, stress_ahead
 from slippulse_jax.lattice.modes import Modes, lattice_modes
@@ -71,7 +71,7 @@ def sensitivity(
     Raises
     ------
     ValueError
-        If the interface repins after a delay, or is a batch.
+        If the interface repins after a delay, or slider or interface is a batch.
     """
     check_kind("slider", slider, Slider)
     check_kind("interface", interface, Interface, Profile, NoneType)
@@ -82,8 +82,7 @@ def sensitivity(
             f"interface.repin_delay = {interface.repin_delay}: sensitivity needs contacts that repin at once; for a delay, "
             "differentiate precursor_length of a Profile"
         )
-    if interface is not None and interface.shape != ():
-        raise ValueError(f"sensitivity takes one interface, got a batch of shape {interface.shape}: use jax.vmap")
+    check_single("sensitivity", slider=slider, interface=interface)
     return _worked_out(slider, interface, sites, rule)
 
 

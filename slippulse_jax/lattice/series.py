@@ -23,9 +23,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
@@ -33,7 +31,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, waveguide
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
@@ -42,7 +40,6 @@ from slippulse_jax.lattice.cascade import (
     Moves,
     Stresses,
     all_opened,
-    check_delay,
     looked_at,
     most,
     opened,
@@ -51,7 +48,7 @@ from slippulse_jax.lattice.cascade import (
     whole,
 )
 from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
-from slippulse_jax.lattice.chain import Chain, State, driven, potential_energy
+from slippulse_jax.lattice.chain import Chain, State, check_linear, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
 from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.precursor import warn_single_precision
@@ -88,6 +85,8 @@ class Spring(eqx.Module):
 
 
 Protocol = Adiabatic | Steps | Spring
+
+POSITIVE = Domain(0, float("inf"), "must be positive")
 
 
 def series(
@@ -149,8 +148,7 @@ def series(
     check_kind("body", body, Chain, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
     if isinstance(body, Chain):
-        if body.law is not None:
-            raise ValueError("a series needs linear contacts: this chain has a force law")
+        check_linear(body, "a series")
         if interface is not None or sites is not None:
             given = f"sites = {sites}" if interface is None else f"interface = {interface!r}"
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
@@ -159,13 +157,11 @@ def series(
         sites = _sites_of_block(body, interface, sites)
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
-    check_delay(repin_delay)
+    check_whole("repin_delay", repin_delay, 0)
     if not isinstance(protocol, Protocol):
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
-        value = getattr(protocol, name, 1.0)
-        if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
-            raise ValueError(f"{type(protocol).__name__}.{name} = {value}: must be positive")
+        POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
     ends = Ends(
         jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype),
         jnp.asarray(stop_when_spanning),
