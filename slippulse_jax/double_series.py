@@ -78,7 +78,7 @@ class System(eqx.Module):
     first_step: Lanes  # t(1) − t(0)
     prestress: Lanes  # φ
     plateau: Lanes  # stress far from the edge where nothing stops the front
-    lattice: bool = eqx.field(static=True, default=True)
+    lattice: bool = eqx.field(static=True)
 
     @property
     def mode_rate(self) -> Float[Array, "2 *lanes"]:
@@ -99,8 +99,7 @@ class Series(NamedTuple):
     echo: Float[Array, "F *lanes"] | None  # κ_j, with which D(s) times ρ_1's series is part of family j; None if not regular
     echo_rate: Float[Array, "F *lanes"]  # −ln x_j
     last: Array  # the last row any lane has
-    ended: Bool[Array, "*lanes"]  # whether the table has converged
-    sound: Bool[Array, "*lanes"]  # whether every digit is there
+    sound: Bool[Array, "*lanes"]  # whether every digit is there; before the amplitudes are, whether the table has converged
 
 
 def system_of(
@@ -207,7 +206,7 @@ def solve(system: System, *, regular: bool = True) -> Series:
 
 
 def _solved(system: System, table: Series) -> Series:
-    """Amplitudes added."""
+    """Add the amplitudes."""
     (A, gaps), plateau = table.totals[:2], system.plateau
     B = -gaps
     if table.echo is not None:
@@ -220,7 +219,7 @@ def _solved(system: System, table: Series) -> Series:
         known_0, known_1 = known_0 - plateau * A[2], known_1 - plateau * B[2]
     determinant = A[0] * B[1] - A[1] * B[0]
     c1, c2 = (known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant
-    sound = table.ended & (jnp.abs(c1) < SOUND) & (jnp.abs(c2) < SOUND)
+    sound = table.sound & (jnp.abs(c1) < SOUND) & (jnp.abs(c2) < SOUND)
     return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]), sound=sound)
 
 
@@ -271,7 +270,6 @@ def _table(system: System, blocks: tuple[tuple[int, int], ...], narrow: bool = F
         echo=progress.echo,
         echo_rate=system.rate + resonance * system.level_rate[None],
         last=progress.k - 1,
-        ended=~progress.running,
         sound=~progress.running,
     )
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -79,18 +80,11 @@ class Catalogue(NamedTuple):
         if np.ndim(self.number):
             return html(repr(self), [])
         frame = self.to_dataframe()[["load", "kind", "site", "length", "breaks", "slip", "stress_drop"]]
-        heads = [
-            "event",
-            *(
-                name if unit == "1" or name == "kind" else f"{name} ({unit})"
-                for name, unit in ((name, COLUMNS[name][0]) for name in frame)
-            ),
-        ]
         rows = [
             [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
             for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)
         ]
-        return html("Catalogue of events", rows, heads, SeriesStatus(int(self.status)).message)
+        return html("Catalogue of events", rows, _heads(frame), SeriesStatus(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the events as a pandas.DataFrame, one per row, with the class of each in words and units in ``attrs``."""
@@ -170,13 +164,17 @@ def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
     return {name: np.asarray(getattr(catalogue, name))[:rows] for name in COLUMNS}
 
 
+def _heads(columns: Iterable[str]) -> list[str]:
+    """Names of columns with their units, after that of the event's number."""
+    return ["event", *(name if COLUMNS[name][0] == "1" else f"{name} ({COLUMNS[name][0]})" for name in columns)]
+
+
 def to_csv(catalogue: Catalogue) -> str:
     """Format a catalogue as CSV: names with their units, then numbers in full precision."""
     columns = table(catalogue)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    units = {name: COLUMNS[name][0] for name in columns}
-    writer.writerow(["event", *(name if unit == "1" else f"{name} ({unit})" for name, unit in units.items())])
+    writer.writerow(_heads(columns))
     for event, row in enumerate(zip(*columns.values(), strict=True)):
         cells = [EventClass(int(x)).name.lower() if name == "kind" else x.item() for name, x in zip(columns, row, strict=True)]
         writer.writerow([event, *cells])

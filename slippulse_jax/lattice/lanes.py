@@ -70,19 +70,11 @@ class Now(NamedTuple):
 
 
 @functools.cache
-def length_kernel(max_contacts: int) -> Kernel:
-    """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope]), in λc.
+def length_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
+    """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope[, sites, machine]]), in λc.
 
-    Of uniform, semi-infinite interfaces without repinning delay. inf where it never stops, NaN after `max_contacts` breaks.
-    """
-    return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts).state, max_contacts),)
-
-
-@functools.cache
-def ended_kernel(right: RightEnd, max_contacts: int) -> Kernel:
-    """ℓ likewise, of lanes (height, stiffness, poisson, prestress, threshold_slope, sites, machine).
-
-    The length is inf where a front runs through.
+    Of uniform interfaces without repinning delay. inf where a front never stops or runs through, NaN after `max_contacts`
+    breaks.
     """
     return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts, right=right).state, max_contacts),)
 

@@ -135,7 +135,7 @@ def lengths(
     elif not simple:
         columns = _seven(slider, interface, ends)
         right = "free" if ends.right == "semi-infinite" else ends.right  # a chain without end has a free one at `NO_END`
-        kernel, layout = lanes.ended_kernel(right, max_contacts), ENDED
+        kernel, layout = lanes.length_kernel(max_contacts, right), ENDED
     elif derivatives:
         kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
     else:
@@ -239,7 +239,7 @@ def _is_simple(interface: Interface | None, ends: Ends) -> bool:
 
 
 def _seven(slider: Slider, interface: Interface | None, ends: Ends) -> list[Float[np.ndarray, " n"]]:
-    """The numbers of `lanes.ended_kernel`; where there is no end or machine, one so far or stiff that no digit changes."""
+    """Seven numbers for `lanes.length_kernel`; where there is no end or machine, one so far or stiff that no digit changes."""
     sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
     return _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
 

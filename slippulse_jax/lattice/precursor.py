@@ -257,10 +257,10 @@ def precursor_length(
         if isinstance(interface, Profile):
             check_single("a Profile", slider=slider)
         length = _each("length", slider, interface, ends, max_contacts)
-        # only looked at where a length is missing
-        missing = not isinstance(length, Tracer) and np.isnan(length).any()
-        status = _each("status", slider, interface, ends, max_contacts) if missing else None
+        status = None
     if not isinstance(length, Tracer) and np.isnan(length).any():
+        if status is None:  # only looked at where a length is missing
+            status = _each("status", slider, interface, ends, max_contacts)
         report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
     return length
 
@@ -350,9 +350,7 @@ def first_precursor(
     )
 
 
-@partial(jax.jit, static_argnames="max_contacts")
-def _counted(slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Arrest:
-    return arrest(slider, interface, ends, max_contacts)
+_counted = jax.jit(arrest, static_argnums=3)
 
 
 @partial(jax.jit, static_argnames="sites")
@@ -362,7 +360,7 @@ def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Arr
     return modes.load * (threshold - prestress), front_stress(modes, sites, interface)
 
 
-_smooth = jax.jit(lambda slider, rule, max_contacts: smooth_length(slider, rule, max_contacts=max_contacts), static_argnums=2)
+_smooth = jax.jit(smooth_length, static_argnums=2)
 
 
 def _check_of_block(interface: Contacts, **given: Any) -> None:

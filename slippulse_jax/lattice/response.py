@@ -284,14 +284,6 @@ def _sent(leave: Float[Array, "... 4"]) -> Float[Array, "... 4 2"]:
     return jnp.concatenate([right, right, left, left], -2)
 
 
-def arriving(resp: Response, block: Array, site: Array) -> Float[Array, "B 4"]:
-    """Displacements at every block's edges per stress released at one site.
-
-    They are (u_t, u) at the left edge, then at the right edge.
-    """
-    return carried(resp, block, resp.leave[block, site])
-
-
 def carried(resp: Response, block: Array, left: Float[Array, "4"]) -> Float[Array, "B 4"]:
-    """Displacements at every block's edges due to those leaving one block."""
+    """Displacements at every block's edges, (u_t, u) at the left and then at the right one, due to those leaving one block."""
     return (resp.pass_on[block] * _sent(left)[None]).sum(-1)

@@ -534,7 +534,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
     def look(c: Crossing) -> Crossing:
         block = most(jnp.where(c.looked, -jnp.inf, -c.soonest))[0]
         stress, per_load = opened(by.response, c.stresses, block), tables.per_load[block]
-        limit, _ = _limits(by, now, now.given, load, block, now.given[block])
+        limit, _ = _limits(by, now, load, block, now.given[block])
         pulled = per_load > 0
         missing = jnp.where(pulled, (limit - stress) / jnp.where(pulled, per_load, 1), jnp.inf)
         rises = missing
@@ -572,12 +572,12 @@ def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
     return jnp.where(jnp.isfinite(found.rise), rise, 0), trigger
 
 
-def _limits(by: Loading, now: Now, before: Array, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
-    """Return a block's thresholds at this load, current and after a break."""
+def _limits(by: Loading, now: Now, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
+    """Return a block's thresholds at this load, current and after a break; `given` is the stress released so far."""
     old = by.contacts.threshold[block]
     if now.born is None or by.ageing is None:
         return old, old
-    born = jnp.where(given > before[block], load, now.born[block])
+    born = jnp.where(given > now.given[block], load, now.born[block])
     return old * by.ageing.strength(load - born, by.velocity), old * by.ageing.newborn
 
 
@@ -585,7 +585,7 @@ def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
     """Interpolate ℓ of the event, where the stress falls to the threshold; inf where there is no contact ahead."""
     right, peak = broken.book.right, broken.book.peak
     block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
-    limit, _ = _limits(by, now, now.given, load, block, broken.given[block])
+    limit, _ = _limits(by, now, load, block, broken.given[block])
     ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
     return jnp.where(right == by.sites - 1, jnp.inf, event_length(right, peak, ahead))
 
@@ -629,7 +629,7 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
     zero, none = jnp.zeros((), load.dtype), jnp.zeros((), jnp.int32)
     places = none - 1, none, none + by.sites, none - 1
     tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, zero, now.counts.total, now.last, now.log)
-    limits = partial(_limits, by, now, now.given, load)
+    limits = partial(_limits, by, now, load)
     return run(by.ends.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
 
 

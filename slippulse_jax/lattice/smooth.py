@@ -85,7 +85,7 @@ def fade(
 
 
 def smooth_length(
-    slider: Slider, rule: SmoothBreak, *, max_contacts: int = DEFAULT_MAX_CONTACTS
+    slider: Slider, rule: SmoothBreak, max_contacts: int = DEFAULT_MAX_CONTACTS
 ) -> tuple[Float[Array, "..."], Int[Array, "..."]]:
     """Length of the first precursor under a smooth rule.
 
