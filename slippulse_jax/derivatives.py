@@ -19,6 +19,17 @@ Function = Callable[..., Float[Array, "..."]]
 MAX_STEPS = 100
 
 
+def with_jacobian(f: Function) -> Function:
+    """`f`, and its derivatives in all numbers of its arguments, along a new last axis; by one forward pass."""
+
+    def value_and_jacobian(*arguments: Array) -> Float[Array, "... numbers"]:
+        every = tuple(range(len(arguments)))
+        jacobians, value = jax.jacfwd(lambda *x: (f(*x),) * 2, argnums=every, has_aux=True)(*arguments)
+        return jnp.concatenate([value[..., None], *(x.reshape(*value.shape, -1) for x in jacobians)], axis=-1)
+
+    return value_and_jacobian
+
+
 def by_forward_mode(f: Function) -> Function:
     """Give `f` derivatives of every order in every mode, all computed forward.
 
@@ -37,18 +48,12 @@ def by_forward_mode(f: Function) -> Function:
     callable
         The same function, with derivatives. Differentiating costs one pass with n tangents whatever the mode.
     """
-
-    def value_and_jacobian(*arguments: Array) -> Float[Array, "... numbers"]:
-        every = tuple(range(len(arguments)))
-        jacobians, value = jax.jacfwd(lambda *x: (f(*x),) * 2, argnums=every, has_aux=True)(*arguments)
-        return jnp.concatenate([value[..., None], *(x.reshape(*value.shape, -1) for x in jacobians)], axis=-1)
-
     differentiable = jax.custom_jvp(f)
 
     @differentiable.defjvp
     @in_full
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
-        both = by_forward_mode(value_and_jacobian)(*primals)
+        both = by_forward_mode(with_jacobian(f))(*primals)
         return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents])
 
     return differentiable

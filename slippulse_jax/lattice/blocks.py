@@ -21,11 +21,11 @@ from jaxtyping import Array, Bool, Float, Int
 from slippulse_jax.block import Block, Control, Push
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS
+from slippulse_jax.domains import NORMAL_STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.cascade import Moves, Stresses, run
-from slippulse_jax.lattice.front import event_length, length_or_reason
+from slippulse_jax.lattice.front import event_length, first_of, in_domain, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, Response
@@ -172,7 +172,7 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
-    valid = HEIGHT.holds(block.height) & STIFFNESS.holds(block.stiffness) & POISSON.holds(block.poisson)
+    valid = in_domain(block)
     if block.normal_stiffness is not None:
         valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
     return Contacts(response, threshold, prestress, last, valid)
@@ -191,7 +191,7 @@ def _record(block: Block, interface: Interface | Profile | None, sites: int) -> 
         Outcome.LIMIT: (excess >= 0).any(),
         Outcome.NO_DOMINO: ended.breaks == 1,
     }
-    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    status = first_of(endings)
     length = event_length(furthest, ended.overload[furthest], excess[jnp.minimum(furthest + 1, sites - 1)])
     return BlockPrecursor(
         block=block,
@@ -234,7 +234,7 @@ def faded(contacts: Contacts, rule: SmoothBreak) -> Float[Array, ""]:
         rule, start, lambda front: front.stress[front.position], lambda site: threshold[site], release, last, NEGLIGIBLE
     )
     valid = valid & (first == 0) & (jnp.asarray(rule.width) > 0)
-    status = jnp.select([~valid, through], [Outcome.INVALID, Outcome.RAN_THROUGH], Outcome.ARRESTED).astype(jnp.int32)
+    status = first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: through})
     return length_or_reason(status, end.length)
 
 

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
-from slippulse_jax.lattice.front import in_domain, length_or_reason
+from slippulse_jax.lattice.front import first_of, in_domain, length_or_reason
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -125,7 +125,7 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
         Outcome.NO_DOMINO: first == 0,
         Outcome.NOT_CONVERGED: jnp.isnan(found),
     }
-    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    status = first_of(endings)
     return length_or_reason(status, jnp.where(status == Outcome.ARRESTED, found, 1)), status
 
 

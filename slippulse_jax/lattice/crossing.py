@@ -127,6 +127,12 @@ def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lan
     return length_of(s, status), status
 
 
+def excess(found: Series, theta: Float[Array, "5 *lanes"], s: Lanes) -> tuple[Lanes, Lanes]:
+    """t(s) − 1 − εs, and its slope in s."""
+    rise, slope = series.rise(found, s)
+    return rise - theta[4] * s, slope - theta[4]
+
+
 def length_of(s: Lanes, status: Lanes) -> Lanes:
     """The crossing, or what stands for it: 0 without a domino, inf on running away, NaN."""
     without = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.where(status == Outcome.RUN_AWAY, jnp.inf, jnp.nan))

@@ -9,19 +9,19 @@ resolved. Everywhere else the event is its front.
 import functools
 from typing import Any, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_choice
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.crossing import system_of
 from slippulse_jax.lattice.exact_lanes import CAREFULLY, EXACT_OUTCOMES, IN_BULK, exact_fronts
-from slippulse_jax.lattice.front import contact_at
+from slippulse_jax.lattice.front import nucleation_load
 from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.lattice.response import response
 from slippulse_jax.lattice.rupture import one_rupture
@@ -171,12 +171,7 @@ def _kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
         slider, interface = Slider(*lane[:3]), Interface(*lane[3:]) if len(lane) > 3 else None
         whole = chain(slider, sites=sites, interface=interface, right=right)
         modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
-        threshold, prestress = contact_at(modes, interface, 0)
-        loaded = whole.relaxed(modes.load * (threshold - prestress))
+        loaded = whole.relaxed(nucleation_load(modes, interface))
         return one_rupture((BREAKS * sites, 0), response(whole, near=False), whole, loaded, jnp.int32(0)).length
 
-    def with_slopes(lane: Float[Array, " fields"]) -> Array:
-        slopes, found = jax.jacfwd(lambda x: (length(x),) * 2, has_aux=True)(lane)
-        return jnp.concatenate([found[None], slopes])
-
-    return lambda lanes: ((with_slopes(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)
+    return lambda lanes: ((with_jacobian(length)(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)

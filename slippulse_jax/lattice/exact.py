@@ -26,10 +26,10 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import PRESTRESS, THRESHOLD_SLOPE, check_domain, check_kind
+from slippulse_jax.domains import check_domain, check_kind
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack
-from slippulse_jax.lattice.crossing import crossing, length_of, system_of
+from slippulse_jax.lattice.crossing import crossing, excess, length_of, system_of
 from slippulse_jax.lattice.front import in_domain
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import CrackLike
@@ -272,16 +272,11 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = Fals
     `REBREAK` is told from `ARRESTED` with `rebreaks` only, since that takes one more sum.
     """
 
-    def excess(theta: Array, s: Array) -> tuple[Array, Array]:
-        """t(s) − 1 − εs and its slope in s."""
-        rise, slope = series.rise(_solve(plain, theta), s)
-        return rise - theta[4] * s, slope - theta[4]
-
     @jax.custom_jvp
     def crossed(theta: Array) -> tuple[Array, Array]:
         found = _solve(plain, theta)
         length, status = crossing(found, theta, careful=plain != (True, True))
-        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & PRESTRESS.holds(theta[3]) & THRESHOLD_SLOPE.holds(theta[4])
+        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & Interface(theta[3], theta[4]).in_domain()
         status = jnp.where(valid, status, Outcome.INVALID)
         length = length_of(length, status)
         if rebreaks:
@@ -296,7 +291,7 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = Fals
         length, status = crossed(*primals)
         arrested = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
         at = jnp.where(arrested, length, 1)
-        (_, slope), (change, _) = jax.jvp(lambda x: excess(x, at), primals, tangents)
+        (_, slope), (change, _) = jax.jvp(lambda x: excess(_solve(plain, x), x, at), primals, tangents)
         # a constant where nothing follows contact 0; never a number where there is no length
         elsewhere = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.nan)
         return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))

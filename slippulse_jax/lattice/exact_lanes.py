@@ -18,7 +18,7 @@ from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import long_fronts
-from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, system_of
+from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, excess, system_of
 from slippulse_jax.lattice.exact import uniform
 from slippulse_jax.lattice.front import LengthDerivatives
 from slippulse_jax.slider import Slider
@@ -150,12 +150,11 @@ def _derivatives(count: int, order: int) -> Kernel:
     """Slopes of ℓ* in the first `count` parameters, and with the order 2 their slopes, at (θ, ℓ*)."""
 
     def slopes(theta: Float[Array, "5 lanes"], length: Float[Array, " lanes"]) -> Float[Array, "{count} lanes"]:
-        def excess(theta: Array) -> tuple[Array, Array]:
-            rise, slope = series.rise(series.solve(system_of(theta, prestressed=count > 3)), length)
-            return rise - theta[4] * length, slope - theta[4]
+        def at_length(theta: Array) -> tuple[Array, Array]:
+            return excess(series.solve(system_of(theta, prestressed=count > 3)), theta, length)
 
         def along(direction: Array) -> tuple[Array, Array]:
-            (_, slope), (change, _) = jax.jvp(excess, (theta,), (direction,))
+            (_, slope), (change, _) = jax.jvp(at_length, (theta,), (direction,))
             return change, slope
 
         change, slope = jax.vmap(along, out_axes=(0, None))(axes(theta))

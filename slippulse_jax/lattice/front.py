@@ -38,6 +38,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.block import Block
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import Modes
@@ -175,6 +176,11 @@ def event_length(furthest: Any, overload: Any, ahead: Any) -> Any:
     return straight_line(furthest.astype(ahead.dtype), jnp.maximum(overload, 0), jnp.minimum(ahead, 0))
 
 
+def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
+    """The first `Outcome` whose condition holds; `ARRESTED` if none does."""
+    return jnp.select(jnp.broadcast_arrays(*endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+
+
 def outcome(
     broken: Array, ahead: Array, edge: Array, *, valid: Any = True, through: Any = False, endless: Any = False
 ) -> Int[Array, "..."]:
@@ -187,8 +193,7 @@ def outcome(
         Outcome.NO_DOMINO: broken == 1,
         Outcome.REBREAK: edge >= 0,
     }
-    conditions = [jnp.broadcast_to(condition, ahead.shape) for condition in endings.values()]
-    return jnp.select(conditions, list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    return first_of(endings)
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
@@ -233,6 +238,12 @@ def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Arra
     if contacts is None:
         return jnp.ones_like(site), jnp.zeros_like(site)
     return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
+
+
+def nucleation_load(modes: Modes, contacts: Contacts) -> Array:
+    """Displacement of the drive when contact 0 carries its threshold, in u_s."""
+    threshold, prestress = contact_at(modes, contacts, 0)
+    return modes.load * (threshold - prestress)
 
 
 def passage(modes: Modes, contacts: Contacts = None) -> Passage:
@@ -282,9 +293,9 @@ def let_run(over: Passage, valid: Array, end: Array, contacts: Array | None, max
     return Arrest(s0, length_or_reason(status, length), status, edge)
 
 
-def in_domain(slider: Slider) -> Array:
-    """Whether the values, traced ones included, are those of a slider."""
-    height, stiffness, poisson = (jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson))
+def in_domain(body: Slider | Block) -> Array:
+    """Whether the values, traced ones included, are those of a slider or block."""
+    height, stiffness, poisson = (jnp.asarray(x) for x in (body.height, body.stiffness, body.poisson))
     return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
 
 

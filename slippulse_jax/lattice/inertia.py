@@ -28,6 +28,7 @@ from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_domain
 from slippulse_jax.lattice.chain import Chain, State, check_linear, potential_energy
 from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
+from slippulse_jax.lattice.front import first_of
 from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.status import Outcome
@@ -314,8 +315,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
     work, broken, damped, rubbed = now.books
     moving = kinetic(now.v)
     finite = valid & jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
-    endings = [~finite, extent == chain.sites, now.n >= steps]
-    status = jnp.select(endings, [Outcome.INVALID, Outcome.RAN_THROUGH, Outcome.TIME_OVER], Outcome.ARRESTED)
+    endings = {Outcome.INVALID: ~finite, Outcome.RAN_THROUGH: extent == chain.sites, Outcome.TIME_OVER: now.n >= steps}
     return Motion(
         state=State(now.pinning, now.x[0][0]),
         upper=now.x[0],
@@ -334,7 +334,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
         damped=damped,
         rubbed=rubbed,
         imbalance=now.worst,
-        status=status.astype(jnp.int32),
+        status=first_of(endings),
     )
 
 

@@ -13,6 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
+from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
@@ -225,11 +226,7 @@ def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
             return smooth_length(slider, rule, max_contacts=max_contacts)[0]
         return jnp.asarray(arrest(slider, interface, ends, max_contacts).length)
 
-    def with_slopes(lane: Array) -> Array:
-        slopes, length = jax.jacfwd(lambda x: (one(x),) * 2, has_aux=True)(lane)
-        return jnp.concatenate([length[None], slopes])
-
-    mapped = jax.vmap(with_slopes if derivatives else one, in_axes=1, out_axes=-1)
+    mapped = jax.vmap(with_jacobian(one) if derivatives else one, in_axes=1, out_axes=-1)
     return lambda lanes: (mapped(lanes),)
 
 

@@ -356,8 +356,7 @@ _counted = jax.jit(arrest, static_argnums=3)
 @partial(jax.jit, static_argnames="sites")
 def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
-    threshold, prestress = front.contact_at(modes, interface, 0)
-    return modes.load * (threshold - prestress), front_stress(modes, sites, interface)
+    return front.nucleation_load(modes, interface), front_stress(modes, sites, interface)
 
 
 _smooth = jax.jit(smooth_length, static_argnums=2)

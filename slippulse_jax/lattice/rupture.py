@@ -36,7 +36,7 @@ from slippulse_jax.lattice.equilibrium import (
     in_balance,
     or_harmless,
 )
-from slippulse_jax.lattice.front import event_length, length_or_reason
+from slippulse_jax.lattice.front import event_length, first_of, length_or_reason
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
@@ -270,7 +270,7 @@ def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: St
         Outcome.LIMIT: (stress >= threshold).any(),
         Outcome.RAN_THROUGH: record.furthest == n - 1,
     }
-    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    status = first_of(endings)
     length = event_length(record.furthest, record.overload, short_by)
     return Rupture(
         state=after_state,
@@ -364,7 +364,7 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
         Outcome.NOTHING_BROKE: ~most.any(),
         Outcome.RAN_THROUGH: most[-1],
     }
-    status = jnp.select(list(endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
+    status = first_of(endings)
     # fall of the potential energy: all is linear, so each slip acts against the mean of the stress before and after
     energy = safe.stiffness * (slip * (before.stress + after.stress)).sum() / 2
     return Rupture(

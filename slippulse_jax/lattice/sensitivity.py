@@ -95,8 +95,7 @@ def _worked_out(slider: Slider, interface: Contacts, sites: int, rule: BreakRule
         length, direct, direct_theta, gain, gain_theta, complete = _faded(rule, front, theta)
     else:
         length, direct, direct_theta, gain, gain_theta, complete = _arrested(front, theta)
-    adjoint, drive = _backward(modes, direct, gain)
-    ahead = _caused(modes, adjoint)
+    adjoint, ahead, drive = _backward(modes, direct, gain)
     by_theta = direct_theta + gain_theta * ahead
     return Sensitivity(
         length=length,
@@ -163,33 +162,22 @@ def _faded(rule: SmoothBreak, stress: Array, theta: Array) -> tuple:
 
 
 @in_full
-def _backward(modes: Modes, direct: Array, gain: Array) -> tuple[Float[Array, " sites"], Array]:
-    """λ_s, and Σ_s D(s) λ_s, the derivative in the load."""
-    sites = jnp.arange(direct.size)
-    profiles = jax.vmap(modes.profile)(sites.astype(direct.dtype))
+def _backward(
+    modes: Modes, direct: Array, gain: Array
+) -> tuple[Float[Array, " sites"], Float[Array, " sites"], Float[Array, ""]]:
+    """λ_s; Σ_{i>s} K(i, s) λ_i, the derivative in what contact s gives up; and Σ_s D(s) λ_s, that in the load."""
+    profiles = jax.vmap(modes.profile)(jnp.arange(direct.size).astype(direct.dtype))
 
-    def step(sums: tuple[Array, Array], here: tuple) -> tuple[tuple[Array, Array], Array]:
+    def step(sums: tuple[Array, Array], here: tuple) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         near, edge = sums
         direct, gain, profile = here
-        adjoint = direct + gain * _arriving(modes, near, edge, profile)
-        return (_one_back(modes, near + adjoint), edge + profile * adjoint), adjoint
+        ahead = _arriving(modes, near, edge, profile)
+        adjoint = direct + gain * ahead
+        return (_one_back(modes, near + adjoint), edge + profile * adjoint), (adjoint, ahead)
 
     none = jnp.zeros_like(modes.weight)
-    (_, edge), adjoint = lax.scan(step, (none, none), (direct, gain, profiles), reverse=True)
-    return adjoint, modes.drive @ edge
-
-
-def _caused(modes: Modes, adjoint: Array) -> Float[Array, " sites"]:
-    """Σ_{i>s} K(i, s) λ_i, the derivative of ℓ in what contact s gives up."""
-    profiles = jax.vmap(modes.profile)(jnp.arange(adjoint.size).astype(adjoint.dtype))
-
-    def step(sums: tuple[Array, Array], here: tuple) -> tuple[tuple[Array, Array], Array]:
-        near, edge = sums
-        adjoint, profile = here
-        return (_one_back(modes, near + adjoint), edge + profile * adjoint), _arriving(modes, near, edge, profile)
-
-    none = jnp.zeros_like(modes.weight)
-    return lax.scan(step, (none, none), (adjoint, profiles), reverse=True)[1]
+    (_, edge), (adjoint, ahead) = lax.scan(step, (none, none), (direct, gain, profiles), reverse=True)
+    return adjoint, ahead, modes.drive @ edge
 
 
 @in_full

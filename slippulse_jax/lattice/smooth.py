@@ -26,6 +26,7 @@ from slippulse_jax.lattice.front import (
     DEFAULT_MAX_CONTACTS,
     Front,
     advance,
+    first_of,
     in_domain,
     length_or_reason,
     nucleate,
@@ -143,7 +144,5 @@ def _length(theta: Float[Array, " n"], kind: Any, max_contacts: int) -> tuple[Ar
     start = release(nucleate(modes), one)  # contact 0 breaks completely
     end, fading = fade(rule, start, stress, lambda _: one, release, max_contacts, negligible)
     valid = in_domain(slider) & (rule.width > 0)
-    status = jnp.select(
-        [~valid | ~jnp.isfinite(end.length), fading], [Outcome.INVALID, Outcome.LIMIT], Outcome.ARRESTED
-    ).astype(jnp.int32)
+    status = first_of({Outcome.INVALID: ~valid | ~jnp.isfinite(end.length), Outcome.LIMIT: fading})
     return length_or_reason(status, end.length), status
