@@ -57,6 +57,17 @@ def test_the_step_is_stable_on_any_chain():
                 assert stable_step(chain, 1.0) > 0.8 * 2 / fastest
 
 
+def test_single_precision():
+    def motion(exact):
+        with jax.enable_x64(exact):
+            return jax.tree.map(np.asarray, sp.simulate_inertial(sp.chain(FIG2, sites=12), duration=20.0, damping=0.1))
+
+    double, single = motion(True), motion(False)
+    assert single.layer.dtype == np.float32
+    np.testing.assert_allclose(single.layer, double.layer, atol=1e-4)
+    np.testing.assert_array_equal(single.breaks, double.breaks)
+
+
 def test_derivatives_are_refused():
     """The time of a break is a whole number of steps, and its derivative would be that of the step."""
 

@@ -211,7 +211,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
     start = equilibrium(chain, state)
     dt = stable_step(chain, safety)
     number = jnp.ceil(duration / dt)
-    valid = (number < 2**31) & jnp.stack([holds(x) & jnp.isfinite(x) for x, holds, _ in domains(asked).values()]).all()
+    valid = (number < 2.0**31) & jnp.stack([holds(x) & jnp.isfinite(x) for x, holds, _ in domains(asked).values()]).all()
     steps = jnp.where(valid, number, 0).astype(jnp.int32)
     mass = (chain.height, jnp.ones_like(dt))
     keep = jnp.exp(-damping * dt / 2)
