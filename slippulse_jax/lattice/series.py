@@ -86,7 +86,7 @@ class Spring(eqx.Module):
 
 Protocol = Adiabatic | Steps | Spring
 
-POSITIVE = Domain(0, float("inf"), "must be positive")
+POSITIVE = Domain(0, float("inf"), "must be positive and finite")
 
 
 def series(
