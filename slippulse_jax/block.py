@@ -66,7 +66,7 @@ class Push(eqx.Module):
     width: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
     control: Control = eqx.field(default="displacement", static=True)
 
-    if TYPE_CHECKING:  # what the converters take
+    if TYPE_CHECKING:  # types that the converters accept
 
         def __init__(
             self, height: Numbers | None = None, width: Numbers | None = None, control: Control = "displacement"
@@ -140,7 +140,7 @@ class Block(eqx.Module):
     length: Int[Array | np.ndarray, ""] | None = eqx.field(default=None, converter=_whole_or_none)
     normal_stiffness: Float[Real, ""] | None = eqx.field(default=None, converter=_finite_or_none)
 
-    if TYPE_CHECKING:  # what the converters take
+    if TYPE_CHECKING:  # types that the converters accept
 
         def __init__(
             self,

@@ -60,7 +60,7 @@ def by_forward_mode(f: Function) -> Function:
 
 
 def without_derivative(f: Callable[..., Any], why: str, nondiff_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
-    """`f`, whose derivative would be silently zero or an artefact: to differentiate it, in any mode, is a TypeError.
+    """Make differentiation of `f` a TypeError, where the derivative would be silently zero or an artefact.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
-    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a ValueError names another, of which no more is read."""
+    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a larger one is a ValueError, without reading it whole."""
     parts, size = [], 0
     with open(path, "rb") as file:
         while part := file.read(2**16):
@@ -18,7 +18,7 @@ def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file whole or not at all.
+    """Write a file atomically.
 
     `content` goes to a temporary file beside `path`, is flushed to disk and renamed. Whatever interrupts this (a full disk, a
     kill), `path` holds either its former content or all of the new. A link stays a link: the file that it leads to is written.
@@ -31,7 +31,7 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.tmp")
     try:
-        # made with the permissions that the user's other files get
+        # with the usual permissions of the user's files
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -51,11 +51,11 @@ def _flush_folder(folder: Path) -> None:
     """Flush the new name of a file to disk, where the system can."""
     try:
         handle = os.open(folder, os.O_RDONLY)
-    except OSError:  # a folder that may be written but not read; or Windows
+    except OSError:  # a folder without permission to read; or Windows
         return
     try:
         os.fsync(handle)
-    except OSError:  # a file system that cannot
+    except OSError:  # not supported by the file system
         pass
     finally:
         os.close(handle)

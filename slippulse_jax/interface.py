@@ -81,7 +81,7 @@ class Interface(eqx.Module):
     )
     repin_delay: int = eqx.field(default=0, static=True)
 
-    if TYPE_CHECKING:  # what the converters take
+    if TYPE_CHECKING:  # types that the converters accept
 
         def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None: ...
 
@@ -149,7 +149,7 @@ class Profile(eqx.Module):
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0, converter=as_float)
     repin_delay: int = eqx.field(default=0, static=True)
 
-    if TYPE_CHECKING:  # what the converters take
+    if TYPE_CHECKING:  # types that the converters accept
 
         def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None: ...
 

@@ -5,12 +5,12 @@ from typing import Any
 
 
 def shortened(message: str) -> str:
-    """Leave out the middle of a long message: a damaged file may hold a cell of megabytes."""
+    """Cut out the middle of a long message, since a damaged file may have a cell of megabytes."""
     return message if len(message) <= 2000 else f"{message[:1400]} … {message[-400:]}"
 
 
 def plain(content: Any) -> Any:
-    """Convert arrays and tuples to lists, and numbers that are not finite to None, for which JSON has no other word."""
+    """Convert arrays and tuples to lists, and numbers that are not finite to None, as JSON needs."""
     if isinstance(content, dict):
         return {name: plain(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 SHOWN = 6
-"""Largest array shown with all its numbers; of others size and range."""
+"""Largest size of an array shown in full; larger ones are shown by size and range."""
 MOST_ROWS = 20
 """Rows of a table that are shown."""
 
 
 def short(x: Any) -> str:
-    """A number, a small array, or size and range of a larger one; anything else as its repr.
+    """Format a number, a small array, or size and range of a larger one; anything else by its repr.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def short(x: Any) -> str:
 
 
 def in_a_line(made: Any, *names: str) -> str:
-    """The call that makes a dataclass, with its numbers, or some of its fields; what is as by default is left out."""
+    """Format the call that makes a dataclass, with all or some of its fields, without default values."""
     fields = [field for field in dataclasses.fields(made) if not names or field.name in names]
     values = ((field.name, getattr(made, field.name), field.default) for field in fields)
     shown = [f"{name}={short(value)}" for name, value, default in values if value is not None and value is not default]
@@ -44,7 +44,7 @@ def in_a_line(made: Any, *names: str) -> str:
 
 
 def html(title: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = (), below: str = "") -> str:
-    """A table for a notebook, which scrolls where it is wider than the page; rows beyond `MOST_ROWS` are counted."""
+    """Format a table for a notebook, with scrolling where it is too wide; rows beyond `MOST_ROWS` are counted."""
     rows = list(rows)
     lines = [f"<tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>"] * bool(heads)
     lines += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows[:MOST_ROWS]]

@@ -53,7 +53,7 @@ class Slider(eqx.Module):
     stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K", converter=as_float)
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
 
-    if TYPE_CHECKING:  # what the converters take
+    if TYPE_CHECKING:  # types that the converters accept
 
         def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None: ...
 

@@ -5,7 +5,7 @@ from typing import Self
 
 
 class NotConverged(RuntimeError):
-    """A search failed although its input was valid; the command line exits with 3."""
+    """A search that failed for valid input; the command line exits with 3."""
 
 
 class Status(enum.IntEnum):

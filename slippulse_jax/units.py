@@ -48,7 +48,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Quantity(NamedTuple):
-    """What a number means."""
+    """Symbol, unit and source of a number."""
 
     symbol: str  # as printed in the paper
     unit: str
@@ -96,7 +96,7 @@ def as_float(x: Any) -> Any:
         raise ValueError(f"{shortened(repr(x))}: has masked values; fill them, or leave them out")
     if isinstance(x, jax.Array):
         real = not jnp.issubdtype(x.dtype, jnp.complexfloating)
-    elif array.dtype.kind == "O":  # as large whole numbers are
+    elif array.dtype.kind == "O":  # such as large whole numbers
         real = not any(isinstance(one, str | bytes | None) for one in array.ravel())
     else:
         real = array.dtype.kind in "fiub"

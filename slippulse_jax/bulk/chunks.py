@@ -60,8 +60,7 @@ DEFAULT_LAYOUT = Layout()
 PIECE = 32
 """Largest number of chunks per call."""
 WIDE, NARROW = 512, 32
-"""Chunks that are one on an accelerator, and where no more lanes than these are left: a chunk's temporary arrays take a
-few megabytes at most."""
+"""Chunks in the wide one of an accelerator, and in that for few lanes; its temporary arrays take a few megabytes at most."""
 
 _compiling = threading.RLock()
 
@@ -93,8 +92,8 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     devices = local_devices(cpu=layout.chunk == 1)
     in_step = devices[0].platform != "cpu" and layout.chunk > 1
     pieces, program, width = _in_step(count, layout) if in_step else _in_turn(count, layout)
-    devices, rank = devices[: max(len(pieces), 1)], None if in_step else rank  # of no lanes too the shapes are wanted
-    with _compiling:  # threads that need the same program: one compiles it, the others wait
+    devices, rank = devices[: max(len(pieces), 1)], None if in_step else rank  # the shapes are needed even without lanes
+    with _compiling:  # of threads that need the same program one compiles it
         ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
     results = [np.empty((*x.shape[:-1], count), x.dtype) for x in next(iter(ready.values())).out_info]
 
@@ -109,7 +108,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
             else:
                 np.take(field, order, out=row[:size], mode="clip")
         chunks = -(-size // width)
-        padded[:, size : chunks * width] = padded[:, :1]  # the cheapest lane: nobody waits for it
+        padded[:, size : chunks * width] = padded[:, :1]  # pad with the cheapest lane
         values = ready[default_device()](padded, np.int64(chunks))
         for result, value in zip(results, values, strict=True):
             for row, found in zip(result.reshape(-1, count), np.asarray(value).reshape(-1, padded.shape[1]), strict=True):
@@ -152,7 +151,7 @@ def _traced(kernel: Kernel) -> Callable[..., tuple[Array, ...]]:
 
 @functools.cache
 def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
-    """Program for a few lanes; `device` is the one it is compiled for."""
+    """Program for a few lanes on one device."""
     return compiled(
         lambda lanes, _: _traced(kernel)(lanes), _input(fields, width), _COUNT, device=device, fusion_emitters=emitters
     )
@@ -160,7 +159,7 @@ def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: boo
 
 @functools.cache
 def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
-    """Program for any number of chunks up to `PIECE`: the rest of its input is not looked at."""
+    """Program for up to `PIECE` chunks; the rest of its input is ignored."""
 
     def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
         traced = _traced(kernel)
@@ -168,7 +167,7 @@ def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitte
         def cut(i: Array | int) -> Array:
             return lax.dynamic_slice(lanes, (0, i * width), (fields, width))
 
-        # a chunk is handed on cut out: XLA would cut it wherever a number is used, and use no vectors. A kernel should return
+        # carry the chunk itself: XLA would slice it wherever a number is used, without vectors. A kernel should return
         # few arrays: XLA hands some operations to other threads in a loop body of more than eight
         def next_chunk(i: Array, carried: tuple[Array, tuple[Array, ...]]) -> tuple[Array, tuple[Array, ...]]:
             here, results = carried

@@ -37,7 +37,7 @@ from slippulse_jax.bulk.threads import platform
 F = TypeVar("F", bound=Callable)
 
 TRIED = ("0.10.0", "0.10.1", "0.10.2", "0.11.2")
-"""Releases of jaxlib under which tests/test_kernel.py was seen to pass."""
+"""Releases of jaxlib with which tests/test_kernel.py passes."""
 
 
 OPTIONS: dict[str, Any] = {
@@ -69,7 +69,7 @@ def _say_once(what: str) -> None:
 
 
 def in_full(f: F) -> F:
-    """`f`, in which products of matrices are as precise as their type, in derivatives too.
+    """Compute the matrix products of `f`, and of its derivatives, in the full precision of their type.
 
     It goes where a product is written, and on the rule of a derivative that has one: JAX notes the precision when it traces.
     """
@@ -95,7 +95,7 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emi
         except jax.errors.JaxRuntimeError as error:
             known = {name: value for name, value in options.items() if f"'{name}'" not in str(error)}
             if known == options:
-                usual = lowered.compile()  # raises again what has nothing to do with the options
+                usual = lowered.compile()  # raises again if the options are not the reason
                 _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
                 return usual
             options = known

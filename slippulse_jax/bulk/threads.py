@@ -56,7 +56,7 @@ def local_devices(*, cpu: bool = False) -> Sequence[Any]:
 
 
 def platform() -> str:
-    """Where an operation runs that is not told where to."""
+    """Platform on which an operation runs by default."""
     return local_devices()[0].platform
 
 
@@ -83,7 +83,7 @@ def spread(work: Callable[[Piece], None], pieces: Iterable[Piece], devices: Sequ
 
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads are kept: starting them takes longer than ten thousand lengths."""
+    """Keep the threads: starting them takes longer than ten thousand lengths."""
     return ThreadPoolExecutor(threads)
 
 
