@@ -43,7 +43,7 @@ def test_fits_of_whole_events_recover_the_stiffness(b):
     assert whole.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
     assert abs(whole.values["stiffness"] - stiffness) < whole.stderrs["stiffness"]
     assert front.identifiability is Identifiability.REBREAKS
-    assert "Taken as exact" in front.report(), "a value that the event may change is still one that inputs move"
+    assert "Inputs taken as exact" in front.report(), "a value that the event may change is still one that inputs move"
     assert front.values["stiffness"] < 0.75 * stiffness
     assert front.values["stiffness"] < whole.intervals["stiffness"][0.95][0].low
     assert "length of the whole event" in whole.report()
