@@ -521,7 +521,7 @@ def test_errors_of_specimens_in_the_report():
     assert len({points[f"{name} ± σ"].get_color() for name in "AB"}) == 2
     assert len(set(points["A ± σ"].get_xdata())) == 2  # repeats do not lie on each other
     # what is not said is named, with what it would add
-    assert f"± {0.1 * result.budget['length'].slope['areal_stiffness']:.0%} to k/λc²: provenance = measured" in said
+    assert f"± {0.1 * result.budget['length'].slope['areal_stiffness']:.0%} to k/λc²; with provenance = measured" in said
 
 
 def test_soft_lengths_rise_with_stiffness():

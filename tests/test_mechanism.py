@@ -115,7 +115,7 @@ def test_the_pulse_may_be_a_whole_event():
     ("options", "message"),
     [
         ({"event": "crack"}, r"friction is neither fitted nor held"),
-        ({"free": ["stiffness", "friction"]}, r"parameter friction: .* needs event = 'crack'"),
+        ({"free": ["stiffness", "friction"]}, r"parameter friction: .* event = 'crack'"),
         (
             {"free": ["stiffness", "threshold_slope", "friction"], "event": "crack"},
             r"threshold_slope: .* level thresholds only",
