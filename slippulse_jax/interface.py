@@ -48,6 +48,11 @@ def check_bulk(interface: "Interface | None") -> None:
         )
 
 
+def _python_int(x: Any) -> Any:
+    """NumPy's whole numbers as Python's, of which Equinox does not warn in a static field."""
+    return int(x) if isinstance(x, np.integer) else x
+
+
 class Interface(eqx.Module):
     """Contacts with uniform prestress, linearly varying thresholds and delayed repinning.
 
@@ -79,7 +84,7 @@ class Interface(eqx.Module):
     threshold_slope: Float[AnyArrayLike, "..."] = quantity_field(
         "\\epsilon", "\\sigma_s", name="threshold gradient", default=0.0, converter=as_float
     )
-    repin_delay: int = eqx.field(default=0, static=True)
+    repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
     if TYPE_CHECKING:  # types that the converters accept
 
@@ -147,7 +152,7 @@ class Profile(eqx.Module):
 
     threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s", converter=as_float)
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0, converter=as_float)
-    repin_delay: int = eqx.field(default=0, static=True)
+    repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
     if TYPE_CHECKING:  # types that the converters accept
 

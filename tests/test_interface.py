@@ -260,6 +260,14 @@ def test_errors_of_a_profile_name_the_field(wrong, message):
         Profile(**wrong)
 
 
+def test_a_delay_may_be_a_whole_number_of_numpy():
+    """Without the warning of Equinox of arrays in static fields, which is an error here."""
+    given = Interface(repin_delay=np.int64(2))
+    assert given == Interface(repin_delay=2)
+    assert Profile(np.ones(3), repin_delay=np.int32(1)).repin_delay == 1
+    assert precursor_length(FIG2, given) == precursor_length(FIG2, Interface(repin_delay=2))
+
+
 def test_sensitivity_takes_any_interface_that_repins_at_once():
     rising = sp.sensitivity(FIG2, Interface(0.1, 0.002), sites=60)
     given = sp.sensitivity(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1), sites=60)

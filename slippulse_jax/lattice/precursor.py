@@ -321,7 +321,7 @@ def first_precursor(
         return blocks.first_precursor(slider, interface, sites)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
-    check_single("first_precursor", slider=slider, interface=interface)
+    check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
