@@ -1,6 +1,9 @@
 """What else a user has for the length of a front: the same recursion in numba, and a linear solve for every break, banded or dense."""
 
 import math
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # waiting busily, numba's threads would slow whatever is measured next
 
 import numba
 import numpy as np

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import xarray
 from jaxtyping import Array
 
 from slippulse_jax.inference.bootstrap import Samples
@@ -125,6 +124,7 @@ def posterior(
         with warnings.catch_warnings():  # which announces its next version on import
             warnings.simplefilter("ignore", FutureWarning)
             import arviz as az  # pyright: ignore[reportMissingImports]
+            import xarray  # a quarter of a second, which a fit by itself need not take
         from numpyro.diagnostics import effective_sample_size, split_gelman_rubin  # pyright: ignore[reportMissingImports]
         from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
