@@ -59,8 +59,8 @@ def by_forward_mode(f: Function) -> Function:
     return differentiable
 
 
-def without_derivative(f: Callable[..., Any], why: str, nondiff_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
-    """Make differentiation of `f` a TypeError, where the derivative would be silently zero or an artefact.
+def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
+    """Compile `f`, and make its differentiation a TypeError, as the derivative would be silently zero or an artefact.
 
     Parameters
     ----------
@@ -68,16 +68,16 @@ def without_derivative(f: Callable[..., Any], why: str, nondiff_argnums: tuple[i
         Of pytrees of arrays.
     why : str
         The message: what is not differentiable, and what to use instead.
-    nondiff_argnums : tuple of int
-        As for ``jax.custom_jvp``.
+    static_argnums : tuple of int
+        As for ``jax.jit``.
     """
-    refusing = jax.custom_jvp(f, nondiff_argnums=nondiff_argnums)
+    refusing = jax.custom_jvp(f, nondiff_argnums=static_argnums)
 
     @refusing.defjvp
     def _refuse(*arguments: Any) -> NoReturn:  # pyright: ignore[reportUnusedFunction]
         raise TypeError(why)
 
-    return refusing
+    return jax.jit(refusing, static_argnums=static_argnums)  # outermost: a rule by itself is bound anew in every call
 
 
 def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array, accept: float = 1e4) -> Array:

@@ -123,6 +123,16 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     return results
 
 
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows, and the index of each row among them; by hashes, several times as fast as sorting rows."""
+    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
+        different, own = np.unique(rows, axis=0, return_inverse=True)
+        return different, own.ravel()
+    return rows[first], own
+
+
 Plan = tuple[list[slice], Callable[..., Compiled], int]
 """The slice of the batch of each call, the program that takes it, and the lanes of a chunk."""
 

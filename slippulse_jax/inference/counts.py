@@ -23,13 +23,6 @@ class Allowed(NamedTuple):
     at_odds: list[int]  # if none: the fewest measurements without which there would be one, by index
 
 
-def are_exact(problem: Problem) -> bool:
-    """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
-    (block, *others), q = problem.blocks, problem.parameters
-    exact = not (block.data.kind == "length").any() and not block.data.sigma.any()
-    return problem.p == 1 and not others and exact and q.discrepancy is None and not problem.prior_weight.any()
-
-
 def allowed_by_counts(problem: Problem) -> Allowed:
     """Values of the parameter under which every count holds.
 

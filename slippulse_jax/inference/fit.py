@@ -13,11 +13,10 @@ from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
-from slippulse_jax.inference.counts import Allowed, allowed_by_counts, are_exact
-from slippulse_jax.inference.hints import likely_mistakes, mistaken_priors
+from slippulse_jax.inference.counts import Allowed, allowed_by_counts
 from slippulse_jax.inference.interpolation import block_lengths
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
@@ -27,6 +26,7 @@ from slippulse_jax.inference.parameters import (
     Parameter,
     body_of,
     errors_of_measuring,
+    mistaken_priors,
     parameter_set,
 )
 from slippulse_jax.inference.profile import Curve, Intervals, Rise, allowed, profile
@@ -157,7 +157,7 @@ def fit(
         "body": body,
     }
     # lengths of whole events are interpolated: no count holds or fails by them with certainty
-    counts = allowed_by_counts(problem) if event != "full" and are_exact(problem) else None
+    counts = allowed_by_counts(problem) if event != "full" and problem.only_counts else None
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))

@@ -1,17 +1,16 @@
-"""Hints: likely mistakes in a table before it is fitted, and what to try after a fit that is rejected."""
+"""Hints: lengths that no stiffness gives, before a fit, and what to try after one that is rejected."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import (
-    PARAMETERS,
     STIFFNESSES,
     Body,
     Inputs,
@@ -24,21 +23,10 @@ from slippulse_jax.inference.parameters import (
 )
 from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, PLATEAU, SCATTERED, Identifiability
 from slippulse_jax.theory import length_ceiling
-from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-DIAMOND = 1.2e12
-"""Young's modulus of diamond, in Pa."""
-LIKELY = (0.02, 1.2)
-"""Usual range of the length over the height."""
-SUSPECT = (0.01, 1.5)
-"""Range of the length over the height outside which a unit is suspected."""
-FAR = 100.0
-"""Factor between a parameter and the value in the table above which a unit is suspected."""
-LENGTHENED = 5.0
-"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
 MUCH = 0.2
 """Largest share of χ² per degree of freedom that a hint may leave, if it does not lead to an accepted fit."""
 MOST_OUTLIERS = 5
@@ -57,55 +45,6 @@ def before_fit(
     inputs = Inputs(np.log(m.height), np.zeros(len(m)), m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
     longest, _ = longest_length(inputs, np.log(softest(m)), np.log(stiffest(m, event)), event)
     yield from of_attainable(m, longest, event)
-
-
-def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
-    """Name the columns that may have been exchanged, or may be in another unit than their names say.
-
-    A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
-    """
-    lengthened = prestressed or m.or_zero("prestress").any() or m.machine_stiffness is not None or m.block_length is not None
-    most = SUSPECT[1] * (LENGTHENED if lengthened else 1)
-    height, length = (m.columns.get(name, name) for name in ("height", "length"))
-    over = float(np.median(m.length / m.height))
-    if not SUSPECT[0] <= over <= most:
-        may_be = [f"are {height} and {length} exchanged"] * (LIKELY[0] <= 1 / over <= LIKELY[1])
-        if m.in_si:
-            may_be += [f"is {height} in {unit}" for unit in _other_units(height, lambda factor: over / factor)]
-            may_be += [f"is {length} in {unit}" for unit in _other_units(length, lambda factor: over * factor)]
-        if may_be:
-            yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
-    if m.correlation_length is None:
-        return
-    if (m.height * m.correlation_length).max() < 1e-3:
-        yield f"every height is below 1 mm: is {height} in m?"
-    shortest = float(m.correlation_length.min())
-    if shortest < 1e-7:
-        column = m.columns.get("correlation_length", "correlation_length")
-        yield f"a correlation length of {shortest * 1e9:.3g} nm is that of no rough interface: is {column} in mm?"
-    if m.young is not None and m.young.max() > DIAMOND:
-        column = m.columns.get("young", "young")
-        yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
-
-
-def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
-    """Name the parameters whose priors or values are far from what the table states, since they are taken in SI."""
-    for one in wanted:
-        given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
-        if given is None or stated is None or not m.in_si or one.name not in ("young", "correlation_length"):
-            continue
-        unit = PARAMETERS[one.name].unit[1]
-        if max(given / stated.max(), stated.min() / given) > FAR:
-            column = m.columns.get(one.name, one.name)
-            yield f"{one.name} = {given:g} {unit}, where {column} says {stated[0]:.4g} {unit}: is it in {unit}?"
-
-
-def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
-    """Units of length in which the column would have usual values."""
-    own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
-    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
-    found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
-    return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
 
 
 def of_attainable(

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.blocks import Lanes, tall_lengths
@@ -82,16 +83,6 @@ class Grid:
         if new:
             self.known.update(zip(new, self.compute(np.array(new) * self.spacing), strict=True))
         return np.array([self.known[key] for key in keys])[own]
-
-
-def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows, and the index of each row among them; by hashes, several times as fast as sorting rows."""
-    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
-    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
-    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
-        different, own = np.unique(rows, axis=0, return_inverse=True)
-        return different, own.ravel()
-    return rows[first], own
 
 
 def whole_over_front(lanes: Float[np.ndarray, "5 n"]) -> Float[np.ndarray, " n"]:

@@ -420,6 +420,13 @@ class Problem:
         return self.exact_values and self.loss.name == "normal" and self.parameters.discrepancy is None
 
     @property
+    def only_counts(self) -> bool:
+        """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
+        (block, *others), q = self.blocks, self.parameters
+        exact = not (block.data.kind == "length").any() and not block.data.sigma.any()
+        return self.p == 1 and not others and exact and q.discrepancy is None and not self.prior_weight.any()
+
+    @property
     def gauged(self) -> bool:
         """Whether gauges were read, whose fields change in steps from contact to contact."""
         return any(block.observable in READINGS for block in self.blocks)

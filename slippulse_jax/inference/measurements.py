@@ -5,7 +5,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -36,6 +36,14 @@ class MeasurementWarning(UserWarning):
     """Measurements that can be fitted but are probably not what was meant."""
 
 
+DIAMOND = 1.2e12
+"""Young's modulus of diamond, in Pa."""
+LIKELY = (0.02, 1.2)
+"""Usual range of the length over the height."""
+SUSPECT = (0.01, 1.5)
+"""Range of the length over the height outside which a unit is suspected."""
+LENGTHENED = 5.0
+"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""
 GAUGE_COLUMNS = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigma")
@@ -441,6 +449,43 @@ def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
         warnings.warn(text, MeasurementWarning, stacklevel=stacklevel)
 
 
+def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
+    """Name the columns that may have been exchanged, or may be in another unit than their names say.
+
+    A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
+    """
+    lengthened = prestressed or m.or_zero("prestress").any() or m.machine_stiffness is not None or m.block_length is not None
+    most = SUSPECT[1] * (LENGTHENED if lengthened else 1)
+    height, length = (m.columns.get(name, name) for name in ("height", "length"))
+    over = float(np.median(m.length / m.height))
+    if not SUSPECT[0] <= over <= most:
+        may_be = [f"are {height} and {length} exchanged"] * (LIKELY[0] <= 1 / over <= LIKELY[1])
+        if m.in_si:
+            may_be += [f"is {height} in {unit}" for unit in _other_units(height, lambda factor: over / factor)]
+            may_be += [f"is {length} in {unit}" for unit in _other_units(length, lambda factor: over * factor)]
+        if may_be:
+            yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
+    if m.correlation_length is None:
+        return
+    if (m.height * m.correlation_length).max() < 1e-3:
+        yield f"every height is below 1 mm: is {height} in m?"
+    shortest = float(m.correlation_length.min())
+    if shortest < 1e-7:
+        column = m.columns.get("correlation_length", "correlation_length")
+        yield f"a correlation length of {shortest * 1e9:.3g} nm is that of no rough interface: is {column} in mm?"
+    if m.young is not None and m.young.max() > DIAMOND:
+        column = m.columns.get("young", "young")
+        yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
+
+
+def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
+    """Units of length in which the column would have usual values."""
+    own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
+    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
+    found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
+    return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
+
+
 def set_columns(table: Any, names: Sequence[str]) -> list[str]:
     """Convert the columns of a frozen table to float64 arrays of one length; return the names of those given.
 
@@ -514,7 +559,7 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
     """
 
     def refuse(name: str, requirement: str) -> None:
-        requirement += slip(name, values[name], columns)
+        requirement += _likely_unit(name, values[name], columns)
         column, text = columns.get(name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in IN_LC)))
         raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
 
@@ -532,7 +577,7 @@ def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Ma
     _check_push(values, refuse)
 
 
-def slip(name: str, value: float, columns: Mapping[str, tuple[str, str]]) -> str:
+def _likely_unit(name: str, value: float, columns: Mapping[str, tuple[str, str]]) -> str:
     """Guess the unit of a number outside its domain: ``: is it in Pa?``; empty where none is likely."""
     column = columns.get(name, ("", ""))[0]
     if name == "young" and value > YOUNG.high and not column.endswith("_Pa"):

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from slippulse_jax.bulk.chunks import Layout, over_lanes
-from slippulse_jax.inference.interpolation import block_lengths, distinct_rows, whole_over_front
+from slippulse_jax.bulk.chunks import Layout, distinct_rows, over_lanes
+from slippulse_jax.inference.interpolation import block_lengths, whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, MeasuredEvent, ParameterSet
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import crack

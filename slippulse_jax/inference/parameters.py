@@ -6,7 +6,7 @@ errors of their own are parameters with a prior, like any other.
 """
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
@@ -34,6 +34,8 @@ PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
 """Deviation of a prior, over the mean, below which it must have been given in another unit."""
+FAR = 100.0
+"""Factor between a parameter and the value in the table above which a unit is suspected."""
 
 
 class Inputs(NamedTuple):
@@ -732,6 +734,18 @@ def _validated(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Param
     if not any(one.value is None for one in chosen):
         raise ValueError("nothing is fitted: every parameter is held")
     return chosen
+
+
+def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
+    """Name the parameters whose priors or values are far from what the table states, since they are taken in SI."""
+    for one in wanted:
+        given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
+        if given is None or stated is None or not m.in_si or one.name not in ("young", "correlation_length"):
+            continue
+        unit = PARAMETERS[one.name].unit[1]
+        if max(given / stated.max(), stated.min() / given) > FAR:
+            column = m.columns.get(one.name, one.name)
+            yield f"{one.name} = {given:g} {unit}, where {column} says {stated[0]:.4g} {unit}: is it in {unit}?"
 
 
 def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:

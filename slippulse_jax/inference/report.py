@@ -17,7 +17,8 @@ from slippulse_jax.inference.budget import (
     total_interval,
     total_of_ratio,
 )
-from slippulse_jax.inference.hints import likely_mistakes, of_attainable
+from slippulse_jax.inference.hints import of_attainable
+from slippulse_jax.inference.measurements import likely_mistakes
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED

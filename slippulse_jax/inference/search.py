@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slippulse_jax.inference.interpolation import distinct_rows
+from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.likelihood import Evaluation, Problem
 from slippulse_jax.inference.model import attainable_of
 from slippulse_jax.inference.optimise import Convergence, minimise

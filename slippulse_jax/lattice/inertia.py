@@ -339,7 +339,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
 
 
 _undifferentiated = without_derivative(
-    jax.jit(_simulate),
+    _simulate,
     "simulate_inertial cannot be differentiated: contacts break at whole time steps, so every later derivative would be "
     "that of the step. For the length of a first precursor without inertia, precursor_length has an exact derivative.",
 )

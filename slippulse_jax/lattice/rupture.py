@@ -135,13 +135,13 @@ def rupture(
         and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
     ):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
-    trigger = jnp.asarray(-1 if trigger is None else trigger, jnp.int32)
+    first = np.int32(-1 if trigger is None else trigger) if not isinstance(trigger, Tracer) else trigger.astype(jnp.int32)
     if not isinstance(rule, HardBreak):
         if repin_delay:
             raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
-        return smooth_rupture(chain, state, rule, trigger)
+        return smooth_rupture(chain, state, rule, first)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
-    return _undifferentiated((max_breaks, repin_delay), chain, state, trigger)
+    return _undifferentiated((max_breaks, repin_delay), chain, state, first)
 
 
 def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array, ""]]:
@@ -296,11 +296,11 @@ def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: 
 
 
 _undifferentiated = without_derivative(
-    jax.jit(_hard_rupture, static_argnums=0),
+    _hard_rupture,
     "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
     "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor use "
     "precursor_length, which has an exact derivative.",
-    nondiff_argnums=(0,),
+    static_argnums=(0,),
 )
 
 

@@ -21,7 +21,6 @@ from types import NoneType
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -328,9 +327,9 @@ def _one_series(shape: Shape, body: Body, protocol: Protocol, ageing: Ageing | N
 
 
 _hard_series = without_derivative(
-    jax.jit(_series, static_argnums=0),
+    _series,
     "a series of hard events cannot be differentiated: a comparison decides which contact breaks next",
-    nondiff_argnums=(0,),
+    static_argnums=(0,),
 )
 
 
