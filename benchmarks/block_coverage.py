@@ -13,7 +13,7 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
-from slippulse_jax.lattice.blocks import Lanes, tall_lengths
+from slippulse_jax.lattice.blocks import BlockNumbers, tall_lengths
 
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3
 
@@ -30,7 +30,7 @@ def main() -> None:
     b = np.exp(rng.uniform(*np.log([0.3, 3]), given.studies))
     stiffness = b / (2 * (1 + POISSON) * np.median(height, axis=1))
     none, every = np.zeros(height.size), np.ones(height.size)
-    lanes = Lanes(
+    lanes = BlockNumbers(
         height.ravel(), np.repeat(stiffness, SPECIMENS), POISSON * every, none, none, given.push * every, np.nan * every
     )
     length = tall_lengths(lanes, "displacement")[0].reshape(height.shape)

@@ -24,7 +24,7 @@ from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.inference import model
 from slippulse_jax.inference.likelihood import Loss, make_problem
-from slippulse_jax.inference.optimise import METHODS, Convergence, Ends, Starts, descend, minimise
+from slippulse_jax.inference.optimise import METHODS, Convergence, Descents, Starts, descend, minimise
 from slippulse_jax.inference.parameters import Inputs, parameter_set
 from slippulse_jax.inference.search import search
 
@@ -34,7 +34,7 @@ EVERY = {"adam": 4}  # which studies it is given
 Free = list[str | Parameter]
 
 
-def natural(given: Starts, max_steps: int) -> Ends:
+def natural(given: Starts, max_steps: int) -> Descents:
     """optax.sgd on the natural gradient, M⁻¹g with the metric M of Gauss and Newton: rate 1, halved until it gains."""
     import optax
 
@@ -49,7 +49,7 @@ def natural(given: Starts, max_steps: int) -> Ends:
     return descend(given, max_steps, optimiser.init, propose, careful=True)
 
 
-OPTIMISERS: dict[str, Callable[[Starts, int], Ends]] = {**METHODS, "natural": natural}
+OPTIMISERS: dict[str, Callable[[Starts, int], Descents]] = {**METHODS, "natural": natural}
 
 
 class Kind(NamedTuple):

@@ -3,6 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
 
+from collections.abc import Container
 from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
@@ -102,6 +103,14 @@ class Push(eqx.Module):
             return centre, jnp.ones_like(centre)
         half = jnp.asarray(self.width) / 2
         return centre - half, centre + half
+
+
+def has_push(given: Container[str], control: Control) -> bool:
+    """Whether columns or arguments describe a push; refuse a width or a control without a height."""
+    Push(control=control)
+    if "push_height" not in given and ("push_width" in given or control != "displacement"):
+        raise ValueError("push_width and push_control describe a push: give push_height too")
+    return "push_height" in given
 
 
 class Block(eqx.Module):

@@ -558,8 +558,12 @@ def sums_from_edge(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
         columns = [power_gaps(decayed(x * system.column_rate), width) for x in lag]
 
         def add(k: Array, total: Array, block: Array = block, rows: Any = rows, columns: Any = columns) -> Array:
-            one, whole = (joined(row[k][None], column) for row, column in zip(rows, columns, strict=True))
-            each = joined(spans[:, :, None], whole[None, None]) / joined(steps[:, :, None], one[None, None]) * block[k][None]
+            one, whole = (product_gap(row[k][None], column) for row, column in zip(rows, columns, strict=True))
+            each = (
+                product_gap(spans[:, :, None], whole[None, None])
+                / product_gap(steps[:, :, None], one[None, None])
+                * block[k][None]
+            )
             return total + over_columns(each.reshape(-1, *each.shape[2:])).reshape(total.shape)
 
         total = lax.fori_loop(0, jnp.clip(last + 1 - start, 0, count), add, total)
@@ -608,6 +612,11 @@ def overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
     return jnp.exp(-slower * s) * s * _relaxation(s * distance)
 
 
+def exponential_terms(x: Array, count: int) -> Float[Array, " count"]:
+    """xⁿ/n!, n = 0 … count − 1."""
+    return jnp.concatenate([jnp.ones_like(x)[None], jnp.cumprod(x / np.arange(1, count))])
+
+
 def divided_difference(x_rate: Array, y_rate: Array, s: Array) -> Array:
     """D(s) = (x^s − y^s)/(x − y) from rates −ln x, −ln y; regular, with all its derivatives, at x = y."""
     slower, distance = _slower(x_rate, y_rate)
@@ -638,7 +647,7 @@ def _moment_moves(n: int, at: tuple[Array], way: tuple[Array]) -> tuple[Array, A
     return _moment(n, at[0]), -_moment(n + 1, at[0]) * way[0]
 
 
-def joined(x: Array, y: Array) -> Array:
+def product_gap(x: Array, y: Array) -> Array:
     """1 − XY from 1 − X and 1 − Y."""
     return x + (1 - x) * y
 

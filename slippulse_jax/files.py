@@ -4,6 +4,9 @@ import os
 import secrets
 from pathlib import Path
 
+FIGURE_FORMATS = ("png", "pdf", "svg")
+"""Formats in which pictures are written."""
+
 
 def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
     """Read a file of at most `largest` bytes, a multiple of 2²⁰; a larger one is a ValueError, without reading it whole."""

@@ -16,7 +16,7 @@ from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.precursor import _warn_once
-from slippulse_jax.lattice.series import Adiabatic, Ends, Shape, Spring, Steps, _one_series, of_response
+from slippulse_jax.lattice.series import Adiabatic, Shape, Spring, Steps, Stopping, _one_series, of_response
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
@@ -406,7 +406,7 @@ def test_a_smooth_front_on_the_slider_as_a_waveguide():
     """The block's sum over every contact, against the recursion of two modes."""
     slider, rule = sp.Slider(10.0, 0.03, 0.3), sp.SmoothBreak(0.02)
     found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
-    contacts = blocks.Contacts(found, jnp.ones(160), jnp.zeros(160), 159, jnp.asarray(True))
+    contacts = blocks.BlockContacts(found, jnp.ones(160), jnp.zeros(160), 159, jnp.asarray(True))
     assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
 
 
@@ -531,13 +531,13 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
         found, one = waveguide.response(guide, k, sites), jnp.ones(sites)
         edge = waveguide.edge_stiffness(guide, k, found)
         body = of_response(
-            blocks.Contacts(found, one, 0 * one, sites - 1, jnp.array(True)),
+            blocks.BlockContacts(found, one, 0 * one, sites - 1, jnp.array(True)),
             sites,
             k,
             edge,
             getattr(protocol, "stiffness", None),
         )
-        return _one_series(Shape(12, 0, 0, sites), body, protocol, None, Ends(jnp.inf, jnp.array(True), jnp.int32(3000)))
+        return _one_series(Shape(12, 0, 0, sites), body, protocol, None, Stopping(jnp.inf, jnp.array(True), jnp.int32(3000)))
 
     found = jax.jit(as_waveguide)(slider, protocol)
     assert int(found.number) == int(expected.number) == 12

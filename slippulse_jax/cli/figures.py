@@ -2,7 +2,8 @@
 
 import click
 
-from slippulse_jax.cli.shared import FIGURE_FORMATS, as_json, print_json
+from slippulse_jax.cli.shared import as_json, print_json
+from slippulse_jax.files import FIGURE_FORMATS
 
 FIGURES = ("fig2", "fig3")
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from slippulse_jax.files import FIGURE_FORMATS
 from slippulse_jax.plain import plain, shortened
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
 """Exit statuses."""
 
-FIGURE_FORMATS = ("png", "pdf", "svg")
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.blocks import Lanes, tall_lengths
+from slippulse_jax.lattice.blocks import BlockNumbers, tall_lengths
 from slippulse_jax.lattice.events import NEVER
 from slippulse_jax.lattice.lengths import lengths
 from slippulse_jax.slider import Slider
@@ -132,7 +132,7 @@ def _block_lengths(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
     height = np.clip(1 / np.maximum(inverse, 1 / TALLEST), SHORTEST, TALLEST)
     at = np.clip(at, 2 * LOWEST, 1 - 2 * LOWEST)
     width = np.minimum(np.maximum(width, NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2))
-    lanes = Lanes(
+    lanes = BlockNumbers(
         height=height,
         stiffness=np.exp(b) / (2 * (1 + poisson) * height),
         poisson=poisson,
@@ -145,7 +145,7 @@ def _block_lengths(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
     for one in np.unique(kind):
         force, patch = divmod(round(one), 2)
         here = kind == one
-        some = Lanes(*(x[here] for x in lanes))
+        some = BlockNumbers(*(x[here] for x in lanes))
         if not patch:
             some = some._replace(push_width=np.full(here.sum(), np.nan))
         found[here] = np.stack(tall_lengths(some, "force" if force else "displacement"), axis=1) / height[here, None]

@@ -25,7 +25,7 @@ from scipy.special import digamma, ndtr
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
 from slippulse_jax.inference.model import PREDICTED, Prediction, lengths, traced
-from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at
+from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at_theta
 
 LOSSES = ("normal", "huber", "student")
 HUBER_AT = 1.345
@@ -391,7 +391,7 @@ class Problem:
 
     def _predictions(self, block: Block, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
         """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
-        inputs = at(block.inputs, theta)
+        inputs = at_theta(block.inputs, theta)
         free = slice(None) if self.held is None else ~self.held
         wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
@@ -545,7 +545,7 @@ def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
     data, d = block.data, problem.parameters.discrepancy
     relaxed = not any(x.base.any() or x.slope.any() for x in (block.inputs.prestress, block.inputs.threshold_slope))
     sites = _sites(problem, block) if block.inputs.log_position is not None else 0
-    predicted = jax.vmap(partial(traced, block.observable, relaxed=relaxed, sites=sites))(at(block.inputs, theta))
+    predicted = jax.vmap(partial(traced, block.observable, relaxed=relaxed, sites=sites))(at_theta(block.inputs, theta))
     mu = predicted[block.rows] * jnp.exp(block.scale(theta)) + block.offset(theta)
     scatter = jnp.zeros(len(data.sigma))
     if d is not None and data.has_discrepancy:
@@ -561,7 +561,7 @@ def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
 
 def _sites(problem: Problem, block: Block) -> int:
     """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
-    middle = at(block.inputs, (problem.parameters.low + problem.parameters.high) / 2)
+    middle = at_theta(block.inputs, (problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.log_position).max(), middle.counted.max()))
 
 

@@ -52,7 +52,7 @@ class Starts(NamedTuple):
     tolerance: float
 
 
-class Ends(NamedTuple):
+class Descents(NamedTuple):
     """Where each start ended."""
 
     theta: np.ndarray  # (B, p)
@@ -72,7 +72,7 @@ def minimise(
     method: str = "lm",
     max_steps: int = 60,
     tolerance: float = TOLERANCE,
-) -> Ends:
+) -> Descents:
     """Minimise within the box from every start.
 
     Parameters
@@ -102,11 +102,11 @@ def minimise(
     if held.all():
         value = objective(start, lane).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
-        return Ends(start, value, ends, np.zeros(len(start), dtype=int))
+        return Descents(start, value, ends, np.zeros(len(start), dtype=int))
     return METHODS[method](Starts(objective, start, low, high, held, lane, tolerance), max_steps)
 
 
-def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
+def _levenberg_marquardt(given: Starts, max_steps: int) -> Descents:
     """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
     objective, theta, low, high, _, lane, _ = given
     value, gradient, metric = _first_order(objective, theta, lane)
@@ -157,7 +157,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Ends:
         kink = ~accept & (square <= given.tolerance * scale) & (left <= KINK * scale)
         ends[work[kink]] = Convergence.CONVERGED
         work = work[~kink]
-    return Ends(theta, value, ends, steps)
+    return Descents(theta, value, ends, steps)
 
 
 def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -216,7 +216,7 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.einsum("bpk,bk,bqk->bpq", vectors, upward, vectors) * unit[:, :, None] * unit[:, None, :]
 
 
-def _adam(given: Starts, max_steps: int) -> Ends:
+def _adam(given: Starts, max_steps: int) -> Descents:
     """optax.adam in units of a sixtieth of the box, its rate falling to nothing by a cosine."""
     import jax
     import optax
@@ -233,7 +233,7 @@ def _adam(given: Starts, max_steps: int) -> Ends:
     return descend(given, rounds, optimiser.init, propose, careful=False)
 
 
-def _lbfgs(given: Starts, max_steps: int) -> Ends:
+def _lbfgs(given: Starts, max_steps: int) -> Descents:
     """optax.scale_by_lbfgs of every lane (vmapped), a step halved until it gains; in units of the first metric."""
     import jax
     import optax
@@ -250,7 +250,7 @@ def _lbfgs(given: Starts, max_steps: int) -> Ends:
     return descend(given, max_steps, jax.vmap(optimiser.init), propose, careful=True)
 
 
-def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, careful: bool) -> Ends:
+def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, careful: bool) -> Descents:
     """Steps of an optax optimiser, clipped to the box; `careful` ones lead downhill, and are halved until they gain.
 
     Parameters
@@ -318,8 +318,8 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
         [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED],
         Convergence.NOT_CONVERGED,
     )
-    return Ends(best, lowest, ends, steps)
+    return Descents(best, lowest, ends, steps)
 
 
-METHODS: dict[str, Callable[[Starts, int], Ends]] = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
+METHODS: dict[str, Callable[[Starts, int], Descents]] = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
 """By the name that `fit` takes."""

@@ -289,7 +289,7 @@ class ParameterSet:
 
     def inputs_at(self, theta: np.ndarray) -> Inputs:
         """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
-        return at(self.inputs, theta)
+        return at_theta(self.inputs, theta)
 
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where a stiffness is fitted and k/K is the same for all measurements."""
@@ -297,7 +297,7 @@ class ParameterSet:
         return self.inputs_at(theta).common_ratio if fitted else None
 
 
-def at(inputs: Inputs, theta: Any) -> Inputs:
+def at_theta(inputs: Inputs, theta: Any) -> Inputs:
     """Values of linear inputs at θ."""
     return Inputs(*(None if one is None else one(theta) for one in inputs))
 

@@ -28,7 +28,7 @@ from slippulse_jax.lattice.cascade import Moves, Stresses, run
 from slippulse_jax.lattice.front import event_length, first_of, in_domain, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
-from slippulse_jax.lattice.waveguide import Guide, Response
+from slippulse_jax.lattice.waveguide import Guide, MatrixResponse
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import NotConverged, Outcome
@@ -114,7 +114,7 @@ def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress
 
 
 def event(
-    response: Response,
+    response: MatrixResponse,
     threshold: Float[Array, " N"],
     prestress: Float[Array, " N"],
     last: Int[Array, ""] | int = -1,
@@ -154,17 +154,17 @@ def event(
     return Event(ended.stresses.held[0], ended.given[0], overload, broken, ended.breaks), first, load, start
 
 
-class Contacts(NamedTuple):
+class BlockContacts(NamedTuple):
     """The contacts of a block, before it is pushed."""
 
-    response: Response
+    response: MatrixResponse
     threshold: Float[Array, " N"]
     prestress: Float[Array, " N"]
     last: Int[Array, ""] | int  # the last that is resolved, or that it has
     valid: Bool[Array, ""]  # whether all numbers lie in their domains
 
 
-def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> Contacts:
+def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> BlockContacts:
     """The first contacts of a block, and their response."""
     site = jnp.arange(sites)
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
@@ -175,7 +175,7 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     valid = in_domain(block)
     if block.normal_stiffness is not None:
         valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
-    return Contacts(response, threshold, prestress, last, valid)
+    return BlockContacts(response, threshold, prestress, last, valid)
 
 
 @in_full
@@ -214,22 +214,22 @@ def record(block: Block, interface: Interface | Profile | None, sites: int) -> B
     return _record(block, interface, sites)
 
 
-class Fading(NamedTuple):
-    """A front that fades, with the stress on every contact."""
+class StressedFront(NamedTuple):
+    """A front, with the stress on every contact."""
 
     stress: Float[Array, " N"]
     position: Int[Array, ""]  # of the contact ahead
 
 
-def faded(contacts: Contacts, rule: SmoothBreak) -> Float[Array, ""]:
+def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge: inf if it reaches the last contact, NaN if the event begins inside."""
     response, threshold, prestress, last, valid = contacts
     first, load = nucleated(response.push, threshold, prestress)
 
-    def release(front: Fading, given: Array) -> Fading:
-        return Fading(front.stress + response.matrix[front.position] * given, front.position + 1)
+    def release(front: StressedFront, given: Array) -> StressedFront:
+        return StressedFront(front.stress + response.matrix[front.position] * given, front.position + 1)
 
-    start = release(Fading(prestress + load * response.push, jnp.int32(0)), threshold[0])
+    start = release(StressedFront(prestress + load * response.push, jnp.int32(0)), threshold[0])
     end, through = fade(
         rule, start, lambda front: front.stress[front.position], lambda site: threshold[site], release, last, NEGLIGIBLE
     )
@@ -333,13 +333,16 @@ Look = Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray, np.
 """Lengths, contacts broken and statuses of some of many blocks, taken at other H/λc, on so many contacts."""
 
 
-class Body(NamedTuple):
-    """What decides on how coarse contacts events of many blocks are looked at."""
+class BlockNumbers(NamedTuple):
+    """Numbers of many blocks."""
 
     height: Float[np.ndarray, " n"]
-    push_height: Float[np.ndarray, " n"]
+    stiffness: Float[np.ndarray, " n"]
+    poisson: Float[np.ndarray, " n"]
     prestress: Float[np.ndarray, " n"]
     threshold_slope: Float[np.ndarray, " n"]
+    push_height: Float[np.ndarray, " n"]
+    push_width: Float[np.ndarray, " n"]  # NaN where the push covers everything above
 
 
 class Views(NamedTuple):
@@ -352,15 +355,15 @@ class Views(NamedTuple):
 
 
 def _coarse_heights(
-    body: Body, left: Int[np.ndarray, " m"], look: Look, sites: int
+    given: BlockNumbers, left: Int[np.ndarray, " m"], look: Look, sites: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """H/λc at which so many contacts show each event, at most that of the block; ℓ there; and whether finer ones did not.
 
     Of `FOLLOWED` contacts it breaks `ENOUGH` where it can. An event that passes all contacts on ones so large that they reach
     over `FAR` heights has no length (inf): still larger ones would be what stops it.
     """
-    finer, tall = sites / FOLLOWED, body.height
-    height, length, most = np.minimum(tall, COARSE * finer / body.push_height), np.zeros(len(tall)), tall.copy()
+    finer, tall = sites / FOLLOWED, given.height
+    height, length, most = np.minimum(tall, COARSE * finer / given.push_height), np.zeros(len(tall)), tall.copy()
     every = left
     while len(left):
         now = height[left]
@@ -375,26 +378,26 @@ def _coarse_heights(
     return height[every], length[every], (most < tall)[every]
 
 
-def _views(body: Body, look: Look) -> Views:
+def _views(given: BlockNumbers, look: Look) -> Views:
     """Look at each event on `FOLLOWED` contacts, and at one that may run away on `FARTHER` where these do not decide.
 
     Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
     finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
     to 2φ/(1 + R_ii), R_ii > 0: without a prestress of half the threshold, or falling thresholds, every front stops.
     """
-    falling = body.threshold_slope < 0
-    lasting, endless = (body.prestress > 0) | falling, (2 * body.prestress >= 1) | falling
+    falling = given.threshold_slope < 0
+    lasting, endless = (given.prestress > 0) | falling, (2 * given.prestress >= 1) | falling
     # what runs away on the largest contacts needs no look at smaller ones; falling thresholds end before the last of them
-    first, left = np.minimum(body.height, FOLLOWED / FAR), np.arange(len(body.height))
+    first, left = np.minimum(given.height, FOLLOWED / FAR), np.arange(len(given.height))
     found = Views(first, np.full(len(left), FOLLOWED), np.full(len(left), np.inf), np.full(len(left), np.inf))
     away = np.nonzero(endless & ~falling)[0]
     if len(away):
         away = away[look(away, first[away], FOLLOWED)[2] == Outcome.RAN_THROUGH]
         left = np.setdiff1d(left, away)
     for sites in (FOLLOWED, FARTHER):
-        height, fine, bounded = _coarse_heights(body, left, look, sites)
+        height, fine, bounded = _coarse_heights(given, left, look, sites)
         rough = fine.copy()
-        coarse = np.isfinite(fine) & (height < body.height[left])
+        coarse = np.isfinite(fine) & (height < given.height[left])
         if coarse.any():
             rough[coarse] = look(left[coarse], height[coarse] / 2, sites)[0]
         unlike = coarse & ~_alike(fine, 2 * rough)
@@ -440,9 +443,10 @@ def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array
         found = record(*_coarser(known, float(height[0])), sites)
         return np.array([found.length]), np.array([found.contacts_broken]), np.array([found.status])
 
-    at = 1.0 if known[0].push.height is None else known[0].push.height
-    carried = (0.0, 0.0) if known[1] is None else (known[1].prestress, known[1].threshold_slope)
-    view = _views(Body(*(np.array([x], dtype=float) for x in (known[0].height, at, *carried))), look)
+    one, carried = known[0], (0.0, 0.0) if known[1] is None else (known[1].prestress, known[1].threshold_slope)
+    push = one.push.height or 1.0, np.nan if one.push.width is None else one.push.width
+    numbers = BlockNumbers(*(np.array([x], dtype=float) for x in (one.height, one.stiffness, one.poisson, *carried, *push)))
+    view = _views(numbers, look)
     height, sites = float(view.height[0]), int(view.sites[0])
     if np.isposinf(view.fine[0]):
         grows = np.isfinite(view.rough[0])
@@ -454,18 +458,6 @@ def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array
         return found, jnp.zeros_like(found)
     pair = [length(*_coarser((block, interface), one), sites=sites) for one in (height, height / 2)]
     return extrapolated(pair[0], pair[1], height, block.height)
-
-
-class Lanes(NamedTuple):
-    """Numbers of many blocks."""
-
-    height: Float[np.ndarray, " n"]
-    stiffness: Float[np.ndarray, " n"]
-    poisson: Float[np.ndarray, " n"]
-    prestress: Float[np.ndarray, " n"]
-    threshold_slope: Float[np.ndarray, " n"]
-    push_height: Float[np.ndarray, " n"]
-    push_width: Float[np.ndarray, " n"]  # NaN where the push covers everything above
 
 
 @partial(jax.jit, static_argnames=("patch", "control", "sites"))
@@ -481,7 +473,7 @@ def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control, sites: in
     return jax.vmap(one, 1)(lanes)
 
 
-def _look(lanes: Lanes, control: Control) -> Look:
+def _look(lanes: BlockNumbers, control: Control) -> Look:
     """Events of many blocks; either all pushes cover everything above a height, or none does."""
     given = np.stack(lanes)
     patch = not np.isnan(lanes.push_width).any()
@@ -506,13 +498,13 @@ def _look(lanes: Lanes, control: Control) -> Look:
     return look
 
 
-def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray]:
+def tall_lengths(lanes: BlockNumbers, control: Control) -> tuple[np.ndarray, np.ndarray]:
     """ℓ of many blocks from coarser ones, and how far each may be off.
 
     Lengths are 0 where no domino starts. Where the event does not stop within what can be followed they are inf, off by H:
     what blocks beside it may be off by.
     """
-    view = _views(Body(lanes.height, lanes.push_height, lanes.prestress, lanes.threshold_slope), _look(lanes, control))
+    view = _views(lanes, _look(lanes, control))
     found, error = view.fine, np.where(np.isinf(view.fine), lanes.height, 0)
     coarse = np.nonzero(np.isfinite(view.fine) & (view.height < lanes.height))[0]
     if len(coarse):
@@ -521,16 +513,16 @@ def tall_lengths(lanes: Lanes, control: Control) -> tuple[np.ndarray, np.ndarray
     return found, error
 
 
-def lengths(lanes: Lanes, control: Control) -> np.ndarray:
+def lengths(lanes: BlockNumbers, control: Control) -> np.ndarray:
     """ℓ of many blocks, each as `precursor_length` has it to rounding, inf where that refuses; shape (n,)."""
     found = np.empty(len(lanes.height))
     for patch in (False, True):
         own = np.isfinite(lanes.push_width) == patch
         tall, short = (np.nonzero(own & side)[0] for side in (lanes.height > TALL, lanes.height <= TALL))
         if tall.size:
-            found[tall] = tall_lengths(Lanes(*(x[tall] for x in lanes)), control)[0]
+            found[tall] = tall_lengths(BlockNumbers(*(x[tall] for x in lanes)), control)[0]
         if short.size:
-            some = Lanes(*(x[short] for x in lanes))
+            some = BlockNumbers(*(x[short] for x in lanes))
             found[short], _, status = _look(some, control)(np.arange(len(short)), some.height, FOLLOWED)
             for i in short[status == Outcome.RAN_THROUGH]:
                 height, stiffness, poisson, prestress, slope, at, width = (float(x[i]) for x in lanes)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.lattice.waveguide import Loaded, Slab, joined
+from slippulse_jax.lattice.waveguide import Loaded, Slab, joined_slabs
 
 GAUSS = 3**-0.5
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
@@ -111,7 +111,7 @@ def slab(block: Block, finer: int = 0) -> Slab:
     mean = jnp.zeros(keep.size, y.dtype).at[0].set(width / 2)
     found = Slab(assembled(LEFT, LEFT), assembled(LEFT, RIGHT), assembled(RIGHT, RIGHT), mean, mean, jnp.zeros((), y.dtype))
     for _ in range(halvings):
-        found = joined(found, found)
+        found = joined_slabs(found, found)
     return found
 
 

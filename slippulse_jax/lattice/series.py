@@ -161,12 +161,12 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
-    ends = Ends(
+    stopping = Stopping(
         jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype),
         jnp.asarray(stop_when_spanning),
         jnp.asarray(50 * sites if max_breaks is None else max_breaks, jnp.int32),
     )
-    return _hard_series(Shape(events, recorded_breaks, repin_delay, sites), (body, interface), protocol, ageing, ends)
+    return _hard_series(Shape(events, recorded_breaks, repin_delay, sites), (body, interface), protocol, ageing, stopping)
 
 
 def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
@@ -187,11 +187,11 @@ class Shape(NamedTuple):
 
     events: int
     recorded: int  # breaks
-    delay: int
+    delay: int  # breaks for which a contact stays detached
     sites: int
 
 
-class Ends(NamedTuple):
+class Stopping(NamedTuple):
     """What ends a series besides its number of events; one program serves any."""
 
     until: Float[Array, ""]  # load; inf for none
@@ -199,11 +199,11 @@ class Ends(NamedTuple):
     max_breaks: Int[Array, ""]  # of one event
 
 
-class Body(NamedTuple):
+class LoadedBody(NamedTuple):
     """What is loaded, before it is."""
 
     response: Response
-    contacts: "Contacts"
+    effects: "Effects"
     prestress: Float[Array, "B M"]  # the only stress while it is relaxed
     valid: Array
     sites: int  # with the driver's
@@ -212,7 +212,11 @@ class Body(NamedTuple):
 
 
 def _series(
-    shape: Shape, given: tuple[Chain | Block, Interface | Profile | None], protocol: Protocol, ageing: Ageing | None, ends: Ends
+    shape: Shape,
+    given: tuple[Chain | Block, Interface | Profile | None],
+    protocol: Protocol,
+    ageing: Ageing | None,
+    stopping: Stopping,
 ) -> Catalogue:
     body, interface = given
     spring = protocol.stiffness if isinstance(protocol, Spring) else None
@@ -221,16 +225,16 @@ def _series(
         def on_block(block: Block, interface: Interface | Profile | None, spring: Array | None, *more: Any) -> Catalogue:
             return _one_series(shape, _of_block(block, interface, shape.sites, spring), *more)
 
-        return lane_by_lane(on_block, body, interface, spring, protocol, ageing, ends)
+        return lane_by_lane(on_block, body, interface, spring, protocol, ageing, stopping)
 
     def on_chain(chain: Chain, resp: Response, *more: Any) -> Catalogue:
         return _one_series(shape, _of_chain(chain, resp, spring is not None), *more)
 
     chain = body if spring is None else driven(body, spring)
-    return lane_by_lane(on_chain, chain, shared_response(chain), protocol, ageing, ends)
+    return lane_by_lane(on_chain, chain, shared_response(chain), protocol, ageing, stopping)
 
 
-def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> Body:
+def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> LoadedBody:
     prestress = jnp.where(chain.contact > 0, chain.prestress, 0)
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
 
@@ -238,9 +242,9 @@ def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> Body:
         solved = equilibrium(chain, state)
         return solved.stress, potential_energy(chain, (solved.upper, solved.layer), state.pinning)
 
-    return Body(
+    return LoadedBody(
         response=resp,
-        contacts=tabulated(chain.contact, chain.threshold, chain.stiffness, resp),
+        effects=tabulated(chain.contact, chain.threshold, chain.stiffness, resp),
         prestress=into_blocks(prestress, resp.near.shape[1]),
         valid=all_numbers(chain, chain.relaxed()) & ~resp.right.floating & holds,
         sites=chain.sites,
@@ -249,18 +253,18 @@ def _of_chain(chain: Chain, resp: Response, behind_spring: bool) -> Body:
     )
 
 
-def _of_block(block: Block, interface: Interface | Profile | None, sites: int, spring: Array | None) -> Body:
+def _of_block(block: Block, interface: Interface | Profile | None, sites: int, spring: Array | None) -> LoadedBody:
     given, k = blocks.contacts_of(block, interface, 1 << (sites - 1).bit_length()), jnp.asarray(block.stiffness)
     edge = waveguide.edge_stiffness(blocks.guide_of(block), k, given.response)
     return of_response(given, sites, k, edge, spring)
 
 
-def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, spring: Array | None) -> Body:
+def of_response(given: blocks.BlockContacts, sites: int, k: Array, edge: Array, spring: Array | None) -> LoadedBody:
     """The first `sites` contacts of a response that is a matrix; a spring to the driver makes the pusher give way.
 
     Parameters
     ----------
-    given : Contacts
+    given : BlockContacts
         A power of two of them.
     sites : int
     k : array, shape ()
@@ -285,9 +289,9 @@ def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, sprin
         apart = p - matrix[:sites, :sites] @ p
         return own + driven - apart, edge * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
 
-    return Body(
+    return LoadedBody(
         response=resp,
-        contacts=tabulated(jnp.where(there, k, 0), threshold, k, resp),
+        effects=tabulated(jnp.where(there, k, 0), threshold, k, resp),
         prestress=prestress[None],
         valid=valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
         sites=sites,
@@ -296,22 +300,11 @@ def of_response(given: blocks.Contacts, sites: int, k: Array, edge: Array, sprin
     )
 
 
-def _one_series(shape: Shape, body: Body, protocol: Protocol, ageing: Ageing | None, ends: Ends) -> Catalogue:
-    by = Loading(
-        response=body.response,
-        contacts=body.contacts,
-        ageing=ageing,
-        velocity=jnp.asarray(protocol.velocity),
-        step=jnp.asarray(protocol.size, body.prestress.dtype) if isinstance(protocol, Steps) else None,
-        sites=body.sites,
-        ahead=body.ahead,
-        delay=shape.delay,
-        events=shape.events,
-        recorded=shape.recorded,
-        ends=ends,
-    )
-    end = load_through(by, start(by, body.prestress, body.valid))
-    pinning = by.contacts.gains[:, :, 1] * end.given
+def _one_series(shape: Shape, body: LoadedBody, protocol: Protocol, ageing: Ageing | None, stopping: Stopping) -> Catalogue:
+    step = jnp.asarray(protocol.size, body.prestress.dtype) if isinstance(protocol, Steps) else None
+    by = Loading(shape, body, ageing, jnp.asarray(protocol.velocity), step, stopping)
+    end = load_through(by, start(by))
+    pinning = by.body.effects.gains[:, :, 1] * end.given
     state = State(pinning.reshape(-1)[: body.sites], end.numbers.load)
     stress, stored = body.afresh(state)
     columns = recorded(by, end)
@@ -336,7 +329,7 @@ _hard_series = without_derivative(
 # --- effects of loading and breaking each contact ---
 
 
-class Contacts(NamedTuple):
+class Effects(NamedTuple):
     """Effects of loading and breaking each of B blocks of M contacts."""
 
     threshold: Float[Array, "B M"]  # of a contact that never broke; inf where there is none
@@ -347,7 +340,7 @@ class Contacts(NamedTuple):
     edge_stiffness: Float[Array, ""]  # force on the edge per load
 
 
-def tabulated(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Array, resp: Response) -> Contacts:
+def tabulated(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Array, resp: Response) -> Effects:
     """Tabulate the effect of loading and breaking each contact."""
     size = resp.near.shape[1]
     q = into_blocks(contact, size)
@@ -358,7 +351,7 @@ def tabulated(contact: Float[Array, " N"], threshold: Float[Array, " N"], k: Arr
     felt = resp.pass_on * resp.read.sum(-1)[None, :, :, None]
     beyond = jnp.concatenate([felt[:, :, :2].sum((1, 2)), felt[:, :, 2:].sum((1, 2))], -1)
     lost = 1 - resp.near.sum(-1) - (resp.leave * beyond[:, None]).sum(-1)
-    return Contacts(
+    return Effects(
         threshold=into_blocks(jnp.where(contact > 0, threshold, jnp.inf), size, jnp.inf),
         per_load=per_load,
         hastened=jnp.where(pulled, resp.read / jnp.where(pulled, per_load[:, None], 1), 0).max(-1),
@@ -400,7 +393,7 @@ class Counts(NamedTuple):
 class Tally(NamedTuple):
     """Sums over the breaks of the current event."""
 
-    lost: Float[Array, "3"]  # sum of `Contacts.gains` over the breaks
+    lost: Float[Array, "3"]  # sum of `Effects.gains` over the breaks
     broken: Array
     relaxed: Array
     first: Array  # −1 before the first break
@@ -435,34 +428,30 @@ class Now(NamedTuple):
 class Loading(NamedTuple):
     """Constants of a series."""
 
-    response: Response
-    contacts: Contacts
+    shape: Shape
+    body: LoadedBody
     ageing: Ageing | None
     velocity: Array
     step: Array | None  # load step; None: exactly to the next break
-    delay: int  # breaks for which a contact stays detached
-    sites: int  # of the chain, including the driver's
-    ahead: int  # sites before those of the chain: the driver's
-    events: int
-    recorded: int
-    ends: Ends
+    stopping: Stopping
 
 
-def start(by: Loading, prestress: Float[Array, "B M"], valid: Array) -> Now:
+def start(by: Loading) -> Now:
     """Make the state of the relaxed chain, before the first event."""
+    prestress, before = by.body.prestress, by.body.ahead - 1
     zero, none = jnp.zeros((), prestress.dtype), jnp.zeros((), jnp.int32)
     return Now(
-        stresses=whole(prestress, by.contacts.threshold),
+        stresses=whole(prestress, by.body.effects.threshold),
         soonest=jnp.full_like(prestress[:, 0], -jnp.inf),
         given=jnp.zeros_like(prestress),
         born=jnp.full_like(prestress, -jnp.inf) if by.ageing is not None else None,
         last=jnp.full(prestress.size, -1, jnp.int32),
         numbers=Numbers(*(zero,) * len(Numbers._fields)),
         counts=Counts(*(none,) * 7)._replace(number=none - 1),
-        ending=jnp.where(valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
-        number_table=jnp.full((by.events + 1, len(Numbers._fields)), jnp.nan, prestress.dtype),
-        count_table=jnp.tile(jnp.array([-1, by.ahead - 1, 0, by.ahead - 1, by.ahead - 1, 0, 0], jnp.int32), (by.events + 1, 1)),
-        log=jnp.full((by.recorded + 1, 2), -1, jnp.int32),
+        ending=jnp.where(by.body.valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
+        number_table=jnp.full((by.shape.events + 1, len(Numbers._fields)), jnp.nan, prestress.dtype),
+        count_table=jnp.tile(jnp.array([-1, before, 0, before, before, 0, 0], jnp.int32), (by.shape.events + 1, 1)),
+        log=jnp.full((by.shape.recorded + 1, 2), -1, jnp.int32),
     )
 
 
@@ -473,11 +462,11 @@ def load_through(by: Loading, now: Now) -> Now:
 
 def _next_event(by: Loading, now: Now) -> Now:
     """Load to the next break, run the rupture and record it."""
-    tables, before = by.contacts, now.numbers
+    tables, before = by.body.effects, now.numbers
     found = _next_crossing(by, now)
     rise, trigger = _raised(by, found)
     load, number = before.load + rise, now.counts.number + 1
-    stresses = found.stresses._replace(inbox=found.stresses.inbox + by.response.at_load * rise)
+    stresses = found.stresses._replace(inbox=found.stresses.inbox + by.body.response.at_load * rise)
     broken = _rupture(by, now, stresses, load, trigger)
     tally, begins = broken.book, jnp.isfinite(found.rise)
     force_before = before.force_before - before.force_lost  # the force now
@@ -487,11 +476,11 @@ def _next_event(by: Loading, now: Now) -> Now:
     length = _length(by, now, broken, load)
     numbers = Numbers(load, force, work, force_lost, slip, stress_drop, tally.broken, tally.relaxed, length)
     counts = Counts(number, tally.first, tally.at_peak, tally.left, tally.right, broken.breaks, tally.total)
-    over = (broken.breaks >= by.ends.max_breaks) & (broken.overload >= 0)
-    last = (number == by.events - 1) | (load >= by.ends.until)
-    endings = [~begins, over, by.ends.when_spanning & (counts.right == by.sites - 1), last]
+    over = (broken.breaks >= by.stopping.max_breaks) & (broken.overload >= 0)
+    last = (number == by.shape.events - 1) | (load >= by.stopping.until)
+    endings = [~begins, over, by.stopping.when_spanning & (counts.right == by.body.sites - 1), last]
     reasons = [SeriesStatus.NOTHING_LEFT, SeriesStatus.LIMIT, SeriesStatus.SPANNED, SeriesStatus.DONE]
-    row = jnp.where(begins, number, by.events)
+    row = jnp.where(begins, number, by.shape.events)
     anew = jnp.isinf(broken.arrived[:, 0])
     sooner = (jnp.where(anew[:, None], 0, broken.arrived) * tables.hastened).sum(-1) * slack(rise)
     return Now(
@@ -524,7 +513,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
 
     The rise is inf if there is none.
     """
-    tables, size, load = by.contacts, now.given.shape[1], now.numbers.load
+    tables, size, load = by.body.effects, now.given.shape[1], now.numbers.load
 
     def going(c: Crossing) -> Array:
         lowest = jnp.where(c.looked, jnp.inf, c.soonest).min()
@@ -532,7 +521,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
 
     def look(c: Crossing) -> Crossing:
         block = most(jnp.where(c.looked, -jnp.inf, -c.soonest))[0]
-        stress, per_load = opened(by.response, c.stresses, block), tables.per_load[block]
+        stress, per_load = opened(by.body.response, c.stresses, block), tables.per_load[block]
         limit, _ = _limits(by, now, load, block, now.given[block])
         pulled = per_load > 0
         missing = jnp.where(pulled, (limit - stress) / jnp.where(pulled, per_load, 1), jnp.inf)
@@ -543,7 +532,7 @@ def _next_crossing(by: Loading, now: Now) -> Crossing:
         place, rise = most(-rises)
         better = -rise < c.rise
         return Crossing(
-            stresses=looked_at(by.response, c.stresses, block, (stress - limit).max()),
+            stresses=looked_at(by.body.response, c.stresses, block, (stress - limit).max()),
             soonest=c.soonest.at[block].set(load + missing.min()),  # thresholds only grow, so this is a lower bound
             looked=c.looked.at[block].set(True),
             rise=jnp.where(better, -rise, c.rise),
@@ -573,7 +562,7 @@ def _raised(by: Loading, found: Crossing) -> tuple[Array, Array]:
 
 def _limits(by: Loading, now: Now, load: Array, block: Array, given: Array) -> tuple[Array, Array]:
     """Return a block's thresholds at this load, current and after a break; `given` is the stress released so far."""
-    old = by.contacts.threshold[block]
+    old = by.body.effects.threshold[block]
     if now.born is None or by.ageing is None:
         return old, old
     born = jnp.where(given > now.given[block], load, now.born[block])
@@ -583,15 +572,15 @@ def _limits(by: Loading, now: Now, load: Array, block: Array, given: Array) -> t
 def _length(by: Loading, now: Now, broken: Cascade, load: Array) -> Array:
     """Interpolate ℓ of the event, where the stress falls to the threshold; inf where there is no contact ahead."""
     right, peak = broken.book.right, broken.book.peak
-    block, place = jnp.divmod(jnp.minimum(right + 1, by.sites - 1), broken.given.shape[1])
+    block, place = jnp.divmod(jnp.minimum(right + 1, by.body.sites - 1), broken.given.shape[1])
     limit, _ = _limits(by, now, load, block, broken.given[block])
-    ahead = opened(by.response, broken.stresses, block)[place] - limit[place]
-    return jnp.where(right == by.sites - 1, jnp.inf, event_length(right, peak, ahead))
+    ahead = opened(by.body.response, broken.stresses, block)[place] - limit[place]
+    return jnp.where(right == by.body.sites - 1, jnp.inf, event_length(right, peak, ahead))
 
 
 def _limit_of(by: Loading, now: Now, load: Array, site: Array) -> Array:
     """Return the threshold at this load of one contact that has not broken in this event."""
-    old = by.contacts.threshold.reshape(-1)[site]
+    old = by.body.effects.threshold.reshape(-1)[site]
     if now.born is None or by.ageing is None:
         return old
     return old * by.ageing.strength(load - now.born.reshape(-1)[site], by.velocity)
@@ -599,18 +588,18 @@ def _limit_of(by: Loading, now: Now, load: Array, site: Array) -> Array:
 
 def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Array) -> Cascade:
     """Run the rupture of one event and sum over its breaks."""
-    energy, number = by.contacts.energy.reshape(-1), now.counts.number + 1
-    gains = by.contacts.gains.reshape(-1, 3)
+    energy, number = by.body.effects.energy.reshape(-1), now.counts.number + 1
+    gains = by.body.effects.gains.reshape(-1, 3)
 
     def note(tally: Tally, moves: Moves, t: Array, after: Array) -> Tally:
         site, log, lost = moves.sites[-1], tally.log, tally.lost
-        if by.recorded:
+        if by.shape.recorded:
             entry = jnp.stack([site, number])[None]
-            log = lax.dynamic_update_slice_in_dim(log, entry, jnp.minimum(tally.total, by.recorded), 0)
+            log = lax.dynamic_update_slice_in_dim(log, entry, jnp.minimum(tally.total, by.shape.recorded), 0)
         for j in range(moves.sites.shape[0]):
             lost = lost + gains[moves.sites[j]] * moves.given[j]
         stretch, begins = energy[site] * t, tally.first < 0
-        newer = (site > by.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
+        newer = (site > by.body.ahead) & (tally.last[jnp.maximum(site - 1, 0)] > tally.last[site])
         return Tally(
             lost=lost,
             broken=tally.broken + stretch * t,
@@ -626,25 +615,25 @@ def _rupture(by: Loading, now: Now, stresses: Stresses, load: Array, trigger: Ar
         )
 
     zero, none = jnp.zeros((), load.dtype), jnp.zeros((), jnp.int32)
-    places = none - 1, none, none + by.sites, none - 1
+    places = none - 1, none, none + by.body.sites, none - 1
     tally = Tally(jnp.zeros(3, load.dtype), zero, zero, *places, zero, now.counts.total, now.last, now.log)
     limits = partial(_limits, by, now, load)
-    return run(by.ends.max_breaks, by.delay, by.response, stresses, now.given, limits, trigger, tally, note)
+    return run(by.stopping.max_breaks, by.shape.delay, by.body.response, stresses, now.given, limits, trigger, tally, note)
 
 
 def recorded(by: Loading, end: Now) -> dict[str, Array]:
     """Make the columns of the catalogue."""
     number, count = Numbers(*end.number_table[:-1].T), Counts(*end.count_table[:-1].T)
-    kinds = [count.number < 0, count.right == by.sites - 1, count.first == by.ahead, count.at_peak == 1]
+    kinds = [count.number < 0, count.right == by.body.sites - 1, count.first == by.body.ahead, count.at_peak == 1]
     kind = jnp.select(kinds, [-1, EventClass.SPANNING, EventClass.EDGE, EventClass.RENUCLEATED], EventClass.INTERIOR)
     return {
         "load": number.load,
         "force_before": number.force_before,
         "force_after": number.force_before - number.force_lost,
-        "site": count.first - by.ahead,
-        "leftmost": count.left - by.ahead,
-        "extent": count.right + 1 - by.ahead,
-        "length": number.length - by.ahead,
+        "site": count.first - by.body.ahead,
+        "leftmost": count.left - by.body.ahead,
+        "extent": count.right + 1 - by.body.ahead,
+        "length": number.length - by.body.ahead,
         "breaks": count.breaks,
         "slip": number.slip,
         "stress_drop": number.stress_drop,
@@ -654,6 +643,6 @@ def recorded(by: Loading, end: Now) -> dict[str, Array]:
         "relaxed": number.relaxed,
         "kind": kind.astype(jnp.int32),
         "number": (count.number >= 0).sum().astype(jnp.int32),
-        "break_site": jnp.where(end.log[:-1, 1] >= 0, end.log[:-1, 0] - by.ahead, -1),
+        "break_site": jnp.where(end.log[:-1, 1] >= 0, end.log[:-1, 0] - by.body.ahead, -1),
         "break_event": end.log[:-1, 1],
     }

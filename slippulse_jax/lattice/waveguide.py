@@ -64,7 +64,7 @@ class End(NamedTuple):
     back: Float[Array, "n n"]  # X (1 − G_L X)⁻¹, force on it per its displacement in the half-infinite guide
 
 
-class Response(NamedTuple):
+class MatrixResponse(NamedTuple):
     """What breaks of the first N contacts do."""
 
     push: Float[Array, " N"]  # t, stretch per unit of the load
@@ -94,7 +94,7 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
 
 
 @in_full
-def joined(a: Slab, b: Slab) -> Slab:
+def joined_slabs(a: Slab, b: Slab) -> Slab:
     """Two slabs in a row as one, and what is read of the column between them handed on to the others."""
     between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
     moved = between @ read
@@ -127,7 +127,7 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 
     def twice(state: tuple[Slab, Int[Array, ""]]) -> tuple[Slab, Int[Array, ""]]:
         slabs, count = state
-        return joined(slabs, slabs), count + 1
+        return joined_slabs(slabs, slabs), count + 1
 
     unread = 0 * slab.reading_left
     return lax.while_loop(felt, twice, (slab._replace(reading_left=unread, reading_right=unread), jnp.int32(0)))[0].left
@@ -215,7 +215,7 @@ def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tu
 
 
 @in_full
-def response(guide: Guide, contact: Array, sites: int) -> Response:
+def response(guide: Guide, contact: Array, sites: int) -> MatrixResponse:
     """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
     q = readings(guide, sites)
     behind, ahead = q[:-1], q[1:]
@@ -229,11 +229,11 @@ def response(guide: Guide, contact: Array, sites: int) -> Response:
         there = jnp.arange(sites) < guide.end.column
         t = jnp.where(there, t + reached @ guide.end.back @ pushed, 0)
         A = jnp.where(there[:, None] & there[None], A + reached @ guide.end.back @ reached.T, 0)
-    return Response(t, contact * A)
+    return MatrixResponse(t, contact * A)
 
 
 @in_full
-def edge_stiffness(guide: Guide, contact: Array, response: Response) -> Float[Array, ""]:
+def edge_stiffness(guide: Guide, contact: Array, response: MatrixResponse) -> Float[Array, ""]:
     """Force on the pusher per load: that of all contacts, beyond those of the response too."""
     if guide.end is not None:
         return contact * response.push.sum()

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from slippulse_jax import theory
-from slippulse_jax.files import write_atomically
+from slippulse_jax.files import FIGURE_FORMATS, write_atomically
 from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
 from slippulse_jax.lattice.exact_lanes import exact_lengths
 from slippulse_jax.lattice.lengths import arrests, precursor_lengths
@@ -28,7 +28,6 @@ HEIGHTS = {10: LIGHT.vermilion, 25: LIGHT.blue, 50: LIGHT.ink}
 MARKERS = {LIGHT.vermilion: "D", LIGHT.blue: "s", LIGHT.ink: "o"}
 """The paper's symbols."""
 
-FORMATS = ("png", "pdf", "svg")
 
 Table = dict[str, np.ndarray]
 
@@ -89,7 +88,7 @@ def fig3b() -> Table:
 
 
 def draw_figures(
-    directory: str | Path, formats: Iterable[str] = FORMATS, names: Iterable[str] = ("fig2", "fig3")
+    directory: str | Path, formats: Iterable[str] = FIGURE_FORMATS, names: Iterable[str] = ("fig2", "fig3")
 ) -> list[Path]:
     """Draw the figures into `directory`, with their numbers as CSV; each file appears whole or not at all.
 
@@ -111,7 +110,7 @@ def draw_figures(
         For an unknown format or name.
     """
     formats, names = list(formats), list(names)
-    for value, known in ((formats, FORMATS), (names, tuple(_FIGURES))):
+    for value, known in ((formats, FIGURE_FORMATS), (names, tuple(_FIGURES))):
         for x in value:
             if x not in known:
                 raise ValueError(f"unknown {x!r}: must be one of {', '.join(known)}")

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 from slippulse_jax.inference.bayes import theta_of
 from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, recursion_status
-from slippulse_jax.inference.parameters import Inputs, at
+from slippulse_jax.inference.parameters import Inputs, at_theta
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
@@ -719,7 +719,7 @@ def _field(result: "FitResult", row: int, name: str, x: np.ndarray) -> np.ndarra
     q = result.parameters
     block = next(one for one in result.problem.blocks if one.observable == name)
     datum = int(np.nonzero(block.measurement == row)[0][0])
-    inputs = at(block.inputs, result.theta).take(np.full(len(x), block.rows[datum]))
+    inputs = at_theta(block.inputs, result.theta).take(np.full(len(x), block.rows[datum]))
     assert result.measurements.correlation_length is not None
     true_unit = np.exp(q.scales["position"](result.theta)[row])
     place = np.log(np.maximum(x / (result.measurements.correlation_length[row] * true_unit), 1e-9))

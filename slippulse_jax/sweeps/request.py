@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slippulse_jax.block import OF_SIDE, Control, Push
+from slippulse_jax.block import OF_SIDE, Control, Push, has_push
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd, check_right_end
@@ -221,12 +221,7 @@ def _check_domains(parameters: Columns) -> None:
 
 def _check_push(parameters: Columns, points: bool, control: Control) -> None:
     """Check every pusher that the sweep combines: it must lie on the side of the block."""
-    Push(control=control)
-    if "push_height" not in parameters:
-        if "push_width" in parameters or control != "displacement":
-            raise ValueError("push_width and push_control describe a push: give push_height too")
-        return
-    if "push_width" not in parameters:
+    if not has_push(parameters, control) or "push_width" not in parameters:
         return
     at, width = parameters["push_height"], parameters["push_width"]
     at, width = np.broadcast_arrays(at, width) if points else np.broadcast_arrays(at, np.expand_dims(width, -1))

@@ -20,6 +20,7 @@ from slippulse_jax import double_series as series
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode, crossing
 from slippulse_jax.slider import Slider, each_slider
+from slippulse_jax.theory.frozen import leading_length
 
 
 class ContinuumFields(NamedTuple):
@@ -86,16 +87,14 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     """
 
     def one(slider: Slider) -> Array:
-        guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
-
-        line = _line(slider)
+        line, about = _line(slider), leading_length(slider)
 
         def excess(x: tuple[series.Series, Array], s: Array) -> Array:
             """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
             solution, first = x
             return first + series.rise(solution, s)[0]
 
-        return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(guess), 4 * guess + 4)
+        return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(about), 4 * about + 4)
 
     return each_slider(_differentiable(one), slider)
 

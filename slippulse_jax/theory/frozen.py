@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
-from slippulse_jax.double_series import overlap
+from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
 TERMS = 20
@@ -73,6 +73,11 @@ def _psi6_slope(slider: Slider, s: Array, printed: bool) -> Array:
     return k * (1 + k) / 2 * jnp.exp(-k2 * s) + echo * jnp.exp(-(2 * k + k2) * s)
 
 
+def leading_length(slider: Slider) -> Array:
+    """ln[2/(1 + β)]/κ_2, the leading term of Eq. (25), in λc."""
+    return jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
+
+
 def _psi1(slider: Slider) -> Array:
     return 1 + slider.kappa_2 / (1 + slider.kappa)
 
@@ -120,7 +125,7 @@ def _integrated(slider: Slider, printed: bool) -> _Integrated:
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
     # rate κ_2 + 2nκ: the far part of Ψ_6' starts at n = 0, the near part at n = 1
     n = np.arange(TERMS + 1)
-    power = jnp.concatenate([jnp.ones_like(k)[None], jnp.cumprod(g / n[1:TERMS])])  # gⁿ/n!
+    power = exponential_terms(g, TERMS)
     weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
     A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
     # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to
@@ -171,9 +176,8 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
     """
 
     def one(slider: Slider) -> Array:
-        guess = jnp.log(2 / (1 + slider.beta)) / slider.kappa_2
-
-        return crossing(_excess_of, _integrated(slider, printed), jnp.zeros_like(guess), 4 * guess + 2)
+        about = leading_length(slider)
+        return crossing(_excess_of, _integrated(slider, printed), jnp.zeros_like(about), 4 * about + 2)
 
     return each_slider(one, slider)
 
@@ -248,8 +252,7 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
         small = jnp.exp(-k3 * s)
         return jnp.log(A0) + alpha * jnp.log((1 + C) / (1 + C * small)) + (1 - alpha) * k3 * s
 
-    upper = 4 * jnp.log(2 / (1 + slider.beta)) / k2 + 2
-    found = crossing(excess, (A0, alpha, C, k3), zero, upper)
+    found = crossing(excess, (A0, alpha, C, k3), zero, 4 * leading_length(slider) + 2)
     B = A0 * (1 + C) ** alpha
     first = load / slider.beta, _psi1(slider), psi2, load + _released(slider)
     psi6_0 = psi6(slider, zero, printed=printed)

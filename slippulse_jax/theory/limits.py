@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.domains import POISSON, PRESTRESS, Domain
-from slippulse_jax.double_series import overlap
+from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
 _DOMAIN = {
@@ -122,9 +122,8 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
 def _held(beta: Array, z: Array) -> Array:
     """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
     g = beta / (2 * (1 + beta))
-    n = np.arange(TERMS)
-    power = jnp.concatenate([jnp.ones_like(g)[None], jnp.cumprod(-g / n[1:])])  # (−g)ⁿ/n!
-    return power @ overlap(1 / (1 + beta), 2 * jnp.arange(TERMS, dtype=z.dtype), z) * jnp.exp(g * jnp.exp(-2 * z))
+    rates = 2 * jnp.arange(TERMS, dtype=z.dtype)
+    return exponential_terms(-g, TERMS) @ overlap(1 / (1 + beta), rates, z) * jnp.exp(g * jnp.exp(-2 * z))
 
 
 def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array, "..."]:

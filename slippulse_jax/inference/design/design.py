@@ -11,13 +11,13 @@ the second small, the candidate distinguishes roots; where both are small, it li
 """
 
 import dataclasses
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from slippulse_jax.block import OF_SIDE, Control, Push
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.block import OF_SIDE, Control, Push, has_push
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_choice, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
@@ -215,8 +215,7 @@ def design(
 
 
 def _candidates(given: dict[str, ArrayLike], kind: str, control: Control) -> list[Candidate]:
-    if kind not in get_args(Kind):
-        raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(Kind)))}")
+    check_choice("kind", kind, Kind)
     if ("correlation_length" in given) != ("young" in given):
         raise ValueError("correlation_length and young: give both, or neither")
     columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items()}
@@ -250,10 +249,7 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
 
 def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
     """Check that every pusher lies on the side of its block, and covers more than a contact's length of it."""
-    Push(control=control)
-    if "push_height" not in columns:
-        if "push_width" in columns or control != "displacement":
-            raise ValueError("push_width and push_control describe a push: give push_height too")
+    if not has_push(columns, control):
         return
     if columns["threshold_slope"].any():
         raise ValueError("threshold_slope: the thresholds under a block are level here")

@@ -24,12 +24,13 @@ by which it was found.
 
 import dataclasses
 import enum
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 from scipy.special import chdtrc
 
+from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.recover.events import blocks, follow, fronts
 from slippulse_jax.inference.recover.inversion import LEVEL, Found, Inversion, Smoothness, invert, mixture, quantile
@@ -305,8 +306,7 @@ def _draws(problem: Inversion, found: Found) -> np.ndarray:
 def _check(
     m: Measurements, kind: str, log_stiffness_sd: float, amplitude: float | None, length_scale: float | None, max_steps: int
 ) -> None:
-    if kind not in get_args(ProfileKind):
-        raise ValueError(f"kind = {kind!r}: must be one of {', '.join(map(repr, get_args(ProfileKind)))}")
+    check_choice("kind", kind, ProfileKind)
     if not 0 <= log_stiffness_sd < np.inf:
         raise ValueError(f"log_stiffness_sd = {log_stiffness_sd:g}: must be 0 or more")
     for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
