@@ -15,6 +15,6 @@ def plain(content: Any) -> Any:
         return {name: plain(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):
         return [plain(value) for value in content]
-    if hasattr(content, "tolist"):  # an array, or a number of NumPy's
+    if hasattr(content, "tolist"):  # an array, or a NumPy scalar
         return plain(content.tolist())
     return None if isinstance(content, float) and not math.isfinite(content) else content

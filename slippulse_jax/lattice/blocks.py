@@ -35,24 +35,24 @@ from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
 FEWEST, MORE, MOST = 64, 4, 2**13
-"""Fewest contacts resolved, the factor by which they grow while an event reaches the last of them, and the most: the response
-of so many to each other is a matrix."""
+"""Smallest number of contacts resolved, the factor by which it grows while the event reaches the last of them, and the largest:
+the response is a matrix of that size."""
 TALL = 500.0
 """H/λc above which a length is extrapolated from coarser blocks."""
 COARSE, FOLLOWED, ENOUGH = 60.0, 256, 90
-"""Contacts of a coarser block over the height of its push at first, those resolved, and how many its event breaks at least."""
+"""On a coarser block: contacts below the push in the first trial, contacts resolved, and the fewest that an event may break."""
 FARTHER = 2048
-"""Contacts followed of a prestressed event that is not alike on contacts of two sizes."""
+"""Contacts resolved where a prestressed event differs between contacts of two sizes."""
 FAR = 20
-"""Heights after which an event on coarser contacts is not followed."""
+"""Distance, in heights, beyond which an event on coarser contacts is not followed."""
 ALIKE = 0.1
-"""Relative difference of the lengths of an event on contacts of two sizes up to which it is the same event."""
+"""Largest relative difference between the lengths on contacts of two sizes that are taken for the same event."""
 TOGETHER = 4
 """Blocks computed at once."""
 BREAKS = 64
 """Breaks per contact after which an event is given up."""
 NEGLIGIBLE = 1e-9
-"""Fraction of a contact that breaks, below which a smooth front has faded: ever farther contacts cost."""
+"""Broken fraction of a contact below which a smooth front has faded: farther contacts would only cost time."""
 
 
 class Event(NamedTuple):
@@ -107,7 +107,7 @@ def guide_of(block: Block, finer: int = 0) -> Guide:
 
 
 def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress: Float[Array, " N"]) -> tuple[Array, Array]:
-    """Contact that is at its threshold first, and the load then."""
+    """Find the contact that reaches its threshold first, and the load at which it does."""
     needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
     first = jnp.argmin(needed)
     return first, needed[first]
@@ -122,9 +122,8 @@ def event(
 ) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
     """Load the body until a contact is at its threshold, and break contacts until none is, or the last has broken.
 
-    After `limit` breaks, at least one, it is left as it is.
-
-    Also the contact that broke first, the load and the stress at nucleation.
+    It is given up after `limit` breaks, at least one. Returns too the contact that broke first, and the load and the stress at
+    nucleation.
     """
     push, matrix = response
     sites = push.size
@@ -160,7 +159,7 @@ class BlockContacts(NamedTuple):
     response: MatrixResponse
     threshold: Float[Array, " N"]
     prestress: Float[Array, " N"]
-    last: Int[Array, ""] | int  # the last that is resolved, or that it has
+    last: Int[Array, ""] | int  # index of the last contact, or of the last one resolved
     valid: Bool[Array, ""]  # whether all numbers lie in their domains
 
 
@@ -210,7 +209,7 @@ def _record(block: Block, interface: Interface | Profile | None, sites: int) -> 
 
 @partial(jax.jit, static_argnames="sites")
 def record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
-    """The event of one block on so many contacts."""
+    """Compute the event of one block on its first `sites` contacts."""
     return _record(block, interface, sites)
 
 
@@ -222,7 +221,7 @@ class StressedFront(NamedTuple):
 
 
 def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
-    """ℓ under a smooth rule, of a front from the edge: inf if it reaches the last contact, NaN if the event begins inside."""
+    """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     response, threshold, prestress, last, valid = contacts
     first, load = nucleated(response.push, threshold, prestress)
 
@@ -266,20 +265,20 @@ Found = TypeVar("Found", Array, BlockPrecursor)
 
 
 def resolved(given: tuple[Any, ...], sites: Numbers | None, event_on: Callable[[tuple[Any, ...], int], Found]) -> Found:
-    """Event on as many contacts as it stays on, or on those that are given.
+    """Compute an event on enough contacts for it to stop, or on the number that is given.
 
     Parameters
     ----------
     given : tuple
-        Block, interface, and what else `event_on` takes.
+        Block, interface, and the other arguments of `event_on`.
     sites : int, optional
     event_on : callable
-        Length or record on so many contacts; its length is inf where it runs through them.
+        Length or record on a number of contacts; its length is inf where the event breaks the last of them.
 
     Raises
     ------
     ValueError
-        If it is neither given nor can be found out, because the block is traced; or too large, or no number of contacts.
+        If the number is not given for a traced block, whose length is unknown; or is too large, or not a whole number.
     """
     block = given[0]
     if sites is not None:
@@ -309,7 +308,7 @@ def checked_sites(block: Block, sites: Numbers | None) -> int:
 
 
 def _known(given: Any) -> Any:
-    """The block and its interface as numbers, also while derivatives are taken."""
+    """Strip derivatives from a block and its interface, which leaves numbers."""
     given = lax.stop_gradient(given)
     try:
         return jax.tree.map(np.asarray, given)
@@ -330,7 +329,8 @@ def _coarser(body: tuple[Block, Interface | None], height: float) -> tuple[Block
 
 
 Look = Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Lengths, contacts broken and statuses of some of many blocks, taken at other H/λc, on so many contacts."""
+"""``look(which, height, sites)``: lengths, contacts broken and statuses of some of the blocks, on contacts coarsened to H/λc =
+`height`, of which `sites` are resolved."""
 
 
 class BlockNumbers(NamedTuple):
@@ -357,10 +357,10 @@ class Views(NamedTuple):
 def _coarse_heights(
     given: BlockNumbers, left: Int[np.ndarray, " m"], look: Look, sites: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """H/λc at which so many contacts show each event, at most that of the block; ℓ there; and whether finer ones did not.
+    """Find an H/λc, at most that of the block, at which each event fits `sites` contacts; ℓ there; whether finer ones did not.
 
-    Of `FOLLOWED` contacts it breaks `ENOUGH` where it can. An event that passes all contacts on ones so large that they reach
-    over `FAR` heights has no length (inf): still larger ones would be what stops it.
+    An event should break `ENOUGH` of `FOLLOWED` contacts. One that breaks them all although they reach over `FAR` heights has
+    no length (inf): on still larger contacts it would stop only because they are so large.
     """
     finer, tall = sites / FOLLOWED, given.height
     height, length, most = np.minimum(tall, COARSE * finer / given.push_height), np.zeros(len(tall)), tall.copy()
@@ -379,7 +379,7 @@ def _coarse_heights(
 
 
 def _views(given: BlockNumbers, look: Look) -> Views:
-    """Look at each event on `FOLLOWED` contacts, and at one that may run away on `FARTHER` where these do not decide.
+    """Look at each event on `FOLLOWED` contacts, and on `FARTHER` at those that may run away and are still undecided.
 
     Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
     finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
@@ -387,7 +387,7 @@ def _views(given: BlockNumbers, look: Look) -> Views:
     """
     falling = given.threshold_slope < 0
     lasting, endless = (given.prestress > 0) | falling, (2 * given.prestress >= 1) | falling
-    # what runs away on the largest contacts needs no look at smaller ones; falling thresholds end before the last of them
+    # an event that runs away on the largest contacts does so on smaller ones; falling thresholds reach zero before the last
     first, left = np.minimum(given.height, FOLLOWED / FAR), np.arange(len(given.height))
     found = Views(first, np.full(len(left), FOLLOWED), np.full(len(left), np.inf), np.full(len(left), np.inf))
     away = np.nonzero(endless & ~falling)[0]
@@ -419,9 +419,9 @@ def _alike(fine: Any, rough: Any) -> Any:
 def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, Any]:
     """ℓ of a block from those of two coarser ones, at H/λc = `height` and half of it; and how far it may be off.
 
-    An event that breaks n contacts is shorter than that of ever smaller ones by a part of the order of 1/n; a quarter of the
-    correction is what it leaves. Where both lengths differ by more than `ALIKE` they are of two kinds of event: the first
-    counts, and may be off by their difference.
+    The length of an event of n breaks has a relative error of order 1/n; extrapolation leaves about a quarter of its own
+    correction. Lengths that differ by more than `ALIKE` belong to two kinds of event: the finer one is taken, and may be off by
+    their difference.
     """
     fine, rough = fine * tall / height, rough * tall * 2 / height
     correction = (fine - rough) * (1 - height / tall)
@@ -501,8 +501,8 @@ def _look(lanes: BlockNumbers, control: Control) -> Look:
 def tall_lengths(lanes: BlockNumbers, control: Control) -> tuple[np.ndarray, np.ndarray]:
     """ℓ of many blocks from coarser ones, and how far each may be off.
 
-    Lengths are 0 where no domino starts. Where the event does not stop within what can be followed they are inf, off by H:
-    what blocks beside it may be off by.
+    Lengths are 0 where no domino starts, and inf where the event does not stop within the contacts followed. The error of an
+    infinite length is set to H, for the blocks beside it in a table.
     """
     view = _views(lanes, _look(lanes, control))
     found, error = view.fine, np.where(np.isinf(view.fine), lanes.height, 0)

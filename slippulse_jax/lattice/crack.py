@@ -1,8 +1,8 @@
 r"""Crack-like first precursors: behind the tip contacts slide at constant friction, and heal only when the front has stopped.
 
-The quasi-static limit of `slippulse_jax.rules.CrackLike`, beside which the paper sets its pulses. The left edge is loaded until
-contact 0 carries its threshold; a contact that reaches it slides at the friction σ_k. With displacements beyond those of the
-prestress φ in units of 1 − φ, and ρ = (σ_k − φ)/(1 − φ), the layers behind a tip that has passed n contacts obey
+The quasi-static limit of `slippulse_jax.rules.CrackLike`, with which the paper compares its pulses. The left edge is loaded
+until contact 0 carries its threshold; a contact that reaches it slides at the friction σ_k. With displacements beyond those of
+the prestress φ in units of 1 − φ, and ρ = (σ_k − φ)/(1 − φ), the layers behind a tip that has passed n contacts obey
 
     K_L Δ²u_t = K_T (u_t − u),    K Δ²u = K_T (u − u_t) + kρ,
 
@@ -28,14 +28,14 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 FARTHEST = 1e3
-"""Lengths looked at, in H (1 + b): without prestress every tip has stopped long before."""
+"""Largest length searched, in H (1 + b): without prestress every tip has stopped long before."""
 
 NODES = 96
-"""Positions, in geometric progression, at which the first stop is looked for."""
+"""Number of positions, in geometric progression, among which the first stop is searched."""
 
 
 NOISE = 1e9
-"""Error of a length, over rounding: on soft contacts the stress at the tip changes little from one to the next."""
+"""Error of a length in units of rounding: on soft contacts the stress at the tip hardly changes from one to the next."""
 
 
 class Sliding(NamedTuple):

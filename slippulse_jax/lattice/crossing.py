@@ -22,21 +22,21 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 SIMPLE = 0.999
-"""Part of the run-away prestress below which a front is simple."""
+"""Fraction of the run-away prestress below which a front is simple."""
 
 CLOSE = 1e-7
 """Last step of Newton's method, relative to the length: its square is rounding."""
 
 TURNS, STEPS = 16, 100
-"""Steps before a lane is left to the careful program in bulk, and before a crossing is given up; five to eight are usual."""
+"""Steps after which a bulk program leaves a lane to the careful one, and a crossing is given up; five to eight are usual."""
 
 ROUNDED = 1e-4
-"""Last step with which a crossing counts as found after `STEPS`: where the stress is all but level beside the threshold,
-rounding moves the crossing by as much, and the steps never get small."""
+"""Last step with which a crossing still counts as found after `STEPS`: where the stress is nearly parallel to the threshold,
+rounding moves the crossing by as much, and the steps never become small."""
 
 
 def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
-    """The series' system at θ = (H/λc, k/K, ν, φ, …); φ is not looked at unless `prestressed`."""
+    """Set up the series at θ = (H/λc, k/K, ν, φ, …); φ is ignored unless `prestressed`."""
 
     def modes_of(height: Array, stiffness: Array, poisson: Array) -> Any:
         return lattice_modes(Slider(height, stiffness, poisson))
@@ -51,7 +51,7 @@ def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
 
 
 def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -> tuple[Lanes, Lanes]:
-    """ℓ* and `Outcome`, both as numbers of one floating type, of fronts of which all are simple unless `careful`.
+    """Find ℓ* and the `Outcome`, both in one floating type; unless `careful`, all fronts must be simple.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
     low, dip, in_dip, passed = zero, zero, jnp.zeros_like(moves), ~moves
     if careful:
         low, dip, in_dip, passed = _first_dip(found, slope, ~simple, moves)
-        # past its dips a rising threshold is met once more, far out, where nothing is leapt over
+        # beyond the dips the stress meets a rising threshold once more, far out, where no step can skip a dip
         start = jnp.where(~simple & passed & (slope > 0), jnp.maximum(dip, 0.25), start)
         start = jnp.where(in_dip & (dip - low > 2 * _tiny(slope) * jnp.maximum(dip, 1)), dip, start)
         low = jnp.where(simple, 0, low)
@@ -78,7 +78,7 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
     settled = jnp.abs(s - before) <= ROUNDED * jnp.maximum(s, 1)
     s = jnp.where(in_dip & (start == 0), dip, s)
     none = jnp.where(simple, ~moves, in_dip & (dip == 0))
-    # what stops only where the threshold has fallen below nothing has run away
+    # a front that stops only where the threshold is negative has run away
     runs = ~simple & ~in_dip & passed & (slope <= 0) | (1 + slope * s < 0)
     status = jnp.select(
         [~jnp.isfinite(edge), none, runs, ~settled | ~simple & ~in_dip & ~passed],
@@ -89,11 +89,11 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
 
 
 def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[Lanes, Lanes]:
-    """As `crossing`, of plain tables: lanes of which that does not give every digit, or not quickly, are `NOT_CONVERGED`.
+    """Do `crossing` on plain tables; lanes that these do not determine to every digit, or soon, are left as `NOT_CONVERGED`.
 
-    Under a prestress the careful search is made, for a lane that is not simple where the table ends within the rows that are
-    stored, so that it holds from the edge on. Without one, lanes that are not simple are left, and Newton's method on the first
-    rows brings a lane to about 1e-5 of the crossing, on all rows to the crossing itself.
+    With a prestress, a lane that is not simple gets the careful search if its table ends within the rows stored: only then does
+    the table hold from the edge on. Without one, lanes that are not simple are left. Newton's method on the first rows
+    comes within about 1e-5 of the crossing; on all rows it finishes.
     """
     slope = theta[4]
     if found.amplitude.shape[0] > 2:
@@ -113,7 +113,7 @@ def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[La
 
 
 def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
-    """As `crossing_in_bulk`, of relaxed lanes on level thresholds that cross where the far series holds.
+    """Do `crossing_in_bulk` for relaxed lanes on level thresholds that cross where the far series holds.
 
     Such a front is simple: the crossing lies beyond `begins` if, and only if, the stress there is above the threshold.
     """
@@ -134,7 +134,7 @@ def excess(found: Series, theta: Float[Array, "5 *lanes"], s: Lanes) -> tuple[La
 
 
 def length_of(s: Lanes, status: Lanes) -> Lanes:
-    """The crossing, or what stands for it: 0 without a domino, inf on running away, NaN."""
+    """ℓ*: the crossing; 0 without a domino, inf for run-away, else NaN."""
     without = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.where(status == Outcome.RUN_AWAY, jnp.inf, jnp.nan))
     return jnp.where(status == Outcome.ARRESTED, s, without.astype(s.dtype))
 
@@ -144,7 +144,7 @@ def _simple(found: Series, slope: Lanes) -> Bool[Array, "*lanes"]:
 
 
 def _start(found: Series | FarSeries, theta: Array) -> Lanes:
-    """By the tail c_2 ρ_2^s far from the edge, or the macroscopic law on a rigid upper layer, whichever makes sense."""
+    """First guess: from the tail c_2 ρ_2^s far from the edge, or the macroscopic law on a rigid upper layer."""
     slider = Slider(theta[0], theta[1], theta[2])
     excess = found.amplitude[1] / (1 - jnp.minimum(found.system.plateau, SIMPLE)) - 1
     b = slider.b
@@ -153,9 +153,9 @@ def _start(found: Series | FarSeries, theta: Array) -> Lanes:
 
 
 def _newton(rise: series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int) -> tuple[Lanes, Lanes]:
-    """(s, the s before) once every lane is close, safeguarded by a bracket from `low` on.
+    """Iterate by Newton's method, inside a bracket from `low` on, until every lane is close; return s and the s before it.
 
-    A lane that is close stays where it is, and s = 0 asks for nothing.
+    A lane that is close stays as it is; s = 0 marks a lane without a crossing.
     """
 
     def turn(carry: Any) -> Any:
@@ -163,7 +163,7 @@ def _newton(rise: series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolera
         excess, rate = rise(s)
         over = excess >= slope * s
         low, high = jnp.where(over, s, low), jnp.where(over, high, s)
-        # ln t is all but straight: x (6 + x)/(6 + 4x) is ln(1 + x) near 0
+        # ln t is nearly straight: x (6 + x)/(6 + 4x) is ln(1 + x) near 0
         x = jnp.maximum(excess, -0.9)
         by_log = x * (6 + x) / (6 + 4 * x) * (1 + excess) / rate
         newton = jnp.clip(s - jnp.where(slope == 0, by_log, (excess - slope * s) / (rate - slope)), s / 4, 4 * s + 10)
@@ -192,17 +192,17 @@ def _tiny(x: Array) -> float:
 def _first_dip(found: Series, slope: Lanes, wanted: Array, moves: Array) -> tuple[Lanes, Lanes, Array, Array]:
     """Search from the edge for the first crossing that arrests the front.
 
-    The stress beside the threshold is bent downward near the edge and upward from there on, so that it lies above its parabola
-    in the one part and above its tangent in the other: steps to their zeros come nearer to a crossing, and do not leap over a
-    dip. (Far out, where the stress tends to its plateau, they may go beyond the one crossing there.) A crossing is taken only
-    if the contact beyond it stays below its threshold.
+    The excess over the threshold is concave near the edge and convex beyond, so that it lies above its parabola in the one
+    part and above its tangent in the other: steps to their zeros approach a crossing and never skip a dip. (Far out, where
+    the stress tends to its plateau, they may pass the only crossing there.) A crossing is accepted only if the contact beyond
+    it stays below its threshold.
 
     Returns
     -------
     low, dip : array
-        The last point above the threshold, and the point found; where the search gave up, the point reached.
+        The last point above the threshold, and the crossing; where the search gave up, the point reached.
     stopped, passed : array of bool
-        Whether there is such a crossing; whether none will come as long as the threshold does not rise.
+        Whether there is such a crossing; whether none can follow as long as the threshold does not rise.
     """
     tiny = _tiny(slope)
     none = -jnp.ones_like(slope)

@@ -25,7 +25,7 @@ AT_INTERFACE = 0.3
 AT_PUSHER = 0.01
 """Height of those at an end of the pusher, roughly, over H."""
 HALVINGS = 1
-"""A contact carries 2 to this power elements side by side."""
+"""Number of elements side by side over a contact, as a power of 2."""
 BELOW, NEAR, OVER, ABOVE = 18, 10, 8, 14
 """Elements above the interface, below the pusher, over the pusher, and above it."""
 

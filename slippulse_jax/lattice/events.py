@@ -29,7 +29,7 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 EventKind = Literal["domino", "full"]
-"""What a length is that of: the first front, each contact of which breaks once; or the whole event."""
+"""Event whose length is meant: the first front, in which each contact breaks once; or the whole event."""
 
 ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
@@ -38,9 +38,9 @@ FEW_SITES, MORE, MOST_SITES = 128, 4, 2**21
 BREAKS = 64
 """Breaks per site after which an event is given up."""
 ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
-"""A lane is a loop by itself."""
+"""Each lane is a loop of its own."""
 ARREST_OUTCOMES = (*EXACT_OUTCOMES, Outcome.REBREAK)
-"""Possible outcomes of an exact front once the edge behind it is looked at."""
+"""Possible outcomes of an exact front, with the stress on the edge behind it."""
 
 NEVER = 3.0
 """b below which contact 0 of a relaxed interface on level thresholds never breaks again: the onset falls towards 3.0872

@@ -38,7 +38,7 @@ from slippulse_jax.status import Outcome
 from slippulse_jax.units import as_float
 
 Plain = tuple[bool, bool]
-"""Whether prestress and threshold slope are zero for certain, so that compiled code need not carry them."""
+"""Whether prestress and threshold slope are known to be zero, so that compiled code can leave them out."""
 
 
 class ExactFront(NamedTuple):
@@ -51,7 +51,7 @@ class ExactFront(NamedTuple):
 
 
 class ExactFields(NamedTuple):
-    """Displacements in u_s and stress in σ_s at the sites asked for."""
+    """Displacements in u_s and stress in σ_s at the requested sites."""
 
     upper: Float[Array, "..."]  # u_t
     layer: Float[Array, "..."]  # u
@@ -133,7 +133,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
         Fields that broadcast with `s`.
     s : array_like
         Position of the front in λc. Whole numbers give the stresses of the recursion, past the arrest too. The series is solved
-        once for each slider, however many positions are asked for.
+        once per slider, however many positions are asked for.
     interface : Interface, optional
         As for `exact_length`. Its prestress is part of the stress; thresholds decide where the front stops, not what it meets.
 
@@ -203,12 +203,12 @@ def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:
 
 
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
-    """Prestress and threshold slope of an interface for which the closed form holds.
+    """Return prestress and threshold slope of an interface, for which the closed form must hold.
 
     Raises
     ------
     TypeError, ValueError
-        If it is a profile or repins with a delay, naming what can be used instead.
+        If it is a profile or repins with a delay; the message names the function to use instead.
     """
     if interface is None:
         return 0.0, 0.0
@@ -235,14 +235,14 @@ def _map(function: Any, slider: Slider, interface: Interface | None) -> Any:
 def _each(function: Any, static: Any, *arguments: Array) -> Any:
     """`function` of scalars, mapped over arguments that broadcast; compiled once for each function and set of shapes.
 
-    What depends on some of the arguments alone, as the series does on the slider, is worked out once for those: `jnp.vectorize`
-    maps only the axes that an argument has.
+    Quantities that depend on some of the arguments only, as the series does on the slider, are computed once for those:
+    `jnp.vectorize` maps only the axes that an argument has.
     """
     return jnp.vectorize(lambda *scalars: function(static, *scalars))(*arguments)
 
 
 def _is_zero(value: Any) -> bool:
-    """Whether the caller left `value` at zero, so that compiled code need not carry it."""
+    """Whether the caller left `value` at zero, so that compiled code can leave it out."""
     return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
 
 

@@ -28,7 +28,7 @@ EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.
 """Possible outcomes of an exact front."""
 
 IN_BULK, CAREFULLY = Layout(chunk=128, fusion_emitters=False), Layout(chunk=32, fusion_emitters=False)
-"""As many lanes per chunk as leave a plain table in the second-level cache; and a regular one, with derivatives or without."""
+"""Lanes per chunk for which a plain table fits into the second-level cache; and a regular one, with or without derivatives."""
 
 
 @overload
@@ -103,12 +103,12 @@ def exact_fronts(
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
 
-    A lane's own values choose its program, and what one program leaves goes to the next. Relaxed lanes that cross far from the
-    edge go through what is left of the series there; the others through a plain series, which has a family of terms more with
-    a prestress. The few of which that does not give every digit go through a regular one, which takes longer.
+    The values of a lane choose its program; lanes that one program leaves go to the next. Relaxed lanes that cross far from the
+    edge use the few terms of the series that remain there; the others a plain series, which has one more family of terms with a
+    prestress. The few lanes for which that does not give every digit use a regular series, which takes longer.
 
-    With `one_program` the lanes far from the edge have no program of their own, and their last digits differ: to compile one
-    more takes longer than some thousand lanes do.
+    With `one_program` lanes far from the edge have no program of their own, and their last digits differ: compiling one more
+    takes longer than some thousand lanes do.
     """
     found = np.full((2, lanes.shape[1]), float(Outcome.NOT_CONVERGED))
     prestressed = lanes[3] != 0
@@ -176,10 +176,10 @@ def _derivatives(count: int, order: int) -> Kernel:
 
 
 def _effort(lanes: Lanes) -> np.ndarray:
-    """Rank by the work to expect, so that like lanes share a chunk.
+    """Rank lanes by expected work, so that similar ones share a chunk.
 
-    b sets how many Newton steps soft lanes (b < 1/2) take, κ how many rows of the series stiff ones have. A prestress above
-    1/2 may be more than that of run-away, where the search is another.
+    b determines the number of Newton steps of soft lanes (b < 1/2), κ the number of rows of stiff ones. A prestress above 1/2
+    may exceed that of run-away, where the search is a different one.
     """
     height, stiffness, poisson, prestress = (np.asarray(x, np.float32) for x in lanes[:4])
     with np.errstate(all="ignore"):

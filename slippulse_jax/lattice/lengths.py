@@ -33,7 +33,7 @@ from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
 
 LENGTHS, WITH_MORE, ENDED, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504), Layout(chunk=256)
-"""Of `lanes` for the length alone (`benchmarks` has the cost of a point at 10⁴) and with more; of the general recursion."""
+"""Layouts: of the loops of `lanes` for the length alone, with more results, and with ends; of the general recursion."""
 
 
 class Options(TypedDict, total=False):
@@ -193,7 +193,7 @@ def arrests(
 ) -> Arrest:
     """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
 
-    What `precursor_lengths` computes, with all that is known of each lane; no lane raises or warns.
+    The numbers of `precursor_lengths`, with the outcome of each lane; no lane raises or warns.
     """
     check_max_contacts(max_contacts)
     columns, shape, kind = _columns(slider, interface, HARD, ends)
@@ -207,7 +207,7 @@ def arrests(
 
 @functools.cache
 def general_arrest_kernel(kind: Any, max_contacts: int) -> Kernel:
-    """`Arrest` of lanes whose numbers `kind` puts together to slider, interface, rule and ends."""
+    """`Arrest` of lanes; `kind` is the tree that turns the numbers of a lane into slider, interface, rule and ends."""
 
     def one(lane: Array) -> Arrest:
         slider, interface, _, ends = jax.tree.unflatten(kind, list(lane))
@@ -218,7 +218,7 @@ def general_arrest_kernel(kind: Any, max_contacts: int) -> Kernel:
 
 @functools.cache
 def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
-    """ℓ of lanes likewise, or ℓ_w of a smooth rule; or rows of one array, with the derivative in every number."""
+    """ℓ of such lanes, or ℓ_w under a smooth rule; with derivatives an array of rows: ℓ, and its slope in every number."""
 
     def one(lane: Array) -> Array:
         slider, interface, rule, ends = jax.tree.unflatten(kind, list(lane))
@@ -231,12 +231,12 @@ def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
 
 
 def _is_simple(interface: Interface | None, ends: Ends) -> bool:
-    """Whether `slippulse_jax.lattice.lanes` has a loop of its own for it."""
+    """Whether `slippulse_jax.lattice.lanes` has a loop for these arguments."""
     return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
 
 
 def _seven(slider: Slider, interface: Interface | None, ends: Ends) -> list[Float[np.ndarray, " n"]]:
-    """Seven numbers for `lanes.length_kernel`; where there is no end or machine, one so far or stiff that no digit changes."""
+    """Seven numbers per lane for `lanes.length_kernel`; a missing end is too far, a missing machine too stiff, to matter."""
     sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
     return _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
 
@@ -244,7 +244,7 @@ def _seven(slider: Slider, interface: Interface | None, ends: Ends) -> list[Floa
 def _columns(
     slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends
 ) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
-    """The numbers of every lane, one array each; the shape of the batch; and what puts them together again."""
+    """The numbers of every lane, one array each; the shape of the batch; and the tree that reassembles the arguments."""
     check_bulk(interface)
     numbers, kind = jax.tree.flatten((slider, interface, rule, ends))
     if any(isinstance(x, Tracer) for x in numbers):
@@ -268,7 +268,7 @@ def length_rank(lanes: Lanes) -> np.ndarray:
 
 def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> None:
     if np.isnan(np.min(found, initial=0)):  # nothing as large as the batch is made
-        # what has no length was given up, or its numbers leave double precision: with the first break already
+        # a lane without a length was given up, or overflows double precision, which the first break already shows
         missing = np.isnan(found)
         numbers = (np.broadcast_to(x, found.shape)[missing] for x in (slider.height, slider.stiffness, slider.poisson))
         status = np.zeros(found.shape, np.int32)

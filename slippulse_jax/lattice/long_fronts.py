@@ -4,7 +4,7 @@ The recursion costs a nanosecond or two per lane and contact; the series (`slipp
 a few per lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the two
 contacts around ℓ*.
 
-Where a front crosses so far from the edge that one family and one column of the series are left, a step of Newton's method
+Where a front crosses so far from the edge that only one family and one column of the series matter, a step of Newton's method
 costs next to nothing, and a lane little more than its table.
 """
 
@@ -26,7 +26,7 @@ LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
 
 NEAR, FAR = Layout(chunk=128), Layout(chunk=240)
-"""As many lanes per chunk as leave the table of the series, or the rows of a narrow one, in the second-level cache."""
+"""Lanes per chunk for which the table of the series, or the rows of a narrow one, fit into the second-level cache."""
 
 NEGLIGIBLE, LIFT = 35, 0.01
 """Expected decay exponent at the crossing, and b, from which the far series is tried. A front is 5 to 11 % longer than

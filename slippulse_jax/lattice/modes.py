@@ -39,7 +39,7 @@ Pair = tuple[Number, Number]  # one number per mode
 
 
 class Ends(eqx.Module):
-    """Two ends of a chain: what lies beyond its last site, and the drive at its edge.
+    """The two ends of a chain: its surroundings beyond the last site, and the drive at its edge.
 
     The numbers may be traced, and broadcast with the slider's.
     """
@@ -292,7 +292,7 @@ def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
     Parameters
     ----------
     right : {"semi-infinite", "free", "clamped"}
-        What the chain does beyond its last site: goes on for ever; nothing; is tied to a wall one bond further.
+        Beyond its last site the chain continues without end, is free, or is tied to a wall one bond further.
     sites : array_like, optional
         Number of sites N ≥ 2 of a finite chain.
     machine : array_like, optional

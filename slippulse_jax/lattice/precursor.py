@@ -219,7 +219,7 @@ def precursor_length(
     FrontNotArrested
         If a single front, called outside ``jit``, was given up. A batch warns instead, and says which.
     ValueError
-        If the event of a block does not stop within what can be followed.
+        If the event of a block does not stop within the contacts that can be followed.
 
     Notes
     -----
@@ -306,8 +306,8 @@ def first_precursor(
     Raises
     ------
     FrontNotArrested
-        If the front was given up and `recorded_sites` is missing: nobody knows how long a record is wanted. With it, the record
-        has the status LIMIT. Under ``jit`` and ``vmap`` nothing is raised.
+        If the front was given up and `recorded_sites` is missing, so that the length of the record is unknown. With it, the
+        record has the status LIMIT. Under ``jit`` and ``vmap`` nothing is raised.
     ValueError
         If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
     """

@@ -41,11 +41,11 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
     prestress : array, shape ()
         φ, in σ_s.
     position : array, shape ()
-        Contacts broken, at most `count`; between whole numbers the fields go over smoothly from one to the next.
+        Contacts broken, at most `count`; between whole numbers the fields change smoothly from one to the next.
     count : int
         Contact i lies at x = i λc.
     ends : Ends
-        Right end and drive; beyond a free end the fields go on, without meaning.
+        Right end and drive; beyond a free end the fields have no meaning.
     """
     modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
 

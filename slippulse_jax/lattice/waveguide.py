@@ -40,7 +40,7 @@ class Slab(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """What pushes column 0: displaced freedoms, or given forces with all of them free."""
+    """The push on column 0: displaced freedoms, or given forces with all of them free."""
 
     displaced: Float[Array, " n"]  # 1 where a freedom moves with the pusher
     force: Float[Array, " n"]  # on the others, per unit of the load
@@ -65,7 +65,7 @@ class End(NamedTuple):
 
 
 class MatrixResponse(NamedTuple):
-    """What breaks of the first N contacts do."""
+    """Response to breaks of the first N contacts."""
 
     push: Float[Array, " N"]  # t, stretch per unit of the load
     matrix: Float[Array, "N N"]  # R
@@ -95,7 +95,7 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
 
 @in_full
 def joined_slabs(a: Slab, b: Slab) -> Slab:
-    """Two slabs in a row as one, and what is read of the column between them handed on to the others."""
+    """Join two slabs in a row; readings of the column between them are passed on to the outer columns."""
     between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
     moved = between @ read
     left, right = a.left - a.across @ between @ a.across.T, b.right - b.across.T @ between @ b.across

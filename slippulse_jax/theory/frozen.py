@@ -17,9 +17,6 @@ from slippulse_jax.derivatives import crossing
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
-TERMS = 20
-"""Terms of e^{gz}, |gz| ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
-
 
 class Appendix(NamedTuple):
     """Every named intermediate of the Appendix at one slider; u_s = 1."""
@@ -124,8 +121,8 @@ def _integrated(slider: Slider, printed: bool) -> _Integrated:
     slope_far = k * (1 + k) / 2
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
     # rate κ_2 + 2nκ: the far part of Ψ_6' starts at n = 0, the near part at n = 1
-    n = np.arange(TERMS + 1)
-    power = exponential_terms(g, TERMS)
+    power = exponential_terms(g)
+    n = np.arange(power.size + 1)
     weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
     A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
     # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to

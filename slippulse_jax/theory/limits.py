@@ -24,8 +24,6 @@ _DOMAIN = {
     "prestress": PRESTRESS,
 }
 
-TERMS = 20
-"""Terms of e^{−g e^{−2y}}, g ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
 EDGE_TERMS = 16
 """Terms of the edge stress: each is at most λ/2n ≤ 1/4n of the one before, and the first one left out below 1e-20."""
 
@@ -122,8 +120,9 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
 def _held(beta: Array, z: Array) -> Array:
     """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
     g = beta / (2 * (1 + beta))
-    rates = 2 * jnp.arange(TERMS, dtype=z.dtype)
-    return exponential_terms(-g, TERMS) @ overlap(1 / (1 + beta), rates, z) * jnp.exp(g * jnp.exp(-2 * z))
+    terms = exponential_terms(-g)
+    rates = 2 * jnp.arange(terms.size, dtype=z.dtype)
+    return terms @ overlap(1 / (1 + beta), rates, z) * jnp.exp(g * jnp.exp(-2 * z))
 
 
 def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array, "..."]:
