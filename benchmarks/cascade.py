@@ -8,6 +8,8 @@ the package's cascade given the same: the response and the stresses.
     python -m benchmarks cascade
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numba
@@ -58,10 +60,7 @@ def events(P, Q, source, contact, threshold, stress, max_breaks):
 
 
 def order_of_breaks(stress, response, chain):
-    def order(stress, response, chain):
-        return _broken((1000, 0), response, chain, stress, chain.threshold, jnp.int32(-1)).book.order
-
-    return lane_by_lane(order, stress, response, chain)
+    return _broken((1000, 0), response, chain, stress, chain.threshold, jnp.int32(-1)).book.order
 
 
 def ruptures(sizes=(300, 3000), lanes=(1, 64)):
@@ -73,13 +72,14 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
         for count in lanes:
             loads = jnp.linspace(6.0, 8.0, count) if count > 1 else jnp.array([6.0])
             one = lambda load, c=c, n=n: sp.rupture(c, State(jnp.zeros(n), load), max_breaks=1000)  # noqa: E731
+            breaks = partial(order_of_breaks, response=response, chain=c)
             run = jax.jit(one if count == 1 else jax.vmap(one))
-            alone = jax.jit(order_of_breaks if count == 1 else jax.vmap(order_of_breaks, in_axes=(0, None, None)))
+            alone = jax.jit(breaks if count == 1 else jax.vmap(partial(lane_by_lane, breaks)))
             given = loads[0] if count == 1 else loads
             found = jax.block_until_ready(run(given))
             stresses = jax.vmap(lambda u, c=c, n=n: sp.equilibrium(c, State(jnp.zeros(n), u)).stress)(loads)
             stress = stresses[0] if count == 1 else stresses
-            np.testing.assert_array_equal(alone(stress, response, c), found.order)
+            np.testing.assert_array_equal(alone(stress), found.order)
             rows = np.asarray(stresses)
             theirs = [events(*arrays, row, 1000) for row in rows]
             for expected, k, mine in zip(theirs, np.atleast_1d(found.breaks), np.atleast_2d(found.order), strict=True):
@@ -87,7 +87,7 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
             taken = side_by_side(
                 {
                     "ours": lambda run=run, given=given: jax.block_until_ready(run(given)),
-                    "alone": lambda alone=alone, given=(stress, response, c): jax.block_until_ready(alone(*given)),
+                    "alone": lambda alone=alone, stress=stress: jax.block_until_ready(alone(stress)),
                     "theirs": lambda arrays=arrays, rows=rows: [events(*arrays, row, 1000) for row in rows],
                 },
                 100 if count == 1 else 10,
