@@ -78,6 +78,8 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
 @click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
 @click.option("--gauge-figure", callback=figure_path, metavar="FILE", help="Draw slip and stress along the interface and fit.")
+@click.option("--verbose", is_flag=True, help="Add the model, the ranges searched, all intervals, fitted inputs, correlations.")
+@click.option("--methods", is_flag=True, help="Add a sentence for a paper, with these numbers.")
 @as_json
 @click.pass_context
 def command(ctx: click.Context, csv: str, **options: Any) -> None:
@@ -101,7 +103,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.hints import before_fit
     from slippulse_jax.inference.measurements import MeasurementWarning
-    from slippulse_jax.inference.parameters import body_of
+    from slippulse_jax.inference.parameters import event_and_body
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.tables import read_measurements
 
@@ -110,33 +112,40 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
         settings = from_request(_with_options(request, options))
-        body = body_of(measurements, settings.get("event"), settings.get("body"))
+        event, body = event_and_body(measurements, settings.get("event"), settings.get("body"))
         prestressed = any(one.name == "prestress" for one in settings["free"])
-        for warning in before_fit(measurements, settings.get("event") or "domino", body, prestressed=prestressed):
+        for warning in before_fit(measurements, event, body, prestressed=prestressed):
             click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)  # printed above
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
-        more, drawn = {}, None
+        more, drawn = {}, {}
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
-            drawn = more["bootstrap"] = bootstrap(result, options["bootstrap"], kind=kind, seed=result.request["seed"])
+            drawn["bootstrap"] = more["bootstrap"] = bootstrap(
+                result, options["bootstrap"], kind=kind, seed=result.request["seed"]
+            )
         if options["posterior"]:
-            drawn = result.posterior(samples=options["posterior"], seed=result.request["seed"])
-            more["posterior"] = Posterior(drawn)
+            drawn["posterior"] = result.posterior(samples=options["posterior"], seed=result.request["seed"])
+            more["posterior"] = Posterior(drawn["posterior"])
     except (ValueError, OSError, ModuleNotFoundError) as error:
         refuse(error)
     if options["as_json"]:
         print_json(result.to_dict() | {name: one.to_dict() for name, one in more.items()})
     else:
-        click.echo("\n\n".join([result.report(), *map(str, more.values())]))
+        parts = [
+            result.report(verbose=options["verbose"]),
+            *([result.methods()] if options["methods"] else []),
+            *map(str, more.values()),
+        ]
+        click.echo("\n\n".join(parts))
     _draw(result, drawn, options)
     if not result.converged:
         ctx.exit(NOT_CONVERGED)
 
 
-def _draw(result: "FitResult", samples: Any, options: dict[str, Any]) -> None:
-    """Draw the requested pictures."""
+def _draw(result: "FitResult", samples: dict[str, Any], options: dict[str, Any]) -> None:
+    """Draw the requested pictures; in the corner plot all samples that were drawn."""
     if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
         return
     from slippulse_jax import plot

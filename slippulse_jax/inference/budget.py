@@ -15,7 +15,7 @@ from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.verdict import GIVEN, LEVELS
+from slippulse_jax.inference.verdict import GIVEN, LEVELS, Identifiability
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -55,6 +55,9 @@ SUPPOSED = {
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is assumed to be pushed where the table does not say, over H."""
 
+NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
+"""Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
+
 BOTH_WAYS = np.array([-1.0, 1.0])
 
 
@@ -68,6 +71,14 @@ class Moved(NamedTuple):
     def by(self, name: str) -> float:
         """Change of a parameter, relative where it is positive, if the input is larger by its error."""
         return self.slope[name] * self.error
+
+
+class AsSlider(NamedTuple):
+    """A fit of the paper's slider to the lengths of a block, by parameter."""
+
+    values: dict[str, float]
+    stderrs: dict[str, float | None]
+    verdicts: dict[str, Identifiability]
 
 
 def budget(result: "FitResult") -> dict[str, Moved]:
@@ -116,19 +127,32 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
 
 
 def unstated_push(result: "FitResult") -> dict[str, float]:
-    """Stiffness of a block over that of the slider, for the same lengths, where no push is stated.
+    """Factors on the stiffness by where the side is pushed, as far as the table does not say, for the same lengths.
 
-    By the height over H above which the block is pushed, for the measurement with the median length over H; NaN where no
-    stiffness gives it. Only for first fronts on a relaxed interface whose stiffness has a value. Empty where lengths share an
-    offset or a model factor, which would take other values in a fit of a block.
+    Of a slider, those of a block pushed from some heights over H up. Of a block whose pusher has no stated height, that of a
+    pusher `NARROW_PUSHER`. For the measurement with the median length over H; NaN where no stiffness gives it. Only for relaxed
+    interfaces whose stiffness has a value. Empty where the lengths of a slider share an offset or a model factor, which would
+    take other values in a fit of a block.
     """
-    if not push_is_unstated(result) or shares_errors(result):
-        return {}
-    m = result.measurements
+    m, at = result.measurements, result.regime.b
     ratio = result.fitted.length / m.height
     i = int(np.argsort(ratio)[len(m) // 2])
-    found = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
-    return {at: b / float(result.regime.b[i]) for at, b in found.items() if b is not None}
+    length, poisson = float(ratio[i]), float(m.poisson[i])
+    if width_is_unstated(result):
+        assert m.push_height is not None
+        height = float(np.clip(m.push_height[i] / m.height[i], NARROW, 1 - NARROW))
+        above, narrow = packaged_b(length, poisson, height), packaged_b(length, poisson, height, narrow=True)
+        return {} if above is None or narrow is None else {NARROW_PUSHER: narrow / above}
+    if not push_is_unstated(result) or shares_errors(result):
+        return {}
+    found = {f"{at:g}": packaged_b(length, poisson, at) for at in PUSHES}
+    return {height: b / float(at[i]) for height, b in found.items() if b is not None}
+
+
+def width_is_unstated(result: "FitResult") -> bool:
+    """Whether a fit of a block on a relaxed interface takes the pusher to cover all of the side above the stated height."""
+    m, q = result.measurements, result.parameters
+    return q.body == "block" and m.push_width is None and not m.or_zero("prestress").any() and "prestress" not in q.names
 
 
 def push_is_unstated(result: "FitResult") -> bool:
@@ -219,7 +243,7 @@ def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.
     sigma = result.problem.blocks[0].data.sigma
     if name == "correlation_length":
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
-    q = parameter_set(m, result.request["free"], result.parameters.event, result.parameters.body)
+    q = parameter_set(m, result.parameters.wanted, result.parameters.event, result.parameters.body)
     problem = make_problem(m, q, result.problem.loss, sigma)
     found = minimise(problem, result.theta[None], q.low, q.high)
     return found.theta[0] if np.isfinite(found.value[0]) else np.full(problem.p, np.nan)

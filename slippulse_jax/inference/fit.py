@@ -24,10 +24,10 @@ from slippulse_jax.inference.parameters import (
     Inputs,
     MeasuredEvent,
     Parameter,
-    body_of,
-    errors_of_measuring,
+    event_and_body,
     mistaken_priors,
     parameter_set,
+    with_errors_of_measuring,
 )
 from slippulse_jax.inference.profile import Curve, Intervals, Rise, allowed, profile
 from slippulse_jax.inference.result import FitResult, root_of
@@ -76,8 +76,8 @@ def fit(
         Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
         are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
         Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths of
-        provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`errors_of_measuring`), unless they
-        are named or held.
+        provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`with_errors_of_measuring`), unless
+        they are named or held.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
@@ -125,26 +125,6 @@ def fit(
     measurements = measurements_of(measurements)
     wanted = wanted_parameters(free, bounds, fixed)
     _warn_of_mistakes(measurements, wanted)
-    body = body_of(measurements, event, body)
-    if event is None:
-        event = "full" if body == "block" else "domino"
-    settings = (
-        *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
-        *(("intervals", intervals, INTERVALS), ("event", event, get_args(MeasuredEvent)), ("body", body, get_args(Body))),
-    )
-    for name, value, known in settings:
-        if value not in list(known):
-            raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
-    check_whole("max_steps", max_steps, 1)
-    check_whole("seed", seed, 0)
-    scaled = sigma == "relative" or measurements.length_sigma is None
-    named = {one.name for one in wanted}
-    wanted += [one for one in errors_of_measuring(measurements, size_known=not scaled) if one.name not in named]
-    parameters = parameter_set(measurements, wanted, event, body)
-    errors = measurements.stated_sigma
-    problem = make_problem(measurements, parameters, Loss(loss), errors)
-    _check_scaled(measurements, problem, scaled)
-    _check_calibrated(problem, intervals, scaled)
     request = {
         "free": wanted,
         "loss": loss,
@@ -156,6 +136,23 @@ def fit(
         "event": event,
         "body": body,
     }
+    event, body = event_and_body(measurements, event, body)
+    settings = (
+        *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
+        *(("intervals", intervals, INTERVALS), ("event", event, get_args(MeasuredEvent)), ("body", body, get_args(Body))),
+    )
+    for name, value, known in settings:
+        if value not in list(known):
+            raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
+    check_whole("max_steps", max_steps, 1)
+    check_whole("seed", seed, 0)
+    scaled = sigma == "relative" or measurements.length_sigma is None
+    every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
+    parameters = parameter_set(measurements, every, event, body)
+    errors = measurements.stated_sigma
+    problem = make_problem(measurements, parameters, Loss(loss), errors)
+    _check_scaled(measurements, problem, scaled)
+    _check_calibrated(problem, intervals, scaled)
     # lengths of whole events are interpolated: no count holds or fails by them with certainty
     counts = allowed_by_counts(problem) if event != "full" and problem.only_counts else None
     between = None if scaled or counts else _between_contacts(problem, seed)

@@ -1,6 +1,6 @@
 """Hints: lengths that no stiffness gives, before a fit, and what to try after one that is rejected."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,7 +112,7 @@ def _shared(result: "FitResult") -> Iterator[str]:
             column, symbol = m.columns.get(f"{name}_sigma", f"{name}_sigma"), each[0].symbol
             mean, deviation = f"{value[0]:.6g}", f"{sigma[0]:.6g}"
             prior = f'sp.Parameter("{name}", prior=({mean}, {deviation}))'
-            option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(result.request["free"], prior))
+            option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(result.parameters.wanted, prior))
             yield (
                 f"each specimen has an error of {symbol} of its own: if one source gives {symbol} of all, they share "
                 f"its error: leave {column} out, and give {option}"
@@ -140,7 +140,7 @@ def _trend(result: "FitResult") -> str:
 
 def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
     """χ² per degree of freedom and a hint, for each additional freedom that helps."""
-    m, wanted = result.measurements, result.request["free"]
+    m, wanted = result.measurements, list(result.parameters.wanted)
     named = {one.name: one for one in wanted}
     stiffness = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
     if stiffness is not None and len(set(m.specimen)) > 1:
@@ -160,12 +160,12 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, str]]:
         yield from _helps(result, more, f"{pattern}try a prestress, the same for all: {option}")
 
 
-def _asked(wanted: list[Parameter]) -> list[Parameter]:
+def _asked(wanted: Sequence[Parameter]) -> list[Parameter]:
     """The parameters that the user asked to fit."""
     return [one for one in wanted if one.value is None and not one.nuisance]
 
 
-def _as_argument(wanted: list[Parameter], *more: str) -> str:
+def _as_argument(wanted: Sequence[Parameter], *more: str) -> str:
     """Write the argument `free` of a fit of these parameters and `more`."""
     return f"free=[{', '.join([*map(_in_python, _asked(wanted)), *more])}]"
 

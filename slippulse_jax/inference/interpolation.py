@@ -161,15 +161,20 @@ def block_grid() -> Grid:
     return grid
 
 
-def packaged_b(length: float, poisson: float, push_height: float) -> float | None:
+def packaged_b(length: float, poisson: float, push_height: float, *, narrow: bool = False) -> float | None:
     """Smallest b at which a tall block pushed above a height has this length over H, by the packaged nodes of nearest ν.
 
-    nan where no b gives so long an event; None where the package has no such nodes.
+    Or pushed on a `narrow` patch, of 0.1 H about that height. nan where no b gives so long an event; None where the package has
+    no such nodes.
     """
     nearest, at = (
         round(x / step) for x, step in ((min(max(poisson, 0.2), 0.4), BLOCK_SPACING[2]), (push_height, BLOCK_SPACING[4]))
     )
-    every = [(j, value[0]) for (i, j, *more), value in block_grid().known.items() if (i, *more) == (0, nearest, 0, at, 0, 0)]
+    every = [
+        (j, value[0])
+        for (i, j, *more), value in block_grid().known.items()
+        if (i, *more) == (0, nearest, 0, at, narrow, narrow)
+    ]
     if not every:
         return None
     node, found = np.array(sorted(every)).T

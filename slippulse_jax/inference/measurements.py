@@ -296,6 +296,10 @@ class Measurements:
 
     def __post_init__(self) -> None:
         given = set_columns(self, NUMERIC)
+        for name in set(given) & set(MAY_BE_BLANK):
+            if np.isnan(getattr(self, name)).all():  # blank everywhere: as if it were not there
+                object.__setattr__(self, name, None)
+                given.remove(name)
         n = len(self)
         for name in ("kind", "specimen", "provenance", "label", "lines", "rows", "push_control"):
             values = tuple(getattr(self, name))

@@ -241,6 +241,7 @@ class ParameterSet:
     beyond: Linear  # contacts broken beyond ℓ* when gauges were read
     discrepancy: int | None  # which θ is the logarithm of the model's own relative error
     event: MeasuredEvent  # what a length is that of
+    wanted: tuple[Parameter, ...]  # of which it was made, with those that measuring adds
 
     @property
     def body(self) -> Body:
@@ -368,6 +369,7 @@ def parameter_set(
         If a parameter is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
         domain of the model.
     """
+    wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     chosen = _validated(m, wanted)
     _check_friction({one.name for one in chosen}, event)
     if body == "block":
@@ -390,23 +392,24 @@ def parameter_set(
             )
         builder.add_uncertain(name, sigma)
     builder.add_arrests()
-    return builder.build()
+    return builder.build(wanted)
 
 
-def errors_of_measuring(m: Measurements, *, size_known: bool) -> list[Parameter]:
-    """Errors that all measured lengths share: reading edge and tip, and what the model leaves out.
+def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, size_known: bool) -> list[Parameter]:
+    """Add the errors that all measured lengths share, unless they are named.
 
-    Only for lengths of provenance "measured": a model factor of 1 ± `MODEL_ERROR` and, where the size of σ is known, an offset
-    of 0 ± their median.
+    These are reading edge and tip, and what the model leaves out. Only for lengths of provenance "measured": a model factor of
+    1 ± `MODEL_ERROR` and, where the size of σ is known, an offset of 0 ± their median.
     """
     of_lengths = np.array([kind == "length" for kind in m.kind])
     if "measured" not in m.provenance or not of_lengths.any():
-        return []
+        return list(wanted)
     priors = {"model_factor": (1.0, MODEL_ERROR)}
     if size_known and m.length_sigma is not None:
         metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
         priors = {"offset": (0.0, float(np.median((m.length_sigma * metres)[of_lengths])))} | priors
-    return [Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items()]
+    named = {one.name for one in wanted}
+    return [*wanted, *(Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items() if name not in named)]
 
 
 def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:
@@ -504,6 +507,8 @@ class _Builder:
         # a height is fitted as one factor on all of its rows, and shown as the height of the first
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
         low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
+        if name in STIFFNESSES and parameter.bounds is not None:
+            _check_stiff_enough(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
             low, high = np.log(low), np.log(high)
@@ -538,7 +543,7 @@ class _Builder:
                 label = f"arrest[{self.m.label[i] if self.m.label else i}]"
                 self.add(Parameter("arrest", prior=ARREST, nuisance=True), label, rows)
 
-    def build(self) -> ParameterSet:
+    def build(self, wanted: tuple[Parameter, ...]) -> ParameterSet:
         """Finish the map; check its limits against the domain of the model."""
         n, names = len(self.m), [one.name for one in self.free]
 
@@ -555,17 +560,24 @@ class _Builder:
             beyond=linear("beyond"),
             discrepancy=names.index("discrepancy") if "discrepancy" in names else None,
             event=self.event,
+            wanted=wanted,
         )
         _check_domain(result)
         return result
 
 
-def body_of(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> Body:
-    """Choose a block where every measurement states how its side is pushed, unless the event is one of sliders only."""
-    if body is not None:
-        return body
-    said = m.push_height is not None and not np.isnan(m.push_height).any()
-    return "block" if said and event in (None, "full") else "slider"
+def event_and_body(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> tuple[MeasuredEvent, Body]:
+    """Choose the event and the body that are not given.
+
+    A block and its whole event where every measurement states how its side is pushed, unless the event is one of sliders only;
+    else a slider and its first front.
+    """
+    if body is None:
+        said = m.push_height is not None and not np.isnan(m.push_height).any()
+        body = "block" if said and event in (None, "full") else "slider"
+    if event is None:
+        event = "full" if body == "block" else "domino"
+    return event, body
 
 
 def pushed(
@@ -648,6 +660,23 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
+def _check_stiff_enough(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> None:
+    """Refuse bounds below every stiffness at which a domino starts: they are in another unit, probably values of k/K."""
+    assert parameter.bounds is not None
+    lowest, highest = _default_bounds(builder, replace(parameter, bounds=None, prior=None), rows, reference)
+    low, high = parameter.bounds
+    if high > lowest:
+        return
+    in_si = builder.m.correlation_length is not None
+    unit, per_unit = PARAMETERS[parameter.name].unit[in_si], ratio_per_unit(builder.m)[rows].max()
+    taken = f" are taken in {unit}" * in_si
+    raise ValueError(
+        f"bounds = ({low:g}, {high:g}) of {parameter.name}{taken}: no domino starts below k/K = {lowest * per_unit:.2g}, and "
+        f"they reach to {high * per_unit:.2g}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
+        + f" (k/K = {high:g} is {high / per_unit:.2g} {unit})" * in_si
+    )
+
+
 _LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99), "friction": (0.0, 0.99)}
 
 
@@ -711,13 +740,11 @@ def stiffness_name(m: Measurements) -> str:
     return "areal_stiffness_over_young" if m.young is None else "areal_stiffness"
 
 
-def _validated(m: Measurements, wanted: Iterable[str | Parameter]) -> list[Parameter]:
+def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
     """Validate the requested parameters against the measurements; the stiffness takes the name it has for them."""
     stiffness = stiffness_name(m)
-    chosen = [Parameter(one) if isinstance(one, str) else one for one in wanted]
-    chosen = [
-        replace(one, name=stiffness) if one.name == "stiffness" else one for one in chosen
-    ]  # k/K in SI is the areal stiffness for a fixed λc/E
+    # k/K in SI is the areal stiffness for a fixed λc/E
+    chosen = [replace(one, name=stiffness) if one.name == "stiffness" else one for one in wanted]
     names = [one.name for one in chosen]
     for one in chosen:
         if names.count(one.name) > 1:

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import platform
 import tomllib
@@ -13,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slippulse_jax.files import read_whole
+from slippulse_jax.inference.budget import AsSlider, Moved
 from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plain import plain, shortened
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
@@ -59,7 +62,8 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         ],
         "roots": [_root(root, result) for root in result.roots],
         "searched": {one.label: [one.value(one.low), one.value(one.high)] for one in q.free},
-        "chi2": result.deviance,
+        "deviance": result.deviance,
+        "chi2": result.deviance if result.problem.plain else None,
         "dof": result.dof,
         "p_value": result.p_value,
         "sigma_scaled_by": result.scatter,
@@ -79,7 +83,11 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         },
         "as_slider": None
         if result.as_slider is None
-        else {"values": result.as_slider.values, "stderr": result.as_slider.stderrs},
+        else {
+            "values": result.as_slider.values,
+            "stderr": result.as_slider.stderrs,
+            "verdicts": {name: one.name.lower() for name, one in result.as_slider.verdicts.items()},
+        },
         "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
         "unstated_ends": result.unstated_ends,
         "unstated_push": result.unstated_push,
@@ -107,6 +115,30 @@ def measurements_of_record(content: dict[str, Any]) -> Measurements:
     if "gauges" in table:
         table["gauges"] = Gauges(**_numeric(table["gauges"], GAUGE_COLUMNS))
     return Measurements(**_numeric(table, NUMERIC))
+
+
+def changes_of_record(content: dict[str, Any]) -> dict[str, Any]:
+    """Restore what else would move the result, by the attribute of `FitResult` that holds it."""
+
+    def number(x: float | None) -> float:
+        return math.nan if x is None else x
+
+    def numbers(given: dict[str, Any]) -> dict[str, float]:
+        return {name: number(x) for name, x in given.items()}
+
+    slider, other = content["as_slider"], None
+    if slider is not None and "verdicts" not in slider:  # version 0.2, which left them out
+        return {}
+    if slider is not None:
+        verdicts = {name: Identifiability[one.upper()] for name, one in slider["verdicts"].items()}
+        other = AsSlider(slider["values"], slider["stderr"], verdicts)
+    return {
+        "budget": {name: Moved(one["error"], numbers(one["slope"])) for name, one in content["budget"].items()},
+        "unstated_ends": {name: numbers(moved) for name, moved in content["unstated_ends"].items()},
+        "unstated_push": numbers(content["unstated_push"]),
+        "next_steps": content["next_steps"],
+        "as_slider": other,
+    }
 
 
 def _numeric(table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -173,7 +205,7 @@ def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
         "height": float(m.height[i]),
         "poisson": float(m.poisson[i]),
         "measured": float(m.length[i]),
-        "sigma": float(m.sigma[i]),
+        "sigma": float(result.sigma[i]),
         "fitted": float(result.fitted.length[i]),
         "contacts_broken": int(result.fitted.contacts_broken[i]),
         "front_status": Outcome(int(result.fitted.status[i])).name.lower(),
@@ -188,7 +220,8 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
         one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value not in (None, False)}
         for one in request["free"]
     }
-    return {"parameters": free, **{key: value for key, value in request.items() if key != "free"}}
+    settings = {key: value for key, value in request.items() if key != "free" and value is not None}
+    return {"parameters": free, **settings}
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
@@ -300,7 +333,7 @@ MAY_BE_ABSENT = ("block_length", "machine_stiffness", "push_height", "push_width
 
 
 def data_hash(measurements: Measurements) -> str:
-    """Hash (SHA-256) the numbers that entered the fit, to match a result to its data."""
+    """Hash (SHA-256) what entered the fit, specimens and provenance included, to match a result to its data."""
     digest = hashlib.sha256()
     for name in NUMERIC:
         column = getattr(measurements, name)
@@ -309,6 +342,9 @@ def data_hash(measurements: Measurements) -> str:
         digest.update(name.encode() + b"=")
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
     digest.update(",".join(measurements.kind + measurements.push_control).encode())
+    for name in ("specimen", "provenance"):  # which decide what is fitted beside the stiffness
+        if getattr(measurements, name):
+            digest.update(json.dumps([name, *getattr(measurements, name)]).encode())
     if measurements.gauges is not None:
         for name in GAUGE_COLUMNS:
             column = getattr(measurements.gauges, name)

@@ -1,18 +1,20 @@
 """Report of a fit as text, with its notes."""
 
 import math
+import textwrap
+from importlib.metadata import version
+from pathlib import Path
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.inference.budget import (
+    NARROW_PUSHER,
     SUPPOSED,
     USUAL,
-    Moved,
     push_is_unstated,
-    shares_errors,
     total,
     total_interval,
     total_of_ratio,
@@ -22,15 +24,25 @@ from slippulse_jax.inference.measurements import likely_mistakes
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
+from slippulse_jax.inference.verdict import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Identifiability
 from slippulse_jax.shown import html
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
 
-WITHOUT_INTERVALS = (Identifiability.POOR_FIT, Identifiability.NO_SCATTER)
-"""Verdicts whose reason already explains why there are no intervals."""
+WITHOUT_VALUE = {
+    Identifiability.EQUAL: "any in the interval",
+    Identifiability.ONE_SIDED: "bounded only",
+    Identifiability.UNINFORMATIVE: "any",
+}
+"""Verdicts under which no value is preferred."""
+SCATTERING = (0.6, 0.8)
+"""Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
+MANY = 3.0
+"""Factor from which on a change is given as one instead of in per cent."""
+WIDEST, TIED = 100, "\u00a0"
+"""Characters of the longest sentence in the box, and the space at which it is not folded."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
 MOST_ROOTS = 4
@@ -45,40 +57,194 @@ UNEVEN_TOTAL = 0.1
 """The same for the total with inputs taken as exact, above which it is given as an interval too."""
 
 
-def report(result: "FitResult") -> str:
-    """Format a fit: result, intervals, quality, the measurements one by one, notes."""
-    m = result.measurements
-    specimens, mistakes = len(set(m.specimen)), list(_mistakes(result))
-    counts = _plural(len(m), "measurement") + (f", {_plural(specimens, 'specimen')}" if specimens else "")
-    lines = [
-        "Interface from first-precursor lengths",
-        f"  data    {m.source} ({counts})",
-        f"  model   {_front(result)}, uniform interface, {_body(result)} ({_length(result)})",
-        *_searched(result),
-        *_held(result),
-        "",
-        _headline(result),
-        *(f"  but check first: {one}" for one in mistakes),
-        *_values(result),
-        *_of_specimens(result),
-        *_inputs(result),
-        *_correlations(result),
-        *_roots(result),
-        "",
-        _quality(result),
-        _regime(result),
-        "",
-        *_table(result),
-        *_further(result),
-        *_next_steps(result),
-        *_budget(result),
-        *_bodies(result),
-        *_unstated(result),
-        *_unstated_push(result),
+def report(result: "FitResult", *, verbose: bool = False) -> str:
+    """Format a fit: the result in a box, what else would move it, the data, remarks on this table.
+
+    `verbose` adds the model, the range searched, all intervals, fitted inputs, correlations, the regime, and contacts broken.
+    """
+    remarks = [note for note in result.notes if note not in set(_mistakes(result))]
+    parts = [
+        _boxed(headline(result)),
+        _roots(result),
+        _changes(result),
+        _table(result),
+        _further(result),
+        ["What to try next", *(f"  - {step}" for step in result.next_steps)] if result.next_steps else [],
+        ["Remarks", *(f"  - {note}" for note in remarks)] if remarks else [],
+        _details(result) if verbose else [],
     ]
-    if notes_below := [note for note in result.notes if note not in mistakes]:
-        lines += ["", "Notes", *(f"  - {note}" for note in notes_below)]
-    return "\n".join(lines)
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def methods(result: "FitResult") -> str:
+    """Write a sentence for the methods section of a paper, filled in with the numbers of this fit."""
+    m, q, given = result.measurements, result.parameters, _given(result)
+    shown, moved, scale = _shown(result), result.budget, m.unit[0]
+    values = []
+    for name in given:
+        one, pieces = q.named(name), result.intervals.get(name, {}).get(LEVELS[0], [])
+        own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
+        whole = _with_error(result, name, total(result, name, moved), total_interval(result, name, moved)) if moved else own
+        alone = f" ({own} by the lengths alone)" if whole != own else ""
+        values.append(f"{shown[name]} = {whole} {one.unit}".rstrip() + alone)
+    body = {
+        "block": "a block under two-dimensional elasticity pushed on its side",
+        "slider": "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)",
+    }[q.body]
+    constants = [
+        f"{sign} = {_range(x * size)}{unit}"
+        for sign, x, size, unit in (
+            *(("E", m.young, 1e-9, " GPa"), ("ν", m.poisson, 1.0, "")),
+            ("λc", m.correlation_length, 1e6, " µm"),
+        )
+        if x is not None
+    ]
+    held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
+    obtained = f"we obtain {'; '.join(values)}" if given else f"no number is obtained: {'; '.join(_verdicts(result))}"
+    if not given:
+        errors = ""
+    elif moved:
+        usual = ", ".join(f"{USUAL[name].symbol} ({_usual(name)})" for name in moved)
+        errors = f" The error contains usual errors of {usual}; it does not contain that of the model."
+    else:
+        errors = " The error does not contain that of the model."
+    tested = f" (χ² = {result.deviance:.3g} for {_plural(result.testable_dof or 0, 'degree')} of freedom)"
+    return (
+        f"From the {_measured_as(result)} of {_plural(len(m), 'first precursor')} at heights of {_range(m.height * scale)} "
+        f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with those of {body}, "
+        f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).{errors}"
+    )
+
+
+def _measured_as(result: "FitResult") -> str:
+    kinds = set(result.measurements.kind)
+    return (
+        "lengths"
+        if kinds == {"length"}
+        else "counts of broken contacts"
+        if kinds == {"whole"}
+        else "lengths, counts and limits"
+    )
+
+
+def _usual(name: str) -> str:
+    """The usual error of an input in words."""
+    error = USUAL[name].error
+    return {"poisson": f"{error:g}", "correlation_length": "a factor 2"}.get(name, f"{100 * error:g} %")
+
+
+# --- the box ------------------------------------------------------------------------------------------------------------
+
+
+def headline(result: "FitResult") -> list[str]:
+    """State the values with both errors, the verdict in a sentence, and the body that they hold for, in lines of `WIDEST`."""
+    said = [
+        [*_verdicts(result), _quality(result)],
+        [f"check first: {one}" for one in _mistakes(result)],
+        _holds_for(result),
+    ]
+    folded = (textwrap.wrap(" ".join(_sentences(*texts)), WIDEST) for texts in said)
+    return [*_values(result), *(line.replace(TIED, " ") for lines in folded for line in lines)]
+
+
+def _boxed(lines: list[str]) -> list[str]:
+    width = max(map(len, lines))
+    return ["┌" + "─" * (width + 2) + "┐", *(f"│ {line:{width}s} │" for line in lines), "└" + "─" * (width + 2) + "┘"]
+
+
+def _sentences(*texts: str) -> list[str]:
+    """Begin each text with a capital letter, unless it is a symbol, and end it with a full stop."""
+    return [(text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".") + "." for text in texts if text]
+
+
+def _values(result: "FitResult") -> list[str]:
+    """Tabulate values with their errors, with those of inputs taken as exact and without; ratios of specimens too."""
+    moved, shown = result.budget, _shown(result)
+    stated = any(one.nuisance for one in result.parameters.free)
+    simulated = " (simulated)" * result.calibrated
+    heads = ["", "from lengths and stated errors" if stated else "from the lengths alone", f"95 % interval{simulated}"]
+    rows = []
+    for name in result.names:
+        one = result.parameters.named(name)
+        by_level = result.intervals.get(name, {})
+        pieces = by_level.get(LEVELS[0], [])
+        own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
+        narrow, value = _narrowest(by_level), result.values[name]
+        ends = " or ".join(interval(piece, value, narrow) for piece in by_level.get(LEVELS[-1], []))
+        whole = ""
+        if moved and all(name in change.slope for change in moved.values()):
+            whole = _with_error(result, name, total(result, name, moved), total_interval(result, name, moved))
+        rows.append([shown[name] + f" ({one.unit})" * bool(one.unit), whole, own, ends or "none"])
+    for labels, ratio in _shown_ratios(result).items():
+        own = value_with_error(ratio, result.stiffness_ratios[labels][1])
+        whole = value_with_error(ratio, total_of_ratio(result, labels, moved)) if moved else ""
+        rows.append([_over(labels), whole, own, ""])
+    heads.insert(1, "with usual errors of inputs")
+    kept = [i for i in range(len(heads)) if i == 0 or any(row[i] for row in rows)]
+    return _aligned([[row[i] for i in kept] for row in [heads, *rows]], str.ljust, indent="")
+
+
+def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None) -> str:
+    """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
+    value, verdict = result.values[name], result.verdicts[name].identifiability
+    by = _sides(value, error, piece)
+    closed = piece is not None and not (piece.open_low or piece.open_high)
+    if (
+        closed
+        and verdict in GIVEN
+        and piece.low < value < piece.high
+        and (by is None or max(abs(x - 1) for x in by) > (UNEVEN if error == result.stderrs[name] else UNEVEN_TOTAL))
+    ):
+        return value_with_sides(value, value - piece.low, piece.high - value)
+    if verdict in WITHOUT_VALUE:
+        return WITHOUT_VALUE[verdict]
+    best = " (best of several)" * (verdict is Identifiability.SEVERAL_ROOTS)
+    return value_with_error(value, error) + best
+
+
+def _verdicts(result: "FitResult") -> Iterator[str]:
+    """State the verdicts in words: one where all parameters share it, else each with the parameters that it is on."""
+    found, shown = result.verdicts, _shown(result)
+    kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
+    for kind in kinds:
+        own = [name for name, one in found.items() if one.identifiability is kind]
+        reasons = {found[name].reason for name in own} - {""} if kind is not Identifiability.EQUAL else set()
+        named = f"{', '.join(shown[name] for name in own)}: " * (len(kinds) > 1)
+        yield named + kind.value + (f"; {reasons.pop()}" if len(reasons) == 1 else "")
+
+
+def _holds_for(result: "FitResult") -> Iterator[str]:
+    """State the kind of body that the result holds for, and what was guessed or held."""
+    q, m = result.parameters, result.measurements
+    scale, unit = m.unit
+    longest = float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}")
+    ended, machine = q.inputs.log_sites is not None, q.inputs.log_machine is not None
+    if q.body == "block":
+        body = f"a block under two-dimensional elasticity, longer than {longest:g} {unit}, its pusher held"
+        if "force" in m.push_control:
+            body = body.replace("its pusher held", "pushed as stated")
+    else:
+        end = "with the end that is stated" if ended else f"longer than {longest:g} {unit}"
+        edge = "pushed through the machine that is stated" if machine else "its edge held"
+        body = f"the paper's slider, {end}, {edge}"
+    fronts = {"crack": " with crack-like fronts", "full": ""}.get(q.event, " under the smooth break rule" * q.smooth)
+    yield f"holds for {body}, and for uniform thresholds{fronts}"
+    ratio = result.unstated_push.get(NARROW_PUSHER)
+    if push_is_unstated(result):
+        found = sorted(x for x in result.unstated_push.values() if not math.isnan(x))
+        ends = (
+            "another stiffness, which depends on" if not found else f"{found[0]:.2g} to {found[-1]:.2g} times this, or none, by"
+        )
+        yield f"a real block has {ends} where its side is pushed"
+    if ratio is not None:
+        suffix = f"_{unit}" * m.in_si
+        would = "no stiffness gives these lengths" if math.isnan(ratio) else f"the stiffness is {ratio:.2g} times as large"
+        yield (
+            f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if it "
+            f"is {NARROW_PUSHER}, {would}"
+        )
+    if q.held:
+        yield "held: " + ", ".join(f"{name} = {format_number(value)}" for name, value in q.held.items())
 
 
 def html_of(result: "FitResult") -> str:
@@ -120,46 +286,6 @@ def _length(result: "FitResult") -> str:
     return "length under the smooth break rule" if result.parameters.smooth else "exact length"
 
 
-def _headline(result: "FitResult") -> str:
-    text = result.identifiability.value
-    return f"Result: {text}" + (f"\n  {result.reason}" if result.reason else "")
-
-
-def _values(result: "FitResult") -> list[str]:
-    rows = []
-    shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
-    intervals = result.intervals
-    verdict = result.verdicts[gravest(result.verdicts)]  # the headline states it
-    width = max(10, *(len(shown.get(name, ("k/K", ""))[0]) for name in result.values))
-    for name, value in result.values.items():
-        symbol, unit = shown.get(name, ("k/K", ""))
-        rows.append(f"  {symbol:{width}s} {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
-        by_level = intervals.get(name, {})
-        narrow = _narrowest(by_level)
-        for level, pieces in by_level.items():
-            text = " or ".join(interval(piece, value, narrow) for piece in pieces)
-            how = " (calibrated)" * result.calibrated
-            if text or any(by_level.values()):
-                rows.append(f"  {'':{width}s} {level:.0%} interval{how}  {text or 'none'}")
-        if (
-            by_level
-            and not any(by_level.values())
-            and result.verdicts.get(name, verdict).identifiability not in WITHOUT_INTERVALS
-        ):
-            rows.append(f"  {'':{width}s} intervals  none: no value gives these lengths within σ")
-        own = result.verdicts.get(name)
-        if own not in (None, verdict) and own.identifiability is not Identifiability.IDENTIFIED:
-            reason = f": {own.reason}" if own.reason else ""
-            rows.append(f"  {'':{width}s} {own.identifiability.value}{reason}")
-    if "stiffness" not in result.values:
-        rows.append(f"  {'k/K':{width}s} {_ratios(result)}")
-    without = [name for name in result.names if result.stderrs[name] is None]
-    if without:
-        of = f" of {', '.join(shown[name][0] for name in without)}" * (len(without) < len(result.names))
-        rows.append(f"  standard error{of} unavailable, for the reason above; the value is the one of highest likelihood")
-    return rows
-
-
 def _ratios(result: "FitResult") -> str:
     """State the range of k/K, and why it is not one number."""
     ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
@@ -167,13 +293,6 @@ def _ratios(result: "FitResult") -> str:
     differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
     why = "as λc and E differ between measurements" if differ else "one for each specimen"
     return low if low == high else f"{low} to {high}, {why}"
-
-
-def _of_specimens(result: "FitResult") -> list[str]:
-    """List the ratios of the stiffnesses of specimens."""
-    found = result.stiffness_ratios
-    rows = [f"    {_over(labels)} = {value_with_error(*found[labels])}" for labels in _shown_ratios(result)]
-    return ["  ratios of these stiffnesses (errors that both share cancel):", *rows] if rows else []
 
 
 def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
@@ -242,40 +361,53 @@ def _correlations(result: "FitResult") -> list[str]:
 
 
 def _roots(result: "FitResult") -> list[str]:
+    """Tabulate the points that fit, where there are several, with their own errors."""
     if len(result.roots) < 2:
         return []
-    several = len(result.names) > 1
-    keep = "points" if several else "values"
+    keep = "points" if len(result.names) > 1 else "values"
     option = result.measurements.option("--bounds LOW HIGH", "bounds=(low, high)")
-    rows = [f"  {keep} that fit (not excluded at 95 %; to keep one, with its errors, give {option}):"]
-    units = {one.label: one.unit for one in result.parameters.free}
+    shown, names = _shown(result), list(result.roots[0].values)
+    rows = [[*(shown[name] for name in names), "chi-squared" if result.problem.plain else "deviance"]]
     for root in result.roots[:MOST_ROOTS]:
         again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
-        named = ", ".join(
-            (f"{name} = " if several else "") + f"{value_with_error(value, root.stderrs[name])} {units[name]}".rstrip()
-            for name, value in root.values.items()
-        )
-        rise = max(0.0, root.deviance - result.deviance)
-        rows.append(f"    {named}  (chi-squared + {rise:.2f}{again})")
-    if len(result.roots) > MOST_ROOTS:
-        rows.append(f"    … and {len(result.roots) - MOST_ROOTS} more (FitResult.roots)")
-    return rows
+        values = [value_with_error(value, root.stderrs[name]) for name, value in root.values.items()]
+        rows.append([*values, f"+ {max(0.0, root.deviance - result.deviance):.2f}{again}"])
+    more = len(result.roots) - MOST_ROOTS
+    return [
+        f"{keep.capitalize()} that fit (not excluded at 95 %; to keep one, with its errors, give {option})",
+        *_aligned(rows, str.ljust),
+        *([f"  … and {more} more (FitResult.roots)"] if more > 0 else []),
+    ]
 
 
 def _quality(result: "FitResult") -> str:
+    """State what was fitted, how well, and the size of the errors that was used."""
+    m, scaled = result.measurements, result.scaled
+    specimens = len(set(m.specimen))
+    data = f"from {_plural(len(m), 'length')} of {Path(m.source).name}" + f" on {specimens} specimens" * (specimens > 1)
     name = "chi-squared" if result.problem.plain else "deviance"
-    if result.scaled and result.identifiability is Identifiability.NO_SCATTER:
-        return "Fit: the lengths have no scatter from which to take the size of their errors"
-    if result.scaled:
-        size = f": {_scatter(result)}" if result.measurements.length_sigma is None else ""
-        return f"Fit: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
-    if result.p_value is None:
-        why = "one length cannot test the model" if len(result.measurements) == 1 else "it cannot be tested"
-        if result.dof <= 0:
-            return f"Fit: {name} {result.deviance:.3g} with no degree of freedom: {why}"
-        return f"Fit: {name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom; σ as given, not rescaled"
-    degrees = _plural(result.testable_dof or 0, "degree") + " of freedom"
-    return f"Fit: {name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value)}); σ as given, not rescaled"
+    if scaled and result.identifiability is Identifiability.NO_SCATTER:
+        return f"{data}: no scatter from which to take the size of their errors"
+    if scaled:
+        size = f": {_scatter(result)}" if m.length_sigma is None else ""
+        return f"{data}: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
+    if result.identifiability is Identifiability.POOR_FIT and result.problem.plain:
+        return data  # the verdict has the rest
+    tested = ""
+    if result.p_value is not None:
+        degrees = _plural(result.testable_dof or 0, "degree") + " of freedom"
+        tested = f"{name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value).replace(' ', TIED)})"
+    elif not result.problem.plain:
+        return data  # counts and limits that hold cost nothing
+    elif result.dof > 0:
+        tested = f"{name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom"
+    else:
+        why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
+        tested = f"{name} {result.deviance:.3g} with no degree of freedom, so {why}"
+    used = ""
+    if (m.stated_sigma > 0).any():
+        used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
+    return f"{data}: {tested}{used}"
 
 
 def _regime(result: "FitResult") -> str:
@@ -311,48 +443,45 @@ def _scatter(result: "FitResult") -> str:
 
 
 def _table(result: "FitResult") -> list[str]:
+    """Tabulate the lengths: where, height, measured with the σ used, fitted, and how far that is off."""
     m, fitted = result.measurements, result.fitted
     scale, unit = m.unit
-    whole = np.where(fitted.contacts_broken > 0, fitted.contacts_broken, np.inf) * scale
     counted, numbers = m.numbered
-    heads = [
-        counted,
-        *(["specimen"] if m.specimen else []),
-        f"H/{unit}",
-        f"measured/{unit}",
-        f"fitted/{unit}",
-        f"whole contacts/{unit}",
-        f"attainable/{unit}",
-        "(fit-meas)/σ",
+    several, pushed = len(set(m.specimen)) > 1, result.parameters.body == "block" and m.push_height is not None
+    rows = [
+        [
+            counted + ", specimen" * several,
+            "H, push/" * pushed + "H/" * (not pushed) + unit,
+            f"measured/{unit}",
+            f"fitted/{unit}",
+            "(fit-meas)/σ",
+        ]
     ]
-    rows = [heads]
     for i in range(len(m)):
+        push = f", {m.push_height[i] * scale[i]:.4g}" if pushed and m.push_height is not None else ""
         rows.append(
             [
-                str(numbers[i]),
-                *([m.specimen[i]] if m.specimen else []),
-                f"{m.height[i] * scale[i]:.6g}",
-                _measured(m.kind[i], m.length[i] * scale[i], m.sigma[i] * scale[i]),
+                f"{numbers[i]} {m.specimen[i]}" if several else str(numbers[i]),
+                f"{m.height[i] * scale[i]:.6g}{push}",
+                _measured(m.kind[i], m.length[i] * scale[i], result.sigma[i] * scale[i]),
                 f"{fitted.length[i] * scale[i]:.5g}",
-                f"{whole[i]:.5g}",
-                f"{result.attainable[i] * scale[i]:.5g}",
                 f"{result.residuals[i]:+.2f}",
             ]
         )
     return _aligned(rows, str.rjust)
 
 
-def _aligned(rows: list[list[str]], justify: Callable[[str, int], str]) -> list[str]:
+def _aligned(rows: list[list[str]], justify: Callable[[str, int], str], indent: str = "  ") -> list[str]:
     """Align the columns of a table."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  " + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
+    return [indent + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
 
 
 def _further(result: "FitResult") -> list[str]:
     """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
     if not result.further:
         return []
-    rows = ["", "Other data"]
+    rows = ["Other data"]
     for one in result.further:
         worst = int(np.argmax(np.abs(one.residuals)))
         rows.append(
@@ -363,42 +492,109 @@ def _further(result: "FitResult") -> list[str]:
     return rows
 
 
-def _next_steps(result: "FitResult") -> list[str]:
-    return ["", "What to try next", *(f"  - {step}" for step in result.next_steps)] if result.next_steps else []
+# --- what else would move it ----------------------------------------------------------------------------------------------
 
 
-def _budget(result: "FitResult") -> list[str]:
-    """Tabulate what usual errors of the inputs taken as exact would add, and the total errors."""
-    moved = result.budget
-    if not moved:
+class _Change(NamedTuple):
+    """A row: what might be otherwise, and the effect on each parameter in words."""
+
+    what: str
+    size: float  # largest effect, as a logarithm; inf where nothing fits, −1 where it is not computed
+    effects: dict[str, str]
+
+
+def _changes(result: "FitResult") -> list[str]:
+    """Tabulate what else would move the result, largest first."""
+    found = sorted([*_of_inputs(result), *_of_ends(result), *_of_bodies(result)], key=lambda one: -one.size)
+    names = [name for name in result.names if any(name in one.effects for one in found)]
+    if not names:
         return []
-    names = list(next(iter(moved.values())).slope)
-    q = result.parameters
-    free = {name: q.named(name) for name in names}
-    rows = [["input", "if larger by", *(f"moves {_symbol(name, one.symbol)} by" for name, one in free.items())]]
-    for name, one in moved.items():
-        by = {"poisson": f"{one.error:g}", "correlation_length": "a factor 2"}.get(name, f"{one.error:.0%}")
-        changes = [f"{one.by(j):+.1%}" if free[j].log else f"{one.by(j):+.2g}" for j in names]
-        rows.append([USUAL[name].symbol, by, *changes])
-    lines = ["", "Inputs taken as exact, and what their usual errors would change", *_aligned(rows, str.ljust)]
-    for name in names:
-        whole, wide = total(result, name, moved), total_interval(result, name, moved)
-        value = value_with_error(result.values[name], whole)
-        by = _sides(result.values[name], whole, wide)
-        even = by is not None and max(abs(x - 1) for x in by) < UNEVEN_TOTAL
-        ends = "" if wide is None or even else f", 68 % interval {_shown_interval(result, name, wide)}"
-        if whole is not None or ends:
-            lines.append(f"  with these, {_symbol(name, free[name].symbol)} = {value} {free[name].unit}".rstrip() + ends)
-    for labels, ratio in _shown_ratios(result).items():
-        whole = total_of_ratio(result, labels, moved)
-        lines += [f"  with these, {_over(labels)} = {value_with_error(ratio, whole)} ({_kept_apart(moved)})"]
-    return lines
+    shown = _shown(result)
+    rows = [["What else would move it", *(f"{shown[name]} would be" for name in names)]]
+    rows += [[f"  {one.what}", *(one.effects.get(name, "") for name in names)] for one in found]
+    return _aligned(rows, str.ljust, indent="")
 
 
-def _kept_apart(moved: dict[str, Moved]) -> str:
-    """State which errors of inputs two specimens share."""
-    own = [USUAL[name].symbol for name in moved if USUAL[name].of_a_specimen]
-    return f"{' and '.join(own)} of each specimen separately, the rest shared" if own else "all shared"
+def _given(result: "FitResult") -> list[str]:
+    """Parameters with a value that something can move."""
+    return [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+
+
+def _stiff(result: "FitResult") -> list[str]:
+    return [name for name in _given(result) if result.parameters.named(name).name in STIFFNESSES]
+
+
+def _effects(result: "FitResult", moved: dict[str, float]) -> tuple[float, dict[str, str]]:
+    """The largest relative change, and all in words; of a positive parameter the change is that of its logarithm."""
+    words, size = {}, 0.0
+    for name, by in moved.items():
+        log = result.parameters.named(name).log
+        words[name] = "run through" if math.isnan(by) else _times(math.exp(by)) if log else f"{by:+.2g}"
+        size = max(size, math.inf if math.isnan(by) else abs(by) if log else 0.0)
+    return size, words
+
+
+def _times(ratio: float) -> str:
+    """``+5.0 %``, ``× 5.7``, or that nothing fits."""
+    if math.isnan(ratio):
+        return "none fits"
+    return f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {ratio:.2g}"
+
+
+def _of_inputs(result: "FitResult") -> Iterator[_Change]:
+    """Usual errors of inputs taken as exact, and the model's own error of measured lengths whose provenance is not stated."""
+    for name, one in result.budget.items():
+        error = one.error if name in ("poisson", "correlation_length") else math.log1p(one.error)  # ν, and a logarithm
+        yield _Change(
+            f"{USUAL[name].symbol} larger by {_usual(name)}", *_effects(result, {j: x * error for j, x in one.slope.items()})
+        )
+    moved = result.budget.get("length")
+    if moved is not None and not any(result.measurements.provenance):
+        effects = _effects(result, {name: slope * MODEL_ERROR for name, slope in moved.slope.items()})
+        more = "" if result.scaled else " beside an offset"
+        what = f"a model factor of {1 + MODEL_ERROR:g}{more}, if the lengths were measured (provenance = measured fits it)"
+        yield _Change(what, *effects)
+
+
+def _of_ends(result: "FitResult") -> Iterator[_Change]:
+    """An end of the block and a soft machine, where the table states none; both lengthen the front."""
+    for name, moved in result.unstated_ends.items():
+        yield _Change(SUPPOSED[name][0], *_effects(result, moved))
+    if result.parameters.body == "block" and (given := _given(result)):
+        force = ", or a pusher of which the force is held" * (not result.measurements.push_control)
+        yield _Change(f"an end of the block, a machine that gives way{force}", -1.0, dict.fromkeys(given, "not computed"))
+
+
+def _of_bodies(result: "FitResult") -> Iterator[_Change]:
+    """Another body or push for the same lengths, and thresholds that scatter."""
+    stiff, unit = _stiff(result), f"_{result.measurements.unit[1]}" * result.measurements.in_si
+    if result.unstated_push and stiff:
+        ratios = result.unstated_push.values()
+        size = max(math.inf if math.isnan(ratio) else abs(math.log(ratio)) for ratio in ratios)
+        what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
+        if result.parameters.body == "slider":
+            what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
+        factors = ", ".join("none" if math.isnan(ratio) else f"× {ratio:.2g}" for ratio in ratios)
+        yield _Change(what, size, dict.fromkeys(stiff, factors))
+    elif push_is_unstated(result) and stiff:
+        what = f"a real block (column push_height{unit} fits one)"
+        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed beside what lengths share"))
+    if result.parameters.event != "crack" and stiff:  # not studied for crack-like fronts
+        effect = " to ".join(f"{1 / (1 - share):.2g}" for share in SCATTERING)
+        size = -math.log(1 - SCATTERING[0])
+        yield _Change("thresholds that scatter by 5 % between contacts", size, dict.fromkeys(stiff, f"× {effect}"))
+    if result.parameters.body == "block" and stiff:
+        slider = result.as_slider
+        if slider is None:
+            yield _Change("the paper's slider", math.inf, dict.fromkeys(stiff, "none fits"))
+            return
+        ratios = {name: slider.values[name] / result.values[name] for name in stiff if name in slider.values}
+        said = {name: f" ({slider.verdicts[name].value})" for name in ratios}
+        words = {
+            name: _times(ratio) + said[name] * (slider.verdicts[name] is not Identifiability.IDENTIFIED)
+            for name, ratio in ratios.items()
+        }
+        yield _Change("the paper's slider", max(abs(math.log(ratio)) for ratio in ratios.values()), words)
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
@@ -409,90 +605,6 @@ def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[f
 def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
     unit = result.parameters.named(name).unit
     return f"{interval(piece, result.values[name])} {unit}".rstrip()
-
-
-def _bodies(result: "FitResult") -> list[str]:
-    """Compare with the stiffness that the same lengths give with the paper's slider."""
-    slider = result.as_slider
-    if slider is None:
-        return ["", "The same lengths with the slider: no fit was found"] if result.parameters.body == "block" else []
-    rows = ["", "The same lengths with"]
-    for name in result.names:
-        if any(name.startswith(one) for one in STIFFNESSES):
-            free = result.parameters.named(name)
-            for body, found in (("this block", result), ("the slider", slider)):
-                value = value_with_error(found.values[name], found.stderrs[name])
-                verdict = found.verdicts[name].identifiability
-                said = "" if verdict is Identifiability.IDENTIFIED else f" ({verdict.value})"
-                rows.append(f"  {body}  {_symbol(name, free.symbol)} = {value} {free.unit}".rstrip() + said)
-            rows.append(f"  slider over block: {slider.values[name] / result.values[name]:.3g}")
-    return rows
-
-
-def _unstated(result: "FitResult") -> list[str]:
-    """List the shifts due to an end of the block and a soft machine, which both lengthen the front."""
-    rows = [*_of_measuring(result), *_of_a_block(result)]
-    for name, moved in result.unstated_ends.items():
-        free = {one: result.parameters.named(one) for one in moved}
-        changes = [
-            f"{_symbol(one, free[one].symbol)} by " + (f"{np.expm1(by):+.1%}" if free[one].log else f"{by:+.2g}")
-            for one, by in moved.items()
-        ]
-        would = "would be run through" if np.isnan(list(moved.values())).any() else f"would move {', '.join(changes)}"
-        rows.append(f"  {SUPPOSED[name][0]} {would}")
-    return ["", "Not stated, and not in any error above", *rows] if rows else []
-
-
-def _of_a_block(result: "FitResult") -> Iterator[str]:
-    """List the assumptions of a fit of a block: about its end, the machine, and the pusher where the table does not say."""
-    m = result.measurements
-    if result.parameters.body != "block" or result.identifiability not in GIVEN:
-        return
-    yield (
-        "  an end of the block and a soft machine lengthen fronts, so the stiffness comes out too large where lengths grow "
-        "with it; a fit of a block includes neither"
-    )
-    unit = f"_{m.unit[1]}" * m.in_si
-    if m.push_width is None or np.isnan(m.push_width).any():
-        yield (
-            f"  without push_width{unit} the pusher covers all of the side above push_height{unit}: one that ends lower makes "
-            "shorter fronts"
-        )
-    if not m.push_control:
-        yield "  without push_control the displacement of the pusher is held while the front runs; a held force lengthens it"
-
-
-def _of_measuring(result: "FitResult") -> Iterator[str]:
-    """State the errors that measured lengths share, where the table does not say whether they were measured."""
-    m, moved = result.measurements, result.budget.get("length")
-    if moved is None or any(m.provenance):
-        return
-    adds = []
-    for name, slope in moved.slope.items():
-        one = result.parameters.named(name)
-        adds.append(f"± {abs(slope) * MODEL_ERROR:{'.0%' if one.log else '.2g'}} to {_symbol(name, one.symbol)}")
-    offset, fitted = ("", "it is") if result.scaled else ("an offset and ", "both are")
-    yield (
-        f"  measured lengths share {offset}a model factor of 1 ± {MODEL_ERROR:g}, which alone would add "
-        f"{', '.join(adds)}; with provenance = measured {fitted} fitted"
-    )
-
-
-def _unstated_push(result: "FitResult") -> list[str]:
-    """State the stiffness of a block for the same lengths, by where its side is pushed."""
-    found = result.unstated_push
-    unit = f"_{result.measurements.unit[1]}" * result.measurements.in_si
-    column = f"  Add a column push_height{unit} (and push_width{unit}) to fit a block"
-    if push_is_unstated(result) and shares_errors(result):
-        why = "it depends on where its side is pushed; with an offset or a model factor no ratio to this is given"
-        return ["", f"Stiffness of a real block: {why}.", f"{column}."]
-    if not found:
-        return []
-    means = "; ".join(
-        f"from {at} H up: {'none gives these lengths' if math.isnan(ratio) else f'{ratio:.2g} times this'}"
-        for at, ratio in found.items()
-    )
-    return ["", f"Stiffness of a real block, pushed on its side {means}.", f"{column}."]
 
 
 def _measured(kind: str, length: float, sigma: float) -> str:
@@ -518,6 +630,16 @@ def value_with_error(value: float, error: float | None) -> str:
     scaled, scaled_error = value / 10.0**exponent, error / 10.0**exponent
     digits = max(0, 1 - int(np.floor(np.log10(scaled_error))))
     text = f"{scaled:.{digits}f} ± {scaled_error:.{digits}f}"
+    return f"({text})e{exponent}" if exponent else text
+
+
+def value_with_sides(value: float, below: float, above: float) -> str:
+    """``(9.2 -1.9 +2.5)e10``: the smaller side to two digits, value and the other side to the same place."""
+    exponent = _exponent(value)
+    numbers = [x / 10.0**exponent for x in (value, below, above)]
+    digits = max(0, 1 - int(np.floor(np.log10(min(numbers[1:])))))
+    value, below, above = (f"{x:.{digits}f}" for x in numbers)
+    text = f"{value} ± {below}" if below == above else f"{value} -{below} +{above}"
     return f"({text})e{exponent}" if exponent else text
 
 
@@ -553,6 +675,37 @@ def _probability(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
+def _details(result: "FitResult") -> list[str]:
+    """Everything that the result rests on, and intervals at both levels."""
+    m, shown = result.measurements, {one.label: one for one in result.parameters.free}
+    specimens = len(set(m.specimen))
+    rows = [
+        "Details",
+        f"  data    {m.source} ({_plural(len(m), 'measurement')}"
+        + f", {_plural(specimens, 'specimen')}" * bool(specimens)
+        + ")",
+        f"  model   {_front(result)}, uniform interface, {_body(result)} ({_length(result)})",
+        *_searched(result),
+        "  result",
+    ]
+    for name, value in result.values.items():
+        one, by_level = shown.get(name), result.intervals.get(name, {})
+        symbol, unit = (_symbol(name, one.symbol), one.unit) if one else ("k/K", "")
+        rows.append(f"    {symbol} = {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
+        for level, pieces in by_level.items():
+            text = " or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) or "none"
+            rows.append(f"      {level:.0%} interval{' (simulated)' * result.calibrated}  {text}")
+    if "stiffness" not in result.values:
+        rows.append(f"    k/K = {_ratios(result)}")
+    rows += [*_inputs(result), *_correlations(result), f"  {_regime(result)}"]
+    scale, unit = m.unit
+    rows += ["  broken contacts, and the longest length attainable at any stiffness searched:"]
+    for i in range(len(m)):
+        broken = result.fitted.contacts_broken[i]
+        rows.append(f"    {m.number(i)}: {broken if broken > 0 else 'all'}, {result.attainable[i] * scale[i]:.5g} {unit}")
+    return rows
+
+
 def _searched(result: "FitResult") -> list[str]:
     rows = []
     stated = np.array([one.prior_mean if one.nuisance else one.high for one in result.parameters.free])
@@ -568,10 +721,6 @@ def _searched(result: "FitResult") -> list[str]:
         top = f" (k/K up to {stiffest:.3g})" if "areal" in one.name else ""
         rows.append(f"  range   {_symbol(one.label, one.symbol)} from {low} to {high} {one.unit}".rstrip() + top + prior)
     return rows
-
-
-def _held(result: "FitResult") -> list[str]:
-    return [f"  held    {name} = {format_number(value)}" for name, value in result.parameters.held.items()]
 
 
 def _plural(count: int, noun: str) -> str:
@@ -596,17 +745,12 @@ def notes(result: "FitResult") -> Iterator[str]:
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
             "is that of the first front alone"
         )
-    if result.parameters.event != "crack":  # not studied for crack-like fronts
-        yield (
-            "thresholds are taken as uniform: a scatter of 5 % from contact to contact would make precursors 16-34 % shorter "
-            "and the fitted stiffness 60-80 % too small (documentation: Thresholds that scatter)"
-        )
-    yield from _of_ends(result)
+    yield from _of_short_blocks(result)
     for message in result.unconverged:
         yield f"a start {message}"
 
 
-def _of_ends(result: "FitResult") -> Iterator[str]:
+def _of_short_blocks(result: "FitResult") -> Iterator[str]:
     m = result.measurements
     if m.block_length is not None:
         ratio, usual = m.block_length / result.regime.slow_decay_length, SUPPOSED["block_length"][1]

@@ -13,15 +13,29 @@ from scipy.special import chdtrc
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.bayes import posterior
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
-from slippulse_jax.inference.budget import Moved, budget, unstated_ends, unstated_push
+from slippulse_jax.inference.budget import AsSlider, Moved, budget, unstated_ends, unstated_push
 from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
-from slippulse_jax.inference.model import Regime, recursion_status, regime
-from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, ParameterSet, parameter_set
+from slippulse_jax.inference.model import Regime, lengths, recursion_status, regime
+from slippulse_jax.inference.parameters import (
+    STIFFNESSES,
+    Inputs,
+    ParameterSet,
+    event_and_body,
+    parameter_set,
+    with_errors_of_measuring,
+)
 from slippulse_jax.inference.profile import Curve, Interval, Rise
-from slippulse_jax.inference.record import from_request, measurements_of_record, read_record, to_dataframe, to_dict
-from slippulse_jax.inference.report import html_of, notes, report
+from slippulse_jax.inference.record import (
+    changes_of_record,
+    from_request,
+    measurements_of_record,
+    read_record,
+    to_dataframe,
+    to_dict,
+)
+from slippulse_jax.inference.report import html_of, methods, notes, report
 from slippulse_jax.inference.search import Minimum, describe
 from slippulse_jax.inference.verdict import Direction, Identifiability, Verdict, directions, gravest
 from slippulse_jax.status import NotConverged, Outcome
@@ -56,8 +70,8 @@ class Root:
 class Fitted:
     """The model at the best fit, one entry per measurement."""
 
-    length: np.ndarray  # in λc
-    contacts_broken: np.ndarray
+    length: np.ndarray  # as it would be measured, with the fitted model factor and offset, in stated λc
+    contacts_broken: np.ndarray  # of the front itself, without these; −1 where it never stops
     status: np.ndarray  # `Outcome`
 
 
@@ -79,11 +93,16 @@ class Further:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitResult:
-    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`."""
+    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`.
+
+    What else would move the result (`budget`, `unstated_ends`, `unstated_push`, `next_steps`, `as_slider`) is found by fitting
+    again, once, when it is first asked for: by one of these names, or by `report`, `str`, `to_dict` and `save`, which contain
+    them. That takes a fraction of a second for a slider, and up to ten for a block. A result that `load_fit` reads has them.
+    """
 
     measurements: Measurements
     problem: Problem
-    request: dict[str, Any]  # the arguments of `fit`
+    request: dict[str, Any]  # the arguments of `fit`, as given
     theta: np.ndarray  # of least deviance, (p,)
     deviance: float  # its least value; χ² (with that of the priors) for plain lengths
     roots: list[Root]  # minima not excluded at 95 %, best first
@@ -153,8 +172,11 @@ class FitResult:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length in λc, as stated or scaled to the scatter; shape (n,)."""
-        return self.measurements.stated_sigma * (self.scatter or 1.0)
+        """Standard error of each length that the fit used, in λc; shape (n,).
+
+        As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
+        """
+        return self.problem.blocks[0].data.sigma
 
     @property
     def stderrs(self) -> dict[str, float | None]:
@@ -214,9 +236,11 @@ class FitResult:
     @functools.cached_property
     def fitted(self) -> Fitted:
         """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
-        length = self.problem.predict(self.theta)[0]
-        counted = np.where(np.isfinite(length), np.maximum(np.ceil(np.where(np.isfinite(length), length, 0)), 1), -1)
-        return Fitted(length, counted.astype(int), recursion_status(self.parameters.inputs_at(self.theta)))
+        q = self.parameters
+        inputs = q.inputs_at(self.theta)
+        front = lengths(inputs, event=q.event).value  # without model factor and offset, which belong to the measurement
+        counted = np.where(np.isfinite(front), np.maximum(np.ceil(np.where(np.isfinite(front), front, 0)), 1), -1)
+        return Fitted(self.problem.predict(self.theta)[0], counted.astype(int), recursion_status(inputs))
 
     @functools.cached_property
     def regime(self) -> Regime:
@@ -250,8 +274,8 @@ class FitResult:
         return unstated_push(self)
 
     @functools.cached_property
-    def as_slider(self) -> "FitResult | None":
-        """The fit of the same lengths with the paper's slider, for a fit of a block.
+    def as_slider(self) -> "AsSlider | None":
+        """What the same lengths give with the paper's slider, for a fit of a block.
 
         None where the body is a slider, and where no fit of a slider is found.
         """
@@ -262,9 +286,10 @@ class FitResult:
         asked = {name: value for name, value in self.request.items() if name not in ("event", "body")}
         free = [one for one in asked.pop("free") if one.name != "push_height"]
         try:
-            return fit(self.measurements, free, body="slider", **asked)
+            found = fit(self.measurements, free, body="slider", **asked)
         except (ValueError, NotConverged):
             return None
+        return AsSlider(found.values, found.stderrs, {name: one.identifiability for name, one in found.verdicts.items()})
 
     @functools.cached_property
     def further(self) -> list[Further]:
@@ -303,9 +328,13 @@ class FitResult:
         """Remarks to read before using the numbers."""
         return list(notes(self))
 
-    def report(self) -> str:
-        """Format the result as text: see `slippulse_jax.inference.report`."""
-        return report(self)
+    def report(self, *, verbose: bool = False) -> str:
+        """Format the result as text: a box, what else would move it, the data, remarks; everything else if `verbose`."""
+        return report(self, verbose=verbose)
+
+    def methods(self) -> str:
+        """Write a sentence for the methods section of a paper, with the numbers of this fit."""
+        return methods(self)
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
@@ -344,7 +373,7 @@ class FitResult:
 def load_fit(path: str | os.PathLike[str]) -> FitResult:
     """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
 
-    Nothing is fitted again: measurements, request, and what the search found are in the file.
+    Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
 
     Raises
     ------
@@ -355,7 +384,11 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     """
     content = read_record(path)
     measurements, request, found = measurements_of_record(content), from_request(content["request"]), content["search"]
-    parameters = parameter_set(measurements, request["free"], request["event"], request["body"])
+    size_known = measurements.length_sigma is not None and request["sigma"] == "absolute"
+    wanted = with_errors_of_measuring(measurements, request["free"], size_known=size_known)
+    event, body = event_and_body(measurements, request.get("event"), request.get("body"))
+    request = {**request, "event": request.get("event"), "body": request.get("body")}
+    parameters = parameter_set(measurements, wanted, event, body)
     sigma, scatter = measurements.stated_sigma, content["sigma_scaled_by"]
     between = found["between_contacts"] and np.array(found["between_contacts"], dtype=float)
     problem = make_problem(
@@ -372,12 +405,12 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
         covariance = finite_or_inf(one["covariance"])
         return Root(parameters.values(theta), one["stderr"], theta, one["deviance"], covariance, parameters.inputs_at(theta))
 
-    return FitResult(
+    result = FitResult(
         measurements=measurements,
         problem=problem,
         request=request,
         theta=np.array(found["theta"]),
-        deviance=content["chi2"],
+        deviance=content["deviance"] if "deviance" in content else content["chi2"],  # the name of version 0.2
         roots=[root(one) for one in found["roots"]],
         curves={name: Curve(*(finite_or_inf(x) for x in curve.values())) for name, curve in found["curves"].items()},
         intervals={
@@ -398,6 +431,8 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
         complete=found["complete"],
         calibrated=found.get("calibrated", False),
     )
+    vars(result).update(changes_of_record(content))  # where `cached_property` keeps what was computed before
+    return result
 
 
 def root_of(problem: Problem, one: Minimum) -> Root:

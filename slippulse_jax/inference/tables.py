@@ -47,7 +47,7 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -149,7 +149,12 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
     ------
     MeasurementError
         As `read_measurements`, but with the row's index label instead of a line.
+    TypeError
+        If it is no DataFrame.
     """
+    if not (hasattr(table, "itertuples") and hasattr(table, "columns")):
+        hint = ": pandas.DataFrame(…) makes one of it" * (isinstance(table, Mapping) or hasattr(table, "to_frame"))
+        raise TypeError(f"{name} is {type(table).__name__}: must be a pandas.DataFrame{hint}")
     missing = table.isna()
     cells = [
         [

@@ -1,5 +1,6 @@
 """Pictures of a fit."""
 
+import itertools
 import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -187,8 +188,8 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Ax
     Parameters
     ----------
     result : FitResult
-    samples : Bootstrap, posterior or array of θ, shape (n, p), optional
-        Drawn as points.
+    samples : Bootstrap, posterior or array of θ, shape (n, p), or a dict of these by name, optional
+        Drawn as points; several in colours of their own, with a legend.
     nodes : int
         Values of each parameter at which the others are fitted anew.
     ax : matplotlib.axes.Axes, optional
@@ -528,8 +529,8 @@ def confidence_region(
     result : FitResult
     horizontal, vertical : str
         Names of the two parameters.
-    samples : Bootstrap, posterior or array of θ, shape (n, p), optional
-        Drawn as points.
+    samples : Bootstrap, posterior or array of θ, shape (n, p), or a dict of these by name, optional
+        Drawn as points; several in colours of their own, with a legend.
     nodes : int
         Values of each of the two.
     ax : matplotlib.axes.Axes, optional
@@ -545,9 +546,14 @@ def confidence_region(
     first, second = q.free[i].value(grids[0]), q.free[j].value(grids[1])
     levels = [0, result.rise(ONE_SIGMA, 2), result.rise(BAND_LEVEL, 2)]
     ax.contourf(first, second, rise.T, levels=levels, colors=[c.blue, c.sky], alpha=0.5)
-    if samples is not None:
-        theta = theta_of(result, samples)
-        ax.plot(q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j]), ".", color=c.ink, ms=1, alpha=0.4)
+    drawn_from = samples if isinstance(samples, dict) else {} if samples is None else {"": samples}
+    for (name, one), color in zip(drawn_from.items(), itertools.cycle((c.ink, c.green, c.purple)), strict=False):
+        theta = theta_of(result, one)
+        x, y = q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j])
+        ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=name or None)
+    if len(drawn_from) > 1:
+        for handle in ax.legend(fontsize="small", markerscale=6).legend_handles:
+            handle.set_alpha(1)
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=c.vermilion, ms=8)
     _name(q.free[i], ax.xaxis)
     _name(q.free[j], ax.yaxis)

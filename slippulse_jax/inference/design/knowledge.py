@@ -14,7 +14,16 @@ from slippulse_jax.domains import check_domain
 from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import STIFFNESSES, Body, Inputs, body_of, pushed_at, ratio_per_unit, softest, stiffest
+from slippulse_jax.inference.parameters import (
+    STIFFNESSES,
+    Body,
+    Inputs,
+    event_and_body,
+    pushed_at,
+    ratio_per_unit,
+    softest,
+    stiffest,
+)
 from slippulse_jax.lattice.events import EventKind, check_event
 
 if TYPE_CHECKING:
@@ -154,7 +163,7 @@ class Knowledge:
         check_used(m, "design")
         if m.in_si and m.young is None:
             raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
-        ratio, body = ratio_per_unit(m), body_of(m, None, None)
+        ratio, (_, body) = ratio_per_unit(m), event_and_body(m, None, None)
         if prior is not None:
             if prior.in_si != m.in_si:
                 raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
