@@ -2,9 +2,9 @@
 
 import math
 import textwrap
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
     """
     remarks = [note for note in result.notes if note not in set(_mistakes(result))]
     parts = [
-        _boxed(headline(result)),
+        _boxed([*_values(result), *(line for text in sentences(result) for line in folded(text, WIDEST))]),
         _roots(result),
         _changes(result),
         _table(result),
@@ -79,14 +79,8 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
 def methods(result: "FitResult") -> str:
     """Write a sentence for the methods section of a paper, filled in with the numbers of this fit."""
     m, q, given = result.measurements, result.parameters, _given(result)
-    shown, moved, scale = _shown(result), result.budget, m.unit[0]
-    values = []
-    for name in given:
-        one, pieces = q.named(name), result.intervals.get(name, {}).get(LEVELS[0], [])
-        own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
-        whole = _with_error(result, name, total(result, name, moved), total_interval(result, name, moved)) if moved else own
-        alone = f" ({own} by the lengths alone)" if whole != own else ""
-        values.append(f"{shown[name]} = {whole} {one.unit}".rstrip() + alone)
+    moved, scale = result.budget, m.unit[0]
+    values = [value_in_words(result, name) for name in given]
     body = {
         "block": "a block under two-dimensional elasticity pushed on its side",
         "slider": "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)",
@@ -100,7 +94,7 @@ def methods(result: "FitResult") -> str:
         if x is not None
     ]
     held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
-    obtained = f"we obtain {'; '.join(values)}" if given else f"no number is obtained: {'; '.join(_verdicts(result))}"
+    obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {'; '.join(_verdicts(result))}"
     if not given:
         errors = ""
     elif moved:
@@ -114,6 +108,27 @@ def methods(result: "FitResult") -> str:
         f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with those of {body}, "
         f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).{errors}"
     )
+
+
+def value_in_words(result: "FitResult", name: str) -> str:
+    """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``: with usual errors of inputs first."""
+    whole, own = _errors(result, name)
+    one, alone = result.parameters.named(name), f"; {own} {_alone(result)}" if whole else ""
+    return f"{_shown(result)[name]} = {whole or own} {one.unit}".rstrip() + alone
+
+
+def _alone(result: "FitResult") -> str:
+    stated = any(one.nuisance for one in result.parameters.free)
+    return "from lengths and stated errors" if stated else "from the lengths alone"
+
+
+def _errors(result: "FitResult", name: str) -> tuple[str, str]:
+    """A value with the usual errors of inputs, empty where there are none to add, and without them."""
+    pieces, moved = result.intervals.get(name, {}).get(LEVELS[0], []), result.budget
+    own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
+    if not moved or not all(name in one.slope for one in moved.values()):
+        return "", own
+    return _with_error(result, name, total(result, name, moved), total_interval(result, name, moved)), own
 
 
 def _measured_as(result: "FitResult") -> str:
@@ -136,15 +151,16 @@ def _usual(name: str) -> str:
 # --- the box ------------------------------------------------------------------------------------------------------------
 
 
-def headline(result: "FitResult") -> list[str]:
-    """State the values with both errors, the verdict in a sentence, and the body that they hold for, in lines of `WIDEST`."""
-    said = [
-        [*_verdicts(result), _quality(result)],
-        [f"check first: {one}" for one in _mistakes(result)],
-        _holds_for(result),
-    ]
-    folded = (textwrap.wrap(" ".join(_sentences(*texts)), WIDEST) for texts in said)
-    return [*_values(result), *(line.replace(TIED, " ") for lines in folded for line in lines)]
+def sentences(result: "FitResult") -> list[str]:
+    """State the verdict, what to check first, and the body that the result holds for, a paragraph each."""
+    mistakes = [f"check first: {one}" for one in _mistakes(result)]
+    said = [*_verdicts(result), _quality(result)], mistakes, _holds_for(result)
+    return [text for texts in said if (text := " ".join(_sentences(*texts)))]
+
+
+def folded(text: str, width: int) -> list[str]:
+    """Fold a paragraph into lines, but not at `TIED`."""
+    return [line.replace(TIED, " ") for line in textwrap.wrap(text, width)]
 
 
 def _boxed(lines: list[str]) -> list[str]:
@@ -160,28 +176,17 @@ def _sentences(*texts: str) -> list[str]:
 def _values(result: "FitResult") -> list[str]:
     """Tabulate values with their errors, with those of inputs taken as exact and without; ratios of specimens too."""
     moved, shown = result.budget, _shown(result)
-    stated = any(one.nuisance for one in result.parameters.free)
-    simulated = " (simulated)" * result.calibrated
-    heads = ["", "from lengths and stated errors" if stated else "from the lengths alone", f"95 % interval{simulated}"]
-    rows = []
+    rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for name in result.names:
-        one = result.parameters.named(name)
-        by_level = result.intervals.get(name, {})
-        pieces = by_level.get(LEVELS[0], [])
-        own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
+        one, by_level = result.parameters.named(name), result.intervals.get(name, {})
         narrow, value = _narrowest(by_level), result.values[name]
         ends = " or ".join(interval(piece, value, narrow) for piece in by_level.get(LEVELS[-1], []))
-        whole = ""
-        if moved and all(name in change.slope for change in moved.values()):
-            whole = _with_error(result, name, total(result, name, moved), total_interval(result, name, moved))
-        rows.append([shown[name] + f" ({one.unit})" * bool(one.unit), whole, own, ends or "none"])
+        rows.append([shown[name] + f" ({one.unit})" * bool(one.unit), *_errors(result, name), ends or "none"])
     for labels, ratio in _shown_ratios(result).items():
         own = value_with_error(ratio, result.stiffness_ratios[labels][1])
-        whole = value_with_error(ratio, total_of_ratio(result, labels, moved)) if moved else ""
-        rows.append([_over(labels), whole, own, ""])
-    heads.insert(1, "with usual errors of inputs")
-    kept = [i for i in range(len(heads)) if i == 0 or any(row[i] for row in rows)]
-    return _aligned([[row[i] for i in kept] for row in [heads, *rows]], str.ljust, indent="")
+        rows.append([_over(labels), value_with_error(ratio, total_of_ratio(result, labels, moved)) if moved else "", own, ""])
+    kept = [i for i in range(len(rows[0])) if i == 0 or any(row[i] for row in rows[1:])]
+    return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
 def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None) -> str:
@@ -589,12 +594,10 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
             yield _Change("the paper's slider", math.inf, dict.fromkeys(stiff, "none fits"))
             return
         ratios = {name: slider.values[name] / result.values[name] for name in stiff if name in slider.values}
-        said = {name: f" ({slider.verdicts[name].value})" for name in ratios}
-        words = {
-            name: _times(ratio) + said[name] * (slider.verdicts[name] is not Identifiability.IDENTIFIED)
-            for name, ratio in ratios.items()
-        }
-        yield _Change("the paper's slider", max(abs(math.log(ratio)) for ratio in ratios.values()), words)
+        verdicts = dict.fromkeys(slider.verdicts[name].value for name in ratios)
+        what = "the paper's slider" + f" ({'; '.join(verdicts)})" * (list(verdicts) != [Identifiability.IDENTIFIED.value])
+        size = max((abs(math.log(ratio)) for ratio in ratios.values()), default=0.0)
+        yield _Change(what, size, {name: _times(ratio) for name, ratio in ratios.items()})
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:

@@ -13,10 +13,21 @@ from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, recursion_status
 from slippulse_jax.inference.parameters import Inputs, at_theta
 from slippulse_jax.inference.profile import profile_2d
-from slippulse_jax.inference.report import value_with_error
-from slippulse_jax.inference.verdict import LEVELS, Identifiability
+from slippulse_jax.inference.report import folded, sentences, value_in_words, value_with_error
+from slippulse_jax.inference.verdict import GIVEN, LEVELS, Identifiability
 from slippulse_jax.plot.labels import axis_label, equation, printed
-from slippulse_jax.plot.style import ABOVE, PAGE, Colours, axes, colours, dashed_where, drawn, handles_of, new_figure
+from slippulse_jax.plot.style import (
+    ABOVE,
+    PAGE,
+    Colours,
+    axes,
+    colours,
+    dashed_where,
+    drawn,
+    handles_of,
+    letter_panels,
+    new_figure,
+)
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
@@ -39,8 +50,8 @@ WIDEST_LEGEND = 54
 MARKERS = "osD^v<>P"
 MOST_VALUES = 4
 """Most parameters in a title."""
-TITLE = 100
-"""Most characters per line of a title."""
+TITLE, LINE = 140, 0.13
+"""Most characters per line of a title, and the height of a line in inches."""
 CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
 """Constants of the material in a title, by column: symbol, factor and unit."""
 INPUTS = {"height": "log_height", "push_height": "log_push"}
@@ -57,8 +68,9 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     specimens. With `ax`, the panels take its place.
     """
     names = _determined(result)[:MOST_PROFILES]
-    with new_figure(PAGE, max(3.9, 1.5 + 1.35 * len(names)), ax) as figure:
-        figure.suptitle("\n".join(_title(result)), x=0.01, ha="left", fontsize="medium")
+    title = list(_title(result))
+    with new_figure(PAGE, max(3.9, 1.5 + 1.35 * len(names)) + LINE * len(title), ax) as figure:
+        figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize="small")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
         above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
         others = [figure.add_subplot(place) for place in (right.subgridspec(len(names), 1) if len(names) > 1 else [right])]
@@ -72,6 +84,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
             length_versus_stiffness(result, ax=others[0])
         else:
             _profiles(result, list(zip(names, others, strict=True)))
+        letter_panels(above, *others, below)
     return figure
 
 
@@ -106,31 +119,14 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
 
 
 def _title(result: "FitResult") -> Iterator[str]:
-    """State the result and what it was fitted to."""
-    m, one_of = result.measurements, {one.label: one for one in result.parameters.free}
-    if result.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
-        values = []
-        for name in [name for name in result.names if not _is_constant(one_of[name])] or result.names:
-            one, value = one_of[name], value_with_error(result.values[name], result.stderrs[name])
-            values.append(f"{one.symbol}{name.removeprefix(one.name)} = {value} {one.unit}".rstrip())
-        yield from _in_lines(values[:MOST_VALUES] + ["…"] * (len(values) > MOST_VALUES))
-    else:
-        yield textwrap.fill(result.identifiability.value, TITLE)
-    specimens = list(dict.fromkeys(m.specimen))
-    named = f", {len(specimens)} specimens" if len(specimens) > 1 else f", {specimens[0]}" if specimens else ""
-    tested = f"; chi-squared {result.deviance:.3g} for {result.testable_dof} degrees of freedom" * (result.p_value is not None)
-    material, data = ", ".join(_constants(result)), f"{len(m)} length{'s' * (len(m) > 1)}{named}{tested}"
-    yield from _in_lines([material, data], "; ")
-
-
-def _in_lines(parts: list[str], between: str = ", ") -> list[str]:
-    """Join the parts, with a new line where the title would be too wide."""
-    lines = [""]
-    for part in filter(None, parts):
-        if lines[-1] and len(lines[-1]) + len(part) > TITLE:
-            lines.append("")
-        lines[-1] += between * bool(lines[-1]) + part
-    return lines
+    """Quote the box of the report, and the constants of the material."""
+    one_of = {one.label: one for one in result.parameters.free}
+    names = [name for name in result.names if not _is_constant(one_of[name])] or result.names
+    given = [name for name in names if result.verdicts[name].identifiability in GIVEN]
+    yield from (value_in_words(result, name) for name in given[:MOST_VALUES])
+    if len(given) > MOST_VALUES:
+        yield f"… and {len(given) - MOST_VALUES} more"
+    yield from folded(" ".join([*sentences(result), ", ".join(_constants(result))]), TITLE)
 
 
 def _is_constant(one: "Free") -> bool:
@@ -177,6 +173,7 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
         residuals(result, ax=panels[count - 1])
         for unused in panels[count:]:
             unused.set_visible(False)
+        letter_panels(*panels[:count])
     return figure
 
 
@@ -256,7 +253,8 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         color, one = _of_curve(c, number, groups), rows[0]
         near = far if few else far[rows]
         height = np.linspace(near.min() * 0.85, near.max() * 1.15, 41) / scale[one]
-        allowed = (0.05 * m.height[one], 0.9 * m.height[one]) if along == "push_height" else (1.01, np.inf)
+        low, high = min(0.05 * m.height[one], 0.9 * at[rows].min()), max(0.9 * m.height[one], 1.01 * at[rows].max())
+        allowed = (low, high) if along == "push_height" else (1.01, np.inf)
         height = height[(height > allowed[0]) & (height < allowed[1])]
         x, y = height * scale[one], scale[one]
         again = _breaks_again(result, _inputs_at(result, result.theta, rows, height))
@@ -347,13 +345,19 @@ def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np
     for number, group in enumerate(groups):
         for i, name in enumerate(names if named else [""]):
             rows = np.isin(np.arange(len(m)), group) & ((specimen == name) | (not named))
-            color = c.data[number % len(c.data)] if len(groups) > 1 else c.data[1 + i % (len(c.data) - 1)]
+            color = _of_curve(c, number, groups) if len(groups) > 1 else c.data[1 + i % (len(c.data) - 1)]
             if rows.any():
                 yield MARKERS[i], color, name if named else "measured", rows
 
 
 def _of_curve(c: Colours, number: int, groups: list[np.ndarray]) -> str:
-    return c.data[number % len(c.data)] if len(groups) > 1 else c.blue
+    """Colour of a curve: one of its own, from a scale where there are more curves than colours."""
+    if len(groups) <= len(c.data):
+        return c.data[number] if len(groups) > 1 else c.blue
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return to_hex(colormaps["viridis"](0.95 * number / (len(groups) - 1)))
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
@@ -455,7 +459,7 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
         ax.plot(x[rows], result.residuals[rows], marker, color=color)
     label = axis_label(along, unit)
     ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
-    ax.set_ylabel("off by, in σ" if along_height else "(fitted − measured)/σ")
+    ax.set_ylabel("misfit/σ" if along_height else "(fitted − measured)/σ")
     reach = max(2.5, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
     if not along_height:
@@ -582,11 +586,12 @@ def _name(one: "Free", axis: "Axis") -> None:
 
 
 def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
-    """Abscissa of the lengths, in stated λc: height of the block, or of the push where one block has several."""
+    """Abscissa of the lengths, in stated λc: height of the block, or of the push where that leaves fewer curves."""
     m = result.measurements
-    if m.push_height is not None and result.parameters.body == "block" and not np.ptp(m.height) and np.ptp(m.push_height):
-        return "push_height", m.push_height
-    return "height", m.height
+    if m.push_height is None or result.parameters.body != "block":
+        return "height", m.height
+    by_height, by_push = (len(_alike(result, result.theta, along)) for along in ("height", "push_height"))
+    return ("push_height", m.push_height) if by_push < by_height else ("height", m.height)
 
 
 def _inputs_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.ndarray) -> Inputs:
@@ -628,17 +633,17 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
     Inputs with an error are those fitted where every curve then has two heights, else those stated.
     """
     stated = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
-    at = _abscissa(result)[1]
-    fitted = _alike(result, result.theta)
-    found = fitted if all(np.ptp(at[rows]) > 0 for rows in fitted) else _alike(result, np.array(stated))
+    along, at = _abscissa(result)
+    fitted = _alike(result, result.theta, along)
+    found = fitted if all(np.ptp(at[rows]) > 0 for rows in fitted) else _alike(result, np.array(stated), along)
     return sorted(found, key=lambda rows: rows[0])
 
 
-def _alike(result: "FitResult", theta: np.ndarray) -> list[np.ndarray]:
+def _alike(result: "FitResult", theta: np.ndarray, along: str) -> list[np.ndarray]:
     """Group the measurements whose inputs at θ are equal but for the abscissa."""
     m = result.measurements
     same = result.parameters.inputs_at(theta)._asdict()
-    del same[INPUTS[_abscissa(result)[0]]]
+    del same[INPUTS[along]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
     _, group = np.unique(keys, axis=0, return_inverse=True)
