@@ -5,17 +5,18 @@ fit, with one input moved: that of all measurements alike, as by a wrong ruler o
 """
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.measurements import IN_LC, Measurements
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.verdict import GIVEN, LEVELS, Identifiability
+from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, Identifiability
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -57,6 +58,9 @@ PUSHES = (0.5, 0.25, 0.1)
 
 NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
+
+TALL, HIGHEST, STARTS = 1e4, 0.55, 9
+"""H/λc and highest push over H of the fits with another pusher, which the packaged nodes serve, and the starts of each."""
 
 BOTH_WAYS = np.array([-1.0, 1.0])
 
@@ -129,24 +133,54 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
 def unstated_push(result: "FitResult") -> dict[str, float]:
     """Factors on the stiffness by where the side is pushed, as far as the table does not say, for the same lengths.
 
-    Of a slider, those of a block pushed from some heights over H up. Of a block whose pusher has no stated height, that of a
-    pusher `NARROW_PUSHER`. For the measurement with the median length over H; NaN where no stiffness gives it. Only for relaxed
-    interfaces whose stiffness has a value. Empty where the lengths of a slider share an offset or a model factor, which would
-    take other values in a fit of a block.
+    Of a slider, those of a block pushed from some heights over H up, for the measurement with the median length over H. Of a
+    block whose pusher has no stated height, that of a pusher `NARROW_PUSHER`. NaN where no stiffness gives the lengths. Only
+    for relaxed interfaces whose stiffness has a value. Empty where the lengths of a slider share an offset or a model factor,
+    which would take other values in a fit of a block.
     """
-    m, at = result.measurements, result.regime.b
-    ratio = result.fitted.length / m.height
-    i = int(np.argsort(ratio)[len(m) // 2])
-    length, poisson = float(ratio[i]), float(m.poisson[i])
     if width_is_unstated(result):
-        assert m.push_height is not None
-        height = float(np.clip(m.push_height[i] / m.height[i], NARROW, 1 - NARROW))
-        above, narrow = packaged_b(length, poisson, height), packaged_b(length, poisson, height, narrow=True)
-        return {} if above is None or narrow is None else {NARROW_PUSHER: narrow / above}
+        return {NARROW_PUSHER: _narrower(result)}
     if not push_is_unstated(result) or shares_errors(result):
         return {}
-    found = {f"{at:g}": packaged_b(length, poisson, at) for at in PUSHES}
-    return {height: b / float(at[i]) for height, b in found.items() if b is not None}
+    m = result.measurements
+    ratio = result.fitted.length / m.height
+    i = int(np.argsort(ratio)[len(m) // 2])
+    found = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
+    return {at: b / float(result.regime.b[i]) for at, b in found.items() if b is not None}
+
+
+def _narrower(result: "FitResult") -> float:
+    """Factor on the stiffnesses, their median, if the pusher is narrow; NaN where the lengths are then rejected.
+
+    From two fits within the packaged nodes, for which nothing is followed anew: of a tall block, as lengths over H hardly
+    depend on λc/H, at ν = 0.3, and pushed from `NARROW` to `HIGHEST` H up.
+    """
+    m, q = result.measurements, result.parameters
+    assert m.push_height is not None
+    taller = float(np.ceil(TALL / m.height.min()))
+    changed: dict[str, Any] = _in_larger_units(m, 1 / taller)
+    if m.correlation_length is not None:
+        changed["correlation_length"] = m.correlation_length / taller
+    share = np.clip(m.push_height / m.height, NARROW, HIGHEST)
+    changed |= {"push_height": share * changed["height"], "push_height_sigma": None}
+    changed |= {"poisson": np.full(len(m), 0.3), "poisson_sigma": None}
+    wanted = [one for one in q.wanted if one.name not in ("push_height", "poisson")]
+    found, deviance = [], 0.0
+    for width in (None, NARROW * changed["height"]):
+        other = dataclasses.replace(m, **changed, push_width=width)
+        every = parameter_set(other, wanted, q.event, q.body)
+        problem = make_problem(other, every, result.problem.loss, result.sigma * taller)
+        stiff = [j for j, one in enumerate(every.free) if one.name in STIFFNESSES]
+        known = dict(zip(q.names, result.theta, strict=True))
+        start = np.clip([known.get(one.label, 0.0) for one in every.free], every.low, every.high)
+        starts = np.repeat(start[None], STARTS, axis=0)
+        starts[:, stiff] = np.linspace(every.low[stiff], every.high[stiff], STARTS + 2)[1:-1]
+        ends = minimise(problem, starts, every.low, every.high)
+        best = int(np.argmin(ends.value))
+        found.append(ends.theta[best][stiff])
+        deviance = 2 * float(ends.value[best])
+    rejected = result.testable_dof and chdtrc(result.testable_dof, deviance) < IMPROBABLE
+    return float("nan") if rejected or not np.isfinite(deviance) else float(np.median(np.exp(found[1] - found[0])))
 
 
 def width_is_unstated(result: "FitResult") -> bool:
@@ -229,13 +263,17 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
     moved = dataclasses.replace(m, **{name: getattr(m, name) * factor})
     if name != "correlation_length":
         return moved
-    shorter = {"height": m.height / factor, "length": np.where(counted, m.length, m.length / factor)}
-    for other in ("block_length", "height_sigma", "push_height", "push_width", "push_height_sigma"):
-        if getattr(m, other) is not None:
-            shorter[other] = getattr(m, other) / factor
-    if m.length_sigma is not None:
-        shorter["length_sigma"] = np.where(counted, m.length_sigma, m.length_sigma / factor)
+    shorter = _in_larger_units(m, factor)
+    for column in ("length", "length_sigma"):
+        if column in shorter:
+            shorter[column] = np.where(counted, getattr(m, column), shorter[column])
     return dataclasses.replace(moved, **shorter)
+
+
+def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
+    """Columns in λc, for a λc `factor` times as large."""
+    names = (*IN_LC, "length_sigma", "height_sigma", "push_height_sigma")
+    return {name: getattr(m, name) / factor for name in names if getattr(m, name) is not None}
 
 
 def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.ndarray:

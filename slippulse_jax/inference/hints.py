@@ -56,9 +56,10 @@ def of_attainable(
     above = lowest > attainable
     if above.any():
         i = int(np.argmax(m.length / attainable))
+        count = int(above.sum())
         yield (
-            f"{int(above.sum())} length(s) lie more than σ above the longest that a stiffness in the range searched gives; "
-            f"worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
+            f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest that a stiffness in the range "
+            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
             f"attainable, {m.in_its_unit(i, attainable[i])}"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)

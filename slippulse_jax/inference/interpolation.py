@@ -10,11 +10,15 @@ blocks of every height. Those of usual pushes come with the package (`python -m 
 
 import functools
 import itertools
-from collections.abc import Callable
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from tqdm.auto import tqdm
 
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.parameters import Inputs
@@ -36,8 +40,23 @@ TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST = 0.005, 0.02
 """Least distance of a push from the corners of the side, and the least width of a patch, over H."""
+AT_ONCE, TIMED, LONG = 32, 1, 20.0
+"""Nodes computed at once, the part of them after which their time is estimated (the first compiles), and a long time in s."""
 TABLE = Path(__file__).with_name("block_lengths.npz")
 """Nodes of blocks that come with the package."""
+
+
+def _announced(parts: list[list[Any]]) -> Iterator[list[Any]]:
+    """Show the progress of the nodes computed: a bar on a terminal; elsewhere a line, once, if they take long."""
+    count, begun = sum(map(len, parts)), time.monotonic()
+    with tqdm(total=count, desc="events followed", unit=" events", delay=2, leave=False, disable=None) as bar:
+        for number, part in enumerate(parts):
+            yield part
+            bar.update(len(part))
+            left = (time.monotonic() - begun) / (number + 1) * (len(parts) - 1 - number)
+            if number == TIMED and bar.disable and left > LONG and sys.stderr is not None:
+                text = f"following {count} events of blocks, which takes about {left:.0f} s more"
+                print(text, file=sys.stderr, flush=True)
 
 
 class Grid:
@@ -80,8 +99,8 @@ class Grid:
         distinct, own = distinct_rows(nodes)
         keys = list(map(tuple, distinct.tolist()))
         new = [key for key in keys if key not in self.known]
-        if new:
-            self.known.update(zip(new, self.compute(np.array(new) * self.spacing), strict=True))
+        for part in _announced([new[i : i + AT_ONCE] for i in range(0, len(new), AT_ONCE)]):
+            self.known.update(zip(part, self.compute(np.array(part) * self.spacing), strict=True))
         return np.array([self.known[key] for key in keys])[own]
 
 
@@ -161,20 +180,15 @@ def block_grid() -> Grid:
     return grid
 
 
-def packaged_b(length: float, poisson: float, push_height: float, *, narrow: bool = False) -> float | None:
+def packaged_b(length: float, poisson: float, push_height: float) -> float | None:
     """Smallest b at which a tall block pushed above a height has this length over H, by the packaged nodes of nearest ν.
 
-    Or pushed on a `narrow` patch, of 0.1 H about that height. nan where no b gives so long an event; None where the package has
-    no such nodes.
+    nan where no b gives so long an event; None where the package has no such nodes.
     """
     nearest, at = (
         round(x / step) for x, step in ((min(max(poisson, 0.2), 0.4), BLOCK_SPACING[2]), (push_height, BLOCK_SPACING[4]))
     )
-    every = [
-        (j, value[0])
-        for (i, j, *more), value in block_grid().known.items()
-        if (i, *more) == (0, nearest, 0, at, narrow, narrow)
-    ]
+    every = [(j, value[0]) for (i, j, *more), value in block_grid().known.items() if (i, *more) == (0, nearest, 0, at, 0, 0)]
     if not every:
         return None
     node, found = np.array(sorted(every)).T

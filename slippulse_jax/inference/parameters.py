@@ -818,10 +818,14 @@ def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None
         )
     for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):
         if getattr(m, name) is not None:
-            raise ValueError(
-                f"{m.source}: {name}: a fit of a block takes lengths only, half-infinite and with its edge held; "
-                "body = 'slider' fits the slider"
-            )
+            own = m.columns.get(name, name)
+            why = {
+                "block_length": "without an end: leave it out where every front stopped well before the end; one that ran "
+                "through has the length of the block and the kind at_least",
+                "machine_stiffness": "whose pusher is held: leave it out",
+            }.get(name, "from lengths alone: leave it out")
+            push = m.columns.get("push_height", "push_height")
+            raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/howto/own_csv.md)")
     if "threshold_slope" in names or m.or_zero("threshold_slope").any():
         raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 

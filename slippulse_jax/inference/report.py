@@ -41,7 +41,7 @@ SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
 MANY = 3.0
 """Factor from which on a change is given as one instead of in per cent."""
-WIDEST, TIED = 100, "\u00a0"
+WIDEST, TIED = 106, "\u00a0"
 """Characters of the longest sentence in the box, and the space at which it is not folded."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
@@ -81,10 +81,10 @@ def methods(result: "FitResult") -> str:
     m, q, given = result.measurements, result.parameters, _given(result)
     moved, scale = result.budget, m.unit[0]
     values = [value_in_words(result, name) for name in given]
-    body = {
-        "block": "a block under two-dimensional elasticity pushed on its side",
-        "slider": "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)",
-    }[q.body]
+    body = "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)"
+    if q.body == "block" and m.push_height is not None:
+        where = "about" if m.push_width is not None else "above"
+        body = f"a block under two-dimensional elasticity, pushed on its side {where} {_range(m.push_height / m.height)} H"
     constants = [
         f"{sign} = {_range(x * size)}{unit}"
         for sign, x, size, unit in (
@@ -93,6 +93,7 @@ def methods(result: "FitResult") -> str:
         )
         if x is not None
     ]
+    heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + _range(m.height * scale)
     held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
     obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {'; '.join(_verdicts(result))}"
     if not given:
@@ -104,7 +105,7 @@ def methods(result: "FitResult") -> str:
         errors = " The error does not contain that of the model."
     tested = f" (χ² = {result.deviance:.3g} for {_plural(result.testable_dof or 0, 'degree')} of freedom)"
     return (
-        f"From the {_measured_as(result)} of {_plural(len(m), 'first precursor')} at heights of {_range(m.height * scale)} "
+        f"From the {_measured_as(result)} of {_plural(len(m), 'first precursor')} at {heights} "
         f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with those of {body}, "
         f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).{errors}"
     )
@@ -160,7 +161,7 @@ def sentences(result: "FitResult") -> list[str]:
 
 def folded(text: str, width: int) -> list[str]:
     """Fold a paragraph into lines, but not at `TIED`."""
-    return [line.replace(TIED, " ") for line in textwrap.wrap(text, width)]
+    return [line.replace(TIED, " ") for line in textwrap.wrap(text, width, break_on_hyphens=False)]
 
 
 def _boxed(lines: list[str]) -> list[str]:
@@ -233,17 +234,19 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         edge = "pushed through the machine that is stated" if machine else "its edge held"
         body = f"the paper's slider, {end}, {edge}"
     fronts = {"crack": " with crack-like fronts", "full": ""}.get(q.event, " under the smooth break rule" * q.smooth)
-    yield f"holds for {body}, and for uniform thresholds{fronts}"
+    tried = result.identifiability in (Identifiability.POOR_FIT, Identifiability.NOT_CONVERGED)
+    yield f"{'tried with' if tried else 'holds for'} {body}, and for uniform thresholds{fronts}"
     ratio = result.unstated_push.get(NARROW_PUSHER)
     if push_is_unstated(result):
-        found = sorted(x for x in result.unstated_push.values() if not math.isnan(x))
-        ends = (
-            "another stiffness, which depends on" if not found else f"{found[0]:.2g} to {found[-1]:.2g} times this, or none, by"
-        )
-        yield f"a real block has {ends} where its side is pushed"
+        found = [x for x in result.unstated_push.values() if not math.isnan(x)]
+        none = ", or none" * (len(found) < len(result.unstated_push))
+        has = f"{min(found):.2g} to {max(found):.2g} times this{none}, by" if found else "another stiffness, which depends on"
+        yield f"a real block has {has} where its side is pushed"
     if ratio is not None:
         suffix = f"_{unit}" * m.in_si
-        would = "no stiffness gives these lengths" if math.isnan(ratio) else f"the stiffness is {ratio:.2g} times as large"
+        would = (
+            "no stiffness gives these lengths" if math.isnan(ratio) else f"the stiffness is about {ratio:.2g} times as large"
+        )
         yield (
             f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if it "
             f"is {NARROW_PUSHER}, {would}"
@@ -408,7 +411,7 @@ def _quality(result: "FitResult") -> str:
         tested = f"{name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom"
     else:
         why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
-        tested = f"{name} {result.deviance:.3g} with no degree of freedom, so {why}"
+        tested = f"{name} {round(result.deviance, 9):.3g} with no degree of freedom, so {why}"
     used = ""
     if (m.stated_sigma > 0).any():
         used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
