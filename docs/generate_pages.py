@@ -14,9 +14,10 @@ DOCS = Path(__file__).resolve().parent
 
 def main() -> None:
     """Write, or compare, each page."""
-    if missing := equations.missing():
+    tests = DOCS.parent / "tests"
+    if missing := equations.missing(tests):
         sys.exit("\n".join(missing))
-    for name, text in (("equations", equations.page()), ("errata", errata.page())):
+    for name, text in (("equations", equations.page(tests)), ("errata", errata.page())):
         page = DOCS / f"{name}.md"
         if sys.argv[1:] != ["--check"]:
             page.write_text(text, encoding="utf-8")

@@ -22,16 +22,13 @@ import hypothesis
 import jax
 import pytest
 
-from slippulse_jax.bulk.compiler import TRIED
+from slippulse_jax.bulk.compiler import knows
 
-# Some of XLA's options reduce the time to compile to less than a third (the second, because both cores are busy already). Only
-# releases that were tried get them: an unknown option ends the process. Programs for many lanes are optimised as users' are,
-# whatever is said here: they are few, and fits run them much. The rest may differ in the last digit. `XLA_FLAGS= pytest`
-# compiles everything as users' programs are.
-if jax.lib.__version__ in TRIED:
-    quick = ["xla_backend_optimization_level=0", "xla_cpu_parallel_codegen_split_count=1"]
-    quick += ["xla_cpu_use_fusion_emitters=false"] if jax.__version_info__ < (0, 11) else []
-    os.environ.setdefault("XLA_FLAGS", " ".join(f"--{option}" for option in quick))
+# Some of XLA's options reduce the time to compile to less than a third (the second, because both cores are busy already). An
+# unknown one ends the process. Programs for many lanes are optimised as users' are, whatever is said here: they are few, and
+# fits run them much. The rest may differ in the last digit. `XLA_FLAGS= pytest` compiles everything as users' programs are.
+QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_parallel_codegen_split_count": 1, "xla_cpu_use_fusion_emitters": "false"}
+os.environ.setdefault("XLA_FLAGS", " ".join(f"--{name}={value}" for name, value in QUICK.items() if knows(name)))
 
 if os.environ.get("SLIPPULSE_CHECK_SHAPES"):  # of every array that passes between functions
     import shapes

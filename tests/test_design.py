@@ -1,6 +1,7 @@
 """Expected information against closed forms, quadrature of another make, brute force with dice, and counts from dense solves."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -310,10 +311,10 @@ def test_at_what_height_to_push_a_block():
     """Information where ℓ is linear in ln k, from cascades of their own; and the report, the picture and the command."""
     height, middle, sd, sigma = 400.0, 8e-4, 0.05, 6.0
     known = sp.Knowledge.lognormal(middle, sd)
-    at = np.array([60.0, 120.0, 200.0])
+    at = np.array([0.15, 0.3, 0.5])
     plan = sp.design(known, height=height, sigma=sigma, push_height=at)
     for i, h in enumerate(at):
-        block = [sp.Block(height, middle * np.exp(x), 0.3, sp.Push(h / height)) for x in (-0.1, 0.1)]
+        block = [sp.Block(height, middle * np.exp(x), 0.3, sp.Push(h)) for x in (-0.1, 0.1)]
         low, high = (float(sp.precursor_length(one)) for one in block)
         assert plan.expected_length[i, 0] == pytest.approx((low + high) / 2, rel=0.01)
         assert plan.information[i] == pytest.approx(0.5 * np.log1p((sd * (high - low) / 0.2 / sigma) ** 2), rel=0.12)
@@ -322,8 +323,45 @@ def test_at_what_height_to_push_a_block():
     assert "pushed over everything above at the height h, displacement held" in plan.report()
     assert sp.plot.design_figure(plan).axes
     given = ["--height", "400", "--sigma", "6", "--poisson", "0.3", "--stiffness", "8e-4", "--log-sd", "0.05"]
-    said = json.loads(CliRunner().invoke(command, [*given, "--push-height", "60,120,200", "--json"]).stdout)
+    said = json.loads(CliRunner().invoke(command, [*given, "--push-height", "0.15,0.3,0.5", "--json"]).stdout)
     np.testing.assert_allclose([c["information"] for c in said["candidates"]], plan.information, rtol=1e-12)
+
+
+def test_a_push_is_over_the_height_of_its_block_or_in_mm():
+    """One h/H for blocks of several heights scales with each; mm stay mm. As for a block, and for `sweep`."""
+    known = sp.Knowledge.lognormal(9e10, 0.2, in_si=True)
+    material = {"sigma": 0.2e-3, "correlation_length": 50e-6, "young": 3e9}
+    plan = sp.design(known, height=[10e-3, 20e-3], push_height=0.25, push_width=0.1, **material)
+    for candidate, mean in zip(plan.candidates, plan.expected_length[:, 0], strict=True):
+        block = sp.Block.from_material(
+            height=candidate.height, correlation_length=50e-6, areal_stiffness=9e10, poisson=0.3, young=3e9,
+            push_height=0.25 * candidate.height, push_width=0.1 * candidate.height,
+        )  # fmt: skip
+        assert mean == pytest.approx(float(sp.precursor_length(block)), rel=0.03)
+
+    given = ["--sigma-mm", "0.2", "--correlation-length-um", "50", "--young-gpa", "3", "--poisson", "0.3", "--json"]
+    given += ["--stiffness", "9e10", "--log-sd", "0.2", "--height-mm"]
+
+    def command_plans(*arguments):
+        done = CliRunner().invoke(command, [*given, *arguments])
+        assert done.exit_code == 0, done.output
+        return json.loads(done.stdout)
+
+    said = command_plans("10,20", "--push-height-mm", "2.5,5", "--push-width-mm", "1,2")
+    np.testing.assert_allclose([c["length"] for c in said["candidates"]], plan.expected_length[:, 0], rtol=1e-9)
+    np.testing.assert_allclose([c["push_height"] for c in said["candidates"]], 0.25)
+    assert said["units"]["push"] == "H"
+    assert [c["label"] for c in command_plans("10", "--push-height-mm", "2.5,5")["candidates"]] == ["h = 2.5 mm", "h = 5 mm"]
+    same = command_plans("10,20", "--push-height-mm", "2.5")["candidates"]
+    assert [c["push_height"] for c in same] == pytest.approx([0.25, 0.125])
+    for heights, pushes, message in [
+        ("10,20", "1,2,3", "--push-height-mm: 3 values for 2 of --height-mm"),
+        ("0", "1", "height over correlation length = 0 at index 0"),
+        ("10", "12", r"push_height = 1.2 at index 0: must lie in \(0, 1\), as it is over the height"),
+    ]:
+        done = CliRunner().invoke(command, [*given, heights, "--push-height-mm", pushes])
+        assert done.exit_code == BAD_INPUT
+        assert re.search(message, done.output)
 
 
 def test_earlier_measurements_of_a_block_are_knowledge_of_it():
@@ -340,13 +378,20 @@ def test_earlier_measurements_of_a_block_are_knowledge_of_it():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"push_height": 30.0}, "push_height over height = 1.2 at index 0: must lie in"),
-        ({"push_height": 0.5}, "push_height over correlation length = 0.5 at index 0: must exceed 1"),
-        ({"push_height": 5.0, "push_width": 12.0}, "beyond the side of the block"),
+        (
+            {"push_height": [0.2, 5.0]},
+            r"push_height = 5 at index 1: must lie in \(0, 1\), as it is over the height of the block, h/H",
+        ),
+        (
+            {"push_height": 0.2, "push_width": 3.0},
+            r"push_width = 3 at index 0: must lie in \(0, 1\), .* over the height .*, w/H",
+        ),
+        ({"push_height": 0.02}, "height of the push over correlation length = 0.5 at index 0: must exceed 1"),
+        ({"push_height": 0.2, "push_width": 0.48}, "beyond the side of the block"),
         ({"push_width": 3.0}, "describe a push: give push_height too"),
         ({"push_control": "force"}, "describe a push: give push_height too"),
-        ({"push_height": 5.0, "push_control": "speed"}, "Push.control = 'speed'"),
-        ({"push_height": 5.0, "threshold_slope": 1e-3}, "thresholds under a block are level"),
+        ({"push_height": 0.2, "push_control": "speed"}, "Push.control = 'speed'"),
+        ({"push_height": 0.2, "threshold_slope": 1e-3}, "thresholds under a block are level"),
     ],
 )
 def test_pushes_that_cannot_be(wrong, message):

@@ -6,6 +6,7 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import jaxlib.version
 import numpy as np
 import pytest
 from jax import lax
@@ -58,7 +59,7 @@ print(loops_are_whole(), int(constant), *np.asarray(found), *lengths)
 def test_whole_loops_give_the_same(breaks):
     """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
     whole, constant, *found = run(WHOLE, XLA_FLAGS="").split()
-    assert whole == str(jax.lib.__version__ in kernel.TRIED)
+    assert whole == "True", "of this release of jaxlib too: else series take four times as long"
     assert not kernel.loops_are_whole()
     assert int(constant) == breaks
     assert breaks > 10
@@ -73,13 +74,76 @@ def test_options_of_the_user_stay(monkeypatch):
     assert os.environ["XLA_FLAGS"] == "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling"
 
 
-def test_untried_releases_are_not_asked(monkeypatch):
+@pytest.mark.parametrize("option", ["xla_backend_extra_options", "xla_cpu_small_while_loop_byte_threshold"])
+def test_an_option_that_xla_does_not_know_is_not_given(monkeypatch, option):
+    """It would end the process."""
     monkeypatch.setenv("XLA_FLAGS", "")
-    monkeypatch.setattr(kernel, "TRIED", ("none",))
+    monkeypatch.setattr(kernel, "knows", lambda name: name != option)
     kernel._say_once.cache_clear()
-    with pytest.warns(RuntimeWarning, match="is not among the releases slippulse_jax was tuned for"):
+    with pytest.warns(RuntimeWarning, match=rf"jaxlib {jax.lib.__version__} has no option {option}: ruptures and series take"):
         kernel.compile_loops_whole()
+    kernel.compile_loops_whole()  # and says no more
     assert not os.environ["XLA_FLAGS"]
+
+
+def test_known_options_are_those_that_xla_takes():
+    """XLA ends a process that names another one."""
+    for name in ("xla_backend_optimization_level", "xla_cpu_parallel_codegen_split_count", "xla_no_such_option", "xla_backend"):
+        done = subprocess.run(
+            [sys.executable, "-c", "import jax; jax.jit(lambda x: x + 1)(1)"],
+            capture_output=True, text=True, env={**os.environ, "XLA_FLAGS": f"--{name}=1"},
+        )  # fmt: skip
+        assert kernel.knows(name) == (f"Unknown flag in XLA_FLAGS: --{name}=1" not in done.stderr)
+        assert kernel.knows(name) == (done.returncode == 0)
+
+
+def test_any_release_of_jaxlib_that_does_it_is_used_in_silence(monkeypatch):
+    """What counts is what it compiles, not its name."""
+    monkeypatch.setattr(jaxlib.version, "__version__", "99.0")
+    monkeypatch.setenv("XLA_FLAGS", "")
+    kernel.compile_loops_whole()
+    assert "xla_cpu_small_while_loop_byte_threshold" in os.environ["XLA_FLAGS"]
+    x = jnp.ones(3)
+    assert " reduce[" in str(jax.make_jaxpr(lambda *given: kernel.in_one_loop(swapped, given, x))(x, x))
+
+
+def pairs(rows, starts, take, axes):
+    """Rows are first reduced among themselves, and then with the start."""
+    first, second = (tuple(x[i] for x in rows) for i in (0, 1))
+    return tuple(take(starts, take(first, second)))
+
+
+def apart(rows, starts, take, axes):
+    """The right results, but not from one loop."""
+    return tuple(map(lax.optimization_barrier, take(starts, tuple(x[1] for x in rows))))
+
+
+def failing(rows, starts, take, axes):
+    raise jax.errors.JaxRuntimeError("UNIMPLEMENTED: reductions")
+
+
+@pytest.mark.parametrize(
+    ("reduction", "said"),
+    [(pairs, "in another order"), (apart, r"in \d+ loops"), (failing, r"with an error \(UNIMPLEMENTED: reductions\)")],
+)
+def test_a_compiler_without_the_habit(monkeypatch, reduction, said):
+    """It is seen, said once, and lengths are the same to rounding."""
+    kernel._say_once.cache_clear()
+    kernel.reduces_in_one_loop.cache_clear()
+    sliders = np.array([[10.0, 25, 50, 1.2], [0.03, 0.01, 0.003, 1e-3], [0.3, 0.1, 0.45, 0.3]])
+    try:
+        with jax.enable_x64(True):
+            expected = jax.jit(lanes.gradient_kernel.__wrapped__(1000))(sliders)[0]
+            kernel.reduces_in_one_loop.cache_clear()
+            monkeypatch.setattr(lax, "reduce", reduction)
+            with pytest.warns(
+                RuntimeWarning, match=f"jaxlib {jax.lib.__version__} compiles reductions {said}: lengths in bulk"
+            ):
+                found = jax.jit(lanes.gradient_kernel.__wrapped__(1000))(sliders)[0]
+            assert not kernel.reduces_in_one_loop()
+        np.testing.assert_allclose(found, expected, rtol=1e-11)
+    finally:
+        kernel.reduces_in_one_loop.cache_clear()
 
 
 def test_all_constants_and_one_output_used(breaks):
@@ -135,14 +199,14 @@ def test_in_one_loop(dtype):
 
 
 def test_lengths_without_it(monkeypatch):
-    """Under a release of jaxlib that was not tried the same lengths and derivatives, to rounding; and it is asked for here."""
+    """The same lengths and derivatives, to rounding; and this release of jaxlib does it."""
     parameters = np.array([[10.0, 25, 50, 1.2], [0.03, 0.01, 0.003, 1e-3], [0.3, 0.1, 0.45, 0.3]])
     make = lanes.gradient_kernel.__wrapped__(1000)
     with jax.enable_x64(True):
         reductions = str(jax.make_jaxpr(make)(parameters)).count(" reduce[")
-        assert (reductions > 0) == (jax.lib.__version__ in kernel.TRIED)
+        assert reductions > 0, "of this release of jaxlib too: else lengths in bulk take three times as long"
         found = jax.jit(make)(parameters)
-        monkeypatch.setattr(kernel, "TRIED", ("none",))
+        monkeypatch.setattr(kernel, "reduces_in_one_loop", lambda: False)
         make = lanes.gradient_kernel.__wrapped__(1000)
         assert str(jax.make_jaxpr(make)(parameters)).count(" reduce[") == 0
         np.testing.assert_allclose(found[0], jax.jit(make)(parameters)[0], rtol=1e-11)

@@ -87,6 +87,29 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact)
 
 
+def test_other_digits_are_one_line_on_stderr(tmp_path, monkeypatch):
+    """The sweep is done all the same."""
+    evaluate = compute.evaluate
+    monkeypatch.setattr(compute, "evaluate", lambda *a: {name: v * (1 + 1e-14) for name, v in evaluate(*a).items()})
+    sp.sweep(**SAME, outputs="length", store=tmp_path / "s", chunk=4, share=(0, 2))
+    command = [
+        sys.executable,
+        "-m",
+        "slippulse_jax.cli.main",
+        "sweep",
+        *GRID,
+        "--outputs",
+        "length",
+        "--store",
+        str(tmp_path / "s"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0
+    warnings = [line for line in done.stderr.splitlines() if "sweep: " not in line]  # of tqdm
+    assert len(warnings) == 1
+    assert re.match(rf"Warning: digits differ from those in {tmp_path}/s, computed on .*: length by up to 1e-14", warnings[0])
+
+
 def test_full_disk_is_incomplete(tmp_path, full_disk):
     store = str(tmp_path / "s")
     sp.sweep(**SAME, store=store, chunk=4, share=(0, 2))

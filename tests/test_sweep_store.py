@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import fsspec
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -326,22 +327,82 @@ def rewrite(store, change):
     (store / "zarr.json").write_text(json.dumps(content))
 
 
-def test_another_version_is_refused(reference, tmp_path):
+def test_other_versions_and_processors_resume_what_they_reproduce(reference, tmp_path):
+    """To the bit here, so nothing is said; the attributes keep what began the store."""
     store = Path(shutil.copytree(reference, tmp_path / "s"))
-    rewrite(store, lambda about: about.update(jax="0.1"))
-    with pytest.raises(StoreError, match=r"was computed with jax 0.1, now "):
-        sp.sweep(**REQUEST, store=store)
-    assert sp.open_sweep(store).attrs["jax"] == "0.1", "reading it stays possible"
+    rewrite(store, lambda about: about.update(jax="0.1", slippulse_jax="0.1", processor="abacus"))
+    (store / "length/c/7/0/0").unlink()
+    assert sp.sweep(**REQUEST, store=store).attrs["complete"] == 1
+    after = contents(store)
+    assert after.pop("zarr.json") != (before := contents(reference)).pop("zarr.json")
+    assert after == before
+    found = sp.open_sweep(store).attrs
+    assert (found["jax"], found["slippulse_jax"], found["processor"]) == ("0.1", "0.1", "abacus")
+
+
+def test_a_later_format_is_refused(reference, tmp_path):
+    store = Path(shutil.copytree(reference, tmp_path / "s"))
     rewrite(store, lambda about: about.update(store_format=3))
     with pytest.raises(StoreError, match="one of format 3; this version reads format 2"):
         sp.open_sweep(store)
 
 
-def test_machine_that_rounds_differently_is_refused(reference, monkeypatch):
+def test_machine_that_rounds_differently_is_reported(reference, tmp_path, monkeypatch):
+    """Once, by how much, and what computed either; then the sweep goes on."""
+    store = Path(shutil.copytree(reference, tmp_path / "s"))
+    rewrite(store, lambda about: about.update(jax="0.1", processor="abacus"))
+    for chunk in ("7/0/0", "7/1/0"):
+        (store / "length/c" / chunk).unlink()
     evaluate = compute.evaluate
     monkeypatch.setattr(compute, "evaluate", lambda *a: {name: np.nextafter(v, 99) for name, v in evaluate(*a).items()})
-    with pytest.raises(StoreError, match="the first points of length have other digits than stored in .*, computed on"):
+    said = rf"digits differ from those in {store}, computed on abacus, .*jax 0.1, .*: length by up to [12]e-16 of the value, "
+    with pytest.warns(RuntimeWarning, match=rf"{said}computed on .*jax {jax.__version__}") as caught:
+        found = sp.sweep(**REQUEST, store=store)
+    assert len(caught) == 1
+    assert found.attrs["complete"] == 1
+    xr.testing.assert_allclose(found.length.load(), sp.open_sweep(reference).length.load(), rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "now"), [(lambda v: v * (1 - 2e-9), r"\d\S+"), (lambda v: v * np.where(np.arange(2) == 1, np.nan, 1), "nan")]
+)
+def test_machine_that_computes_other_numbers_is_refused(reference, monkeypatch, spoil, now):
+    """Naming the output, both values, and where they differ most."""
+    before, evaluate = contents(reference), compute.evaluate
+    monkeypatch.setattr(compute, "evaluate", lambda *a: {name: spoil(v) for name, v in evaluate(*a).items()})
+    point = r"height = 10.0, stiffness = 0.00\d+, poisson = 0.[23]"
+    message = rf"length differs by more than rounding from those in .*: it was \d\S+ at {point}, and is {now} computed on"
+    with pytest.raises(StoreError, match=message):
         sp.sweep(**REQUEST, store=reference)
+    assert contents(reference) == before
+
+
+@pytest.mark.parametrize(("points", "differ", "refused"), [(99, 1, True), (100, 1, False), (100, 2, True)])
+def test_one_point_at_a_jump(tmp_path, monkeypatch, points, differ, refused):
+    """Whole numbers differ by one or not at all, so one of many points may: a rounding decides where a front just stops."""
+    given = {
+        "height": 25.0,
+        "stiffness": np.geomspace(1e-3, 0.1, points),
+        "poisson": 0.3,
+        "outputs": ("length", "contacts_broken"),
+    }
+    sp.sweep(**given, store=tmp_path / "s")
+    evaluate = compute.evaluate
+
+    def jumping(*arguments):
+        columns = evaluate(*arguments)
+        columns["contacts_broken"][40 : 40 + differ] += 1
+        return columns
+
+    monkeypatch.setattr(compute, "evaluate", jumping)
+    if refused:
+        with pytest.raises(
+            StoreError, match=r"contacts_broken differs .*: it was (\d+) at stiffness = 0.006\d+, and is \d+ comp"
+        ):
+            sp.sweep(**given, store=tmp_path / "s")
+    else:
+        with pytest.warns(RuntimeWarning, match=r"contacts_broken by up to 0.\d+ of the value"):
+            sp.sweep(**given, store=tmp_path / "s")
 
 
 def test_any_damage_to_the_manifest_is_a_store_error(reference, tmp_path):

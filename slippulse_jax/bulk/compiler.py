@@ -11,34 +11,33 @@ laid down twice along a new axis (no memory is written for that) and "reduced" a
 accumulated and takes the row at hand. What is left of it in the compiled program is a loop of vector instructions, each value
 computed once. It rests on XLA's reducing on a CPU in the order of the axis.
 
-Both are for CPUs, and used only under the releases of jaxlib that the tests were run with. Under others everything is compiled
-as usual, with the same results to rounding: series take some four times as long, lengths in bulk and their derivatives three
-times.
+Both are for CPUs, and used where this jaxlib is seen to do so: `knows` looks for the option, `reduces_in_one_loop` compiles a
+sample. Elsewhere a warning says so, and everything is compiled as usual, with the same results to rounding: series take some
+four times as long, lengths in bulk and their derivatives three times.
 
 `in_full`: an accelerator multiplies matrices of single precision with factors rounded to ten bits, unless told not to.
 """
 
 import functools
+import mmap
 import os
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import jaxlib.version
+import numpy as np
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from slippulse_jax.bulk.threads import platform
+from slippulse_jax.bulk.threads import local_devices, platform
 
 F = TypeVar("F", bound=Callable)
-
-TRIED = ("0.10.0", "0.10.1", "0.10.2", "0.11.2")
-"""Releases of jaxlib with which tests/test_kernel.py passes."""
-
 
 OPTIONS: dict[str, Any] = {
     "xla_backend_optimization_level": 3,
@@ -53,13 +52,17 @@ slower over long arrays: the last digit would depend on either.
 """
 
 
-def _tried() -> bool:
-    if jaxlib.version.__version__ in TRIED:
-        return True
-    _say_once(
-        f"jaxlib {jaxlib.version.__version__} is not among the releases slippulse_jax was tuned for ({', '.join(TRIED)}): "
-        "results are the same, but lengths in bulk take up to three times as long"
-    )
+@functools.cache
+def knows(option: str) -> bool:
+    """Whether the XLA of this jaxlib has an option of this name.
+
+    The name is looked for in XLA's own library, in milliseconds: asking XLA itself, by ``XLA_FLAGS``, would end the process if
+    the option is unknown.
+    """
+    for library in Path(jaxlib.version.__file__).parent.glob("*jax_common*"):
+        with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if content.find(f"\0{option}\0".encode()) >= 0:
+                return True
     return False
 
 
@@ -87,7 +90,7 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emi
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
     options = {}
-    if device.platform == "cpu" and _tried():
+    if device.platform == "cpu":
         options = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}
     while options:
         try:
@@ -113,11 +116,14 @@ def compile_loops_whole() -> None:
     once and which child processes inherit; options for the backend that are there already stay as they are. ``slippulse`` calls
     it where it helps, in a process of its own.
     """
-    if not _tried():
-        return
-    flags, name = os.environ.get("XLA_FLAGS", ""), "--xla_backend_extra_options"
-    if name not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {name}=xla_cpu_small_while_loop_byte_threshold={LOOP_BYTES}".strip()
+    options, threshold = "xla_backend_extra_options", "xla_cpu_small_while_loop_byte_threshold"
+    flags = os.environ.get("XLA_FLAGS", "")
+    if unknown := [name for name in (options, threshold) if not knows(name)]:
+        _say_once(
+            f"jaxlib {jaxlib.version.__version__} has no option {unknown[0]}: ruptures and series take some four times as long"
+        )
+    elif options not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --{options}={threshold}={LOOP_BYTES}".strip()
 
 
 def loops_are_whole() -> bool:
@@ -135,8 +141,38 @@ def in_one_loop(f: Callable, *given: Any) -> Any:
     f is written for single numbers, maps them by elementary operations, and has at least as many results as arguments. All
     results should be used: XLA looks for unused ones in a time that grows exponentially with the depth of f.
     """
-    if platform() != "cpu" or not _tried():
+    if platform() != "cpu" or not reduces_in_one_loop():
         return f(*given)
+    return _reduced(f, *given)
+
+
+@functools.cache
+def reduces_in_one_loop() -> bool:
+    """Whether this jaxlib compiles a reduction as `in_one_loop` needs it; seen in a sample, once per process.
+
+    The rows must be taken in their order, and all results come from one loop.
+    """
+
+    def sample(x: Any, y: Any) -> tuple[Any, ...]:
+        return y - x, x + 2 * y, x * y  # whole numbers, so exactly; and not its own repetition
+
+    x, y = np.arange(1000.0), np.arange(3000.0, 2000, -1)
+    shape = jax.ShapeDtypeStruct(x.shape, np.float64)
+    try:
+        program = compiled(functools.partial(_reduced, sample), shape, shape, device=local_devices()[0], fusion_emitters=True)
+        with jax.enable_x64(True):
+            right = all(map(np.array_equal, program(x, y), sample(x, y)))
+        loops = str(program.as_text()).count(" fusion(")
+        seen = f"in {loops} loops" if right else "in another order"
+    except jax.errors.JaxRuntimeError as error:
+        right, loops, seen = False, 0, f"with an error ({error})"
+    if right and loops == 1:
+        return True
+    _say_once(f"jaxlib {jaxlib.version.__version__} compiles reductions {seen}: lengths in bulk take up to three times as long")
+    return False
+
+
+def _reduced(f: Callable, *given: Any) -> Any:
     arrays, tree = jax.tree.flatten(given)
     once, results = _traced(f, tree, tuple(x.dtype for x in arrays))
     spare = results.num_leaves - len(arrays)

@@ -1,11 +1,14 @@
 """``slippulse design``."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slippulse_jax.cli.shared import as_json, figure_path, option, print_json, refuse, save_figure
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class Numbers(click.ParamType):
@@ -30,9 +33,9 @@ class Numbers(click.ParamType):
 @click.option("--sigma-mm", type=Numbers(), metavar="MM,…", help="Standard error of a length, in SI form.")
 @click.option("--correlation-length-um", type=Numbers(), metavar="UM,…", help="Correlation length λc, in SI form.")
 @click.option("--young-gpa", type=Numbers(), metavar="GPA,…", help="Young's modulus, in SI form.")
-@click.option("--push-height", type=Numbers(), metavar="h/λc,…", help="Heights of the push: the candidates are blocks.")
+@click.option("--push-height", type=Numbers(), metavar="h/H,…", help="Heights of the push: the candidates are blocks.")
 @click.option(
-    "--push-width", type=Numbers(), metavar="w/λc,…", help="Heights of the pusher; all above --push-height by default."
+    "--push-width", type=Numbers(), metavar="w/H,…", help="Heights of the pusher; all above --push-height by default."
 )
 @click.option("--push-height-mm", type=Numbers(), metavar="MM,…", help="Heights of the push, in SI form.")
 @click.option("--push-width-mm", type=Numbers(), metavar="MM,…", help="Heights of the pusher, in SI form.")
@@ -110,10 +113,24 @@ def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
     result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}
-    for column in (*columns, *(c for c in pushes[form] if given[c] is not None)):
+    for column in columns:
         name, size = split_unit(column)
         result[name] = [x * size for x in given[column] or []]
+    for column in (c for c in pushes[form] if given[c] is not None):
+        name, size = split_unit(column)
+        result[name] = given[column] if size == 1 else _over_height(column, given)
     return result
+
+
+def _over_height(column: str, given: dict[str, list[float] | None]) -> "np.ndarray":
+    """Lengths in mm over the height of the block they belong to."""
+    import numpy as np
+
+    lengths, heights = np.array(given[column]), np.array(given["height_mm"])
+    if lengths.size != heights.size and 1 not in (lengths.size, heights.size):
+        raise click.UsageError(f"{option(column)}: {lengths.size} values for {heights.size} of --height-mm")
+    with np.errstate(divide="ignore", invalid="ignore"):  # a height of 0 is refused by name
+        return lengths / heights
 
 
 def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool) -> Any:

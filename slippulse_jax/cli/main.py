@@ -8,6 +8,7 @@ import importlib
 import io
 import os
 import sys
+import warnings
 
 import click
 
@@ -75,6 +76,7 @@ def main() -> None:
     """Run the command line and exit with its status."""
     leave_when_interrupted()
     _print_in_any_encoding()
+    warnings.showwarning = lambda message, *_: click.echo(f"Warning: {message}", err=True)
     try:
         slippulse.main(standalone_mode=False)
         if sys.stdout is not None:

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent
-TESTS = PACKAGE.parent / "tests"
-"""Folder of the tests in a checkout."""
 
 LABEL = r"(?:cra\d+[a-z]?\d?|discr\d)"
 NAMED = re.compile(rf"\b[Ll]abels?\s+({LABEL}(?:(?:,\s+and|\s+and|,|–)\s*{LABEL})*)")
@@ -85,12 +83,12 @@ def in_tests(path: Path) -> Iterator[tuple[str, str]]:
             yield from ((label, name) for label in named(segment))
 
 
-def index() -> dict[str, tuple[list[str], list[str]]]:
-    """Find where each label is computed and where it is tested, as module.name and file::test."""
+def index(tests: Path) -> dict[str, tuple[list[str], list[str]]]:
+    """Find where each label is computed and where a folder of tests checks it, as module.name and file::test."""
     computed, tested = defaultdict(list), defaultdict(list)
     sources = [(path, PACKAGE) for path in sorted(PACKAGE.rglob("*.py"))]
     # the steps between two results, which only the tests need
-    sources.append((TESTS / "oracles" / "derivation.py", TESTS))
+    sources.append((tests / "oracles" / "derivation.py", tests))
     for path, folder in sources:
         module = ".".join(path.relative_to(folder).with_suffix("").parts)
         if module.startswith("paper."):  # which measures what others compute
@@ -98,7 +96,7 @@ def index() -> dict[str, tuple[list[str], list[str]]]:
         for label, name in in_code(path):
             if f"{module}.{name}" not in computed[label]:
                 computed[label].append(f"{module}.{name}")
-    for path in sorted(TESTS.glob("test_*.py")):
+    for path in sorted(tests.glob("test_*.py")):
         for label, name in in_tests(path):
             if f"{path.name}::{name}" not in tested[label]:
                 tested[label].append(f"{path.name}::{name}")
@@ -108,24 +106,24 @@ def index() -> dict[str, tuple[list[str], list[str]]]:
     return {label: (computed[label], tested[label]) for label in ORDER}
 
 
-def missing() -> list[str]:
+def missing(tests: Path) -> list[str]:
     """List the equations without a function or a test."""
     return [
         f"{label}: no {what} names it"
-        for label, found in index().items()
+        for label, found in index(tests).items()
         for what, places in zip(("function", "test"), found, strict=True)
         if not places
     ]
 
 
-def page() -> str:
+def page(tests: Path) -> str:
     """Write the page of the index, as Markdown."""
     rows, known = [], equations()
-    for label, (computed, tested) in index().items():
+    for label, (computed, tested) in index(tests).items():
         equation = known[label]
         functions = ", ".join(f"`{x}`" for x in computed)
-        tests = "; ".join(x.replace(".py::test_", ": ").replace("test_", "", 1).replace("_", " ") for x in tested)
-        rows.append(f"| {equation['number'] or '–'} | {label} | {equation['statement']} | {functions} | {tests} |")
+        checks = "; ".join(x.replace(".py::test_", ": ").replace("test_", "", 1).replace("_", " ") for x in tested)
+        rows.append(f"| {equation['number'] or '–'} | {label} | {equation['statement']} | {functions} | {checks} |")
     return "\n".join([HEADER, *rows, ""])
 
 

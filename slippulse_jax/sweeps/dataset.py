@@ -79,6 +79,12 @@ def processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
+def computed_by(about: dict[str, Any] | None = None) -> str:
+    """Processor and versions in the attributes of a sweep, or those of this process, for a message."""
+    about = about or current_versions() | {"processor": processor()}
+    return ", ".join([about["processor"], *(f"{name} {about.get(name)}" for name in current_versions())])
+
+
 def _parameter(name: str) -> dict[str, Any]:
     symbol, unit, label, long_name = PARAMETERS[name]
     about = {"long_name": long_name, "units": unit, "symbol": symbol}

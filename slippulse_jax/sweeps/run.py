@@ -17,7 +17,7 @@ from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.sweeps import compute, dataset
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose
-from slippulse_jax.sweeps.request import Region, Request, make_request, regions, shape_of, with_interface
+from slippulse_jax.sweeps.request import Columns, Region, Request, make_request, regions, shape_of, with_interface
 from slippulse_jax.sweeps.store import Place, Store, StoreError, check_same, create, open_store
 
 if TYPE_CHECKING:
@@ -106,11 +106,19 @@ def sweep(
     ValueError
         If a parameter or an output is not valid, before anything is computed.
     StoreError
-        A `ValueError`: if the store belongs to another request, version or processor.
+        A `ValueError`: if the store belongs to another request, or holds numbers that differ by more than rounding from those
+        computed here.
+
+    Warns
+    -----
+    RuntimeWarning
+        If a chunk of the store is damaged, or if the digits of stored numbers differ from those computed here, by another
+        processor or with other versions.
 
     Notes
     -----
-    The bits of a point depend on its own parameters alone: not on chunks, resuming, processes or number of devices.
+    The bits of a point depend on its own parameters, the processor and the versions alone: not on chunks, resuming, processes
+    or number of devices.
     """
     given: dict[str, Any] = {
         "height": height,
@@ -133,7 +141,7 @@ def sweep(
     if store is None:
         columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
         for region, found in _run(request, regions(request.shape, most), client, progress):
-            for name, values in found.items():
+            for name, values in (found or {}).items():
                 columns[name][region] = values
         return dataset.labelled(request, columns, complete=1)
     place = Place(store)
@@ -147,9 +155,8 @@ def sweep(
     chunks = opened.regions[share[0] :: share[1]] if share else opened.regions
     if resumed:  # another process may be at work, in another order, so that two rarely compute the same chunk
         np.random.default_rng().shuffle(chunks)
-    for _, damage in _run(opened, chunks, client, progress):
-        if damage:
-            warnings.warn(f"{damage}: computing it again", RuntimeWarning, stacklevel=2)
+    for _ in _run(opened, chunks, client, progress):
+        pass
     return opened.dataset()
 
 
@@ -192,17 +199,26 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
         raise ValueError(f"{share[1]} processes share this sweep: give it a store they can all write to")
 
 
-def _run(work: Request | Store, chunks: list[Region], client: Any, progress: bool | None) -> Iterator[tuple[Region, Any]]:
-    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
+def _run(
+    work: Request | Store, chunks: list[Region], client: Any, progress: bool | None
+) -> Iterator[tuple[Region, Columns | None]]:
+    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal.
+
+    What is remarked of chunks is warned of, once for all that say the same.
+    """
     if client is not None:
         results = compute.on_cluster(client, work, chunks)
     elif isinstance(work, Store):
         results = compute.complete(work, chunks)
     else:
-        results = ((region, compute.evaluate(work, region)) for region in chunks)
+        results = ((region, compute.evaluate(work, region), []) for region in chunks)
     size = sum(math.prod(shape_of(region)) for region in chunks)
     hidden = None if progress is None else not progress
+    said = {""}
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
-        for region, result in results:
-            yield region, result
+        for region, columns, remarks in results:
+            for remark in set(remarks) - said:
+                warnings.warn(remark, RuntimeWarning, stacklevel=3)
+            said.update(remarks)
+            yield region, columns
             bar.update(math.prod(shape_of(region)))

@@ -25,7 +25,7 @@ from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.plain import plain, shortened
-from slippulse_jax.sweeps.dataset import current_versions, labelled
+from slippulse_jax.sweeps.dataset import labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
 
@@ -33,7 +33,7 @@ FORMAT, MANIFEST, COORDINATE_CHUNK = 2, "zarr.json", 1 << 20
 
 
 class StoreError(ValueError):
-    """A store that cannot be used: it belongs to another request or version, is damaged, or does not exist."""
+    """A store that cannot be used: it belongs to another request, is damaged, or does not exist."""
 
 
 class Place:
@@ -97,7 +97,7 @@ class Store:
             except Exception as error:  # each codec raises its own errors on damaged bytes
                 damage = shortened(str(error))
             if damage:
-                return None, f"{self.url}: damaged chunk {key} ({damage})"
+                return None, f"{self.url}: damaged chunk {key} ({damage}): computing it again"
         return columns, ""
 
     def write(self, region: Region, columns: Columns) -> None:
@@ -216,7 +216,7 @@ def _damage_named(place: Place) -> Iterator[None]:
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Check that request, chunks and versions of the store are the same; raise a `StoreError` naming what differs."""
+    """Check that request and chunks of the store are the same; raise a `StoreError` naming what differs."""
     if store.request.digest != request.digest:
         old, new = _briefly(store.request), _briefly(request)
         changed = (name for name in old | new if old.get(name) != new.get(name))
@@ -224,11 +224,6 @@ def check_same(store: Store, request: Request, chunk: int | None) -> None:
         raise StoreError(f"{store.url}: holds another sweep ({differs}); give it a store of its own")
     if chunk is not None and chunk != store.chunk:
         raise StoreError(f"{store.url}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
-    now = current_versions()
-    if differs := "; ".join(
-        f"{name} {store.about.get(name)}, now {now[name]}" for name in now if now[name] != store.about.get(name)
-    ):
-        raise StoreError(f"{store.url}: was computed with {differs}: digits may differ. Finish it there, or start a new store")
 
 
 NOT = ("not given",)

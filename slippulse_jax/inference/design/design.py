@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
-from slippulse_jax.block import OF_SIDE, Control, Push, has_push
+from slippulse_jax.block import Control, Push, has_push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_choice, check_domain
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
@@ -40,8 +40,8 @@ class Candidate(NamedTuple):
     correlation_length: float | None  # m
     young: float | None  # Pa
     kind: Kind
-    push_height: float | None = None  # of a block; as the lengths
-    push_width: float | None = None
+    push_height: float | None = None  # of a block, h/H
+    push_width: float | None = None  # w/H
     push_control: Control = "displacement"
 
 
@@ -147,8 +147,8 @@ def design(
     correlation_length, young : array_like, optional
         λc in m and E in Pa: the material, both or neither.
     push_height, push_width : array_like, optional
-        Height of the push, in the unit of `height`: each candidate is then a block under two-dimensional elasticity, and its
-        length that of the whole event. As for `Measurements`.
+        Height of the push and of the pusher itself over that of the block, h/H and w/H, as for `Push`: each candidate is then a
+        block under two-dimensional elasticity, and its length that of the whole event.
     push_control : {"displacement", "force"}
         What is held while the event runs.
     kind : {"length", "whole"}
@@ -253,11 +253,13 @@ def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
         return
     if columns["threshold_slope"].any():
         raise ValueError("threshold_slope: the thresholds under a block are level here")
-    unit = columns.get("correlation_length", 1.0)
-    check_domain("push_height over correlation length", columns["push_height"] / unit, lambda x: x > 1, "must exceed 1")
-    share = columns["push_height"] / columns["height"]
-    OF_SIDE.check("push_height over height", share)
-    for at, width in zip(share, columns["push_width"] / columns["height"] if "push_width" in columns else (), strict=False):
+    for name, symbol in (("push_height", "h/H"), ("push_width", "w/H")):
+        if name in columns:
+            over = f"must lie in (0, 1), as it is over the height of the block, {symbol}"
+            check_domain(name, columns[name], lambda x: (x > 0) & (x < 1), over)
+    at = columns["push_height"] * columns["height"] / columns.get("correlation_length", 1.0)
+    check_domain("height of the push over correlation length", at, lambda x: x > 1, "must exceed 1")
+    for at, width in zip(columns["push_height"], columns.get("push_width", ()), strict=False):
         Push(at, width)
 
 
@@ -273,7 +275,7 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind)
     inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
     if candidates[0].push_height is not None:
         at, width = np.array([[c.push_height, c.push_width or np.nan] for c in candidates]).T
-        inputs, event = pushed_at(inputs, numbers[:, 0], at, width, [c.push_control for c in candidates]), "full"
+        inputs, event = pushed_at(inputs, np.ones(len(at)), at, width, [c.push_control for c in candidates]), "full"
     found = lengths(inputs.ravel(), ("log_stiffness",), event)
     return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
 

@@ -22,6 +22,7 @@ def labels(candidates: list["Candidate"]) -> list[str]:
 def _conditions(one: "Candidate") -> dict[str, str]:
     """Conditions of a candidate in words, by field."""
     size, unit = (1, "λc") if one.correlation_length is None else (1e3, "mm")
+    side, of_side = (1, "H") if one.correlation_length is None else (one.height * size, unit)
     return {
         "height": f"H = {one.height * size:.5g} {unit}",
         "poisson": f"ν = {one.poisson:g}",
@@ -30,8 +31,8 @@ def _conditions(one: "Candidate") -> dict[str, str]:
         "sigma": f"σ = {one.sigma * size:.3g} {unit}",
         "correlation_length": f"λc = {(one.correlation_length or 0) * 1e6:.4g} µm",
         "young": f"E = {(one.young or 0) * 1e-9:.4g} GPa",
-        "push_height": f"h = {(one.push_height or 0) * size:.4g} {unit}",
-        "push_width": f"pusher {(one.push_width or 0) * size:.4g} {unit}",
+        "push_height": f"h = {(one.push_height or 0) * side:.4g} {of_side}",
+        "push_width": f"pusher {(one.push_width or 0) * side:.4g} {of_side}",
     }
 
 
@@ -125,7 +126,7 @@ def to_dict(found: "Design") -> dict[str, Any]:
             "event": found.knowledge.event,
             "roots": [{"probability": p, "stiffness": k, "log_sd": sd} for p, k, sd in found.knowledge.roots],
         },
-        "units": {"information": "nat", "length": "λc", "height": "m" if found.knowledge.in_si else "λc"},
+        "units": {"information": "nat", "length": "λc", "height": "m" if found.knowledge.in_si else "λc", "push": "H"},
         "candidates": [
             {
                 **c._asdict(),
