@@ -59,8 +59,8 @@ def of_attainable(
         count = int(above.sum())
         yield (
             f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest that a stiffness in the range "
-            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times the longest "
-            f"attainable, {m.in_its_unit(i, attainable[i])}"
+            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times "
+            f"the longest attainable, {m.in_its_unit(i, attainable[i])}"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any() and event != "crack":

@@ -37,6 +37,14 @@ WITHOUT_VALUE = {
     Identifiability.UNINFORMATIVE: "any",
 }
 """Verdicts under which no value is preferred."""
+NOTHING_HOLDS = (
+    Identifiability.POOR_FIT,
+    Identifiability.NOT_CONVERGED,
+    Identifiability.AT_MAXIMUM,
+    Identifiability.AT_BOUND,
+    Identifiability.UNINFORMATIVE,
+)
+"""Verdicts that leave nothing to hold for a body."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
 MANY = 3.0
@@ -193,19 +201,14 @@ def _values(result: "FitResult") -> list[str]:
 def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None) -> str:
     """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
     value, verdict = result.values[name], result.verdicts[name].identifiability
-    by = _sides(value, error, piece)
-    closed = piece is not None and not (piece.open_low or piece.open_high)
-    if (
-        closed
-        and verdict in GIVEN
-        and piece.low < value < piece.high
-        and (by is None or max(abs(x - 1) for x in by) > (UNEVEN if error == result.stderrs[name] else UNEVEN_TOTAL))
-    ):
-        return value_with_sides(value, value - piece.low, piece.high - value)
-    if verdict in WITHOUT_VALUE:
-        return WITHOUT_VALUE[verdict]
-    best = " (best of several)" * (verdict is Identifiability.SEVERAL_ROOTS)
-    return value_with_error(value, error) + best
+    if piece is not None and verdict in GIVEN and not (piece.open_low or piece.open_high) and piece.low < value < piece.high:
+        by, most = _sides(value, error, piece), UNEVEN if error == result.stderrs[name] else UNEVEN_TOTAL
+        if by is None or max(abs(x - 1) for x in by) > most:
+            return value_with_sides(value, value - piece.low, piece.high - value)
+    several = verdict is Identifiability.SEVERAL_ROOTS
+    if several and all(root.stderrs[name] is None for root in result.roots):  # ranges of equal values
+        return WITHOUT_VALUE[Identifiability.EQUAL]
+    return WITHOUT_VALUE.get(verdict) or value_with_error(value, error) + " (best of several)" * several
 
 
 def _verdicts(result: "FitResult") -> Iterator[str]:
@@ -234,7 +237,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         edge = "pushed through the machine that is stated" if machine else "its edge held"
         body = f"the paper's slider, {end}, {edge}"
     fronts = {"crack": " with crack-like fronts", "full": ""}.get(q.event, " under the smooth break rule" * q.smooth)
-    tried = result.identifiability in (Identifiability.POOR_FIT, Identifiability.NOT_CONVERGED)
+    tried = result.identifiability in NOTHING_HOLDS
     yield f"{'tried with' if tried else 'holds for'} {body}, and for uniform thresholds{fronts}"
     ratio = result.unstated_push.get(NARROW_PUSHER)
     if push_is_unstated(result):
@@ -644,8 +647,8 @@ def value_with_sides(value: float, below: float, above: float) -> str:
     exponent = _exponent(value)
     numbers = [x / 10.0**exponent for x in (value, below, above)]
     digits = max(0, 1 - int(np.floor(np.log10(min(numbers[1:])))))
-    value, below, above = (f"{x:.{digits}f}" for x in numbers)
-    text = f"{value} ± {below}" if below == above else f"{value} -{below} +{above}"
+    middle, down, up = (f"{x:.{digits}f}" for x in numbers)
+    text = f"{middle} ± {down}" if down == up else f"{middle} -{down} +{up}"
     return f"({text})e{exponent}" if exponent else text
 
 

@@ -556,7 +556,7 @@ def confidence_region(
         x, y = q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j])
         ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=name or None)
     if len(drawn_from) > 1:
-        for handle in ax.legend(fontsize="small", markerscale=6).legend_handles:
+        for handle in filter(None, ax.legend(fontsize="small", markerscale=6).legend_handles):
             handle.set_alpha(1)
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=c.vermilion, ms=8)
     _name(q.free[i], ax.xaxis)
