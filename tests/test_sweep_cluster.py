@@ -124,6 +124,8 @@ def test_worker_of_other_digits(reference, tmp_path, client):
     begun = contents(tmp_path / "s")
     client.run(spoiled, 1 + 1e-4, workers=[second])
     try:
+        with pytest.raises(StoreError, match="differs by more than rounding from those of the first worker"):
+            sp.sweep(**REQUEST, chunk=CHUNK, client=client)
         with pytest.raises(StoreError, match="differs by more than rounding from those in"):
             sp.sweep(**REQUEST, store=tmp_path / "s", client=client)
         client.run(spoiled, 1 + 1e-14, workers=[first, second])

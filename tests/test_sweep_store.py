@@ -377,6 +377,27 @@ def test_machine_that_computes_other_numbers_is_refused(reference, monkeypatch, 
     assert contents(reference) == before
 
 
+def test_a_value_near_zero_is_compared_at_the_scale_of_the_others(tmp_path, monkeypatch):
+    """As of a stress or a derivative that changes its sign."""
+    evaluate, near_zero = compute.evaluate, [0.0, 1e-15, 1e-9]
+
+    def crossing(*arguments):
+        columns = evaluate(*arguments)
+        columns["length"][0, 0, 0] = near_zero[0]
+        return columns
+
+    monkeypatch.setattr(compute, "evaluate", crossing)
+    sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK, share=(0, 60))
+    near_zero.pop(0)
+    with pytest.warns(RuntimeWarning, match=r"digits differ from those in .*: length by up to .e-13 of the value"):
+        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
+    near_zero.pop(0)
+    with pytest.raises(
+        StoreError, match=r"length differs by more than rounding .*: it was 0.0 at .*, and is 1e-09 computed on"
+    ):
+        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
+
+
 @pytest.mark.parametrize(("points", "differ", "refused"), [(99, 1, True), (100, 1, False), (100, 2, True)])
 def test_one_point_at_a_jump(tmp_path, monkeypatch, points, differ, refused):
     """Whole numbers differ by one or not at all, so one of many points may: a rounding decides where a front just stops."""
