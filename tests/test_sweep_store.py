@@ -356,7 +356,7 @@ def test_machine_that_rounds_differently_is_reported(reference, tmp_path, monkey
     evaluate = compute.evaluate
     monkeypatch.setattr(compute, "evaluate", lambda *a: {name: np.nextafter(v, 99) for name, v in evaluate(*a).items()})
     said = rf"digits differ from those in {store}, computed on abacus, .*jax 0.1, .*: length by up to [12]e-16 of the value, "
-    with pytest.warns(RuntimeWarning, match=rf"{said}computed on .*jax {jax.__version__}") as caught:
+    with pytest.warns(RuntimeWarning, match=rf"{said}now computed on .*jax {jax.__version__}") as caught:
         found = sp.sweep(**REQUEST, store=store)
     assert len(caught) == 1
     assert found.attrs["complete"] == 1

@@ -64,7 +64,7 @@ class Probe(NamedTuple):
                 f"computed on {computed_by()}. Finish the sweep where it was begun, or start a new store"
             )
         differing = ", ".join(f"{name} by up to {by:.1g}" for name, by in most.items())
-        return f"digits differ from {self.origin}: {differing} of the value, computed on {computed_by()}" if most else ""
+        return f"digits differ from {self.origin}: {differing} of the value, now computed on {computed_by()}" if most else ""
 
 
 def _apart(before: np.ndarray, now: np.ndarray) -> np.ndarray:
