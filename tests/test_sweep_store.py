@@ -356,7 +356,7 @@ def test_machine_that_rounds_differently_is_reported(reference, tmp_path, monkey
     evaluate = compute.evaluate
     monkeypatch.setattr(compute, "evaluate", lambda *a: {name: np.nextafter(v, 99) for name, v in evaluate(*a).items()})
     said = rf"digits differ from those in {store}, computed on abacus, .*jax 0.1, .*: length by up to [12]e-16 of the value, "
-    with pytest.warns(RuntimeWarning, match=rf"{said}computed on .*jax {jax.__version__}") as caught:
+    with pytest.warns(RuntimeWarning, match=rf"{said}now computed on .*jax {jax.__version__}") as caught:
         found = sp.sweep(**REQUEST, store=store)
     assert len(caught) == 1
     assert found.attrs["complete"] == 1
@@ -375,6 +375,27 @@ def test_machine_that_computes_other_numbers_is_refused(reference, monkeypatch, 
     with pytest.raises(StoreError, match=message):
         sp.sweep(**REQUEST, store=reference)
     assert contents(reference) == before
+
+
+def test_a_value_near_zero_is_compared_at_the_scale_of_the_others(tmp_path, monkeypatch):
+    """As of a stress or a derivative that changes its sign."""
+    evaluate, near_zero = compute.evaluate, [0.0, 1e-15, 1e-9]
+
+    def crossing(*arguments):
+        columns = evaluate(*arguments)
+        columns["length"][0, 0, 0] = near_zero[0]
+        return columns
+
+    monkeypatch.setattr(compute, "evaluate", crossing)
+    sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK, share=(0, 60))
+    near_zero.pop(0)
+    with pytest.warns(RuntimeWarning, match=r"digits differ from those in .*: length by up to .e-13 of the value"):
+        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
+    near_zero.pop(0)
+    with pytest.raises(
+        StoreError, match=r"length differs by more than rounding .*: it was 0.0 at .*, and is 1e-09 computed on"
+    ):
+        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
 
 
 @pytest.mark.parametrize(("points", "differ", "refused"), [(99, 1, True), (100, 1, False), (100, 2, True)])

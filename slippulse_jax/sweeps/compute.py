@@ -8,7 +8,7 @@ differ here.
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -64,13 +64,18 @@ class Probe(NamedTuple):
                 f"computed on {computed_by()}. Finish the sweep where it was begun, or start a new store"
             )
         differing = ", ".join(f"{name} by up to {by:.1g}" for name, by in most.items())
-        return f"digits differ from {self.origin}: {differing} of the value, computed on {computed_by()}" if most else ""
+        return f"digits differ from {self.origin}: {differing} of the value, now computed on {computed_by()}" if most else ""
 
 
 def _apart(before: np.ndarray, now: np.ndarray) -> np.ndarray:
-    """Difference of two computations over the larger value; inf where only one of them is finite."""
+    """Difference of two computations over the value; inf where only one of them is finite.
+
+    A value that happens to be near 0 counts as a thousandth of the largest.
+    """
+    size = np.maximum(np.abs(before), np.abs(now))
+    least = np.max(size, where=np.isfinite(size), initial=0) / 1000
     with np.errstate(invalid="ignore"):
-        apart = np.abs(now - before.astype(np.float64)) / np.maximum(np.abs(before), np.abs(now))
+        apart = np.abs(now - before.astype(np.float64)) / np.maximum(size, least)
     return np.where((before == now) | (np.isnan(before) & np.isnan(now)), 0.0, np.where(np.isnan(apart), np.inf, apart))
 
 
@@ -129,7 +134,7 @@ def on_cluster(client: "Client", work: Request | Store, chunks: list[Region]) ->
         raise
 
 
-_compared: dict[tuple[str, str], str] = {}
+_compared: dict[tuple[Any, ...], str] = {}
 _comparing = threading.Lock()
 
 
@@ -138,7 +143,7 @@ def _task(region: Region, work: Request | Store, first: Probe | None) -> tuple[C
     with in_this_thread():
         if first is not None:
             with _comparing:  # once per process
-                key = request.digest, first.origin
+                key = request.digest, first.origin, *(hash(values.tobytes()) for values in first.columns.values())
                 if key not in _compared:
                     _compared[key] = first.compare(request)
                 digits = _compared[key]

@@ -82,7 +82,7 @@ def processor() -> str:
 def computed_by(about: dict[str, Any] | None = None) -> str:
     """Processor and versions in the attributes of a sweep, or those of this process, for a message."""
     about = about or current_versions() | {"processor": processor()}
-    return ", ".join([about["processor"], *(f"{name} {about.get(name)}" for name in current_versions())])
+    return ", ".join([str(about["processor"]), *(f"{name} {about.get(name)}" for name in current_versions())])
 
 
 def _parameter(name: str) -> dict[str, Any]:
