@@ -39,7 +39,7 @@ def test_pictures(tmp_path):
     names = {option: tmp_path / f"{option}.png" for option in ("figure", "profiles", "corner")}
     done = run("--intervals", "calibrated", *[x for option, path in names.items() for x in (f"--{option}", str(path))])
     assert done.exit_code == 0, done.output
-    assert "(calibrated)" in done.stdout
+    assert "(simulated)" in done.stdout
     assert all(path.stat().st_size > 5000 for path in names.values())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from oracles.sliding_chain import dense, nucleated
+from reports import unfolded
 from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
@@ -48,7 +49,8 @@ def test_a_crack_gives_its_parameters_back():
     assert result.values["strength"] == pytest.approx(STRENGTH, rel=1e-5)
     assert result.values["friction"] == pytest.approx(FRICTION, rel=1e-4)
     assert result.converged
-    assert "first crack-like precursor" in result.report()
+    assert "with crack-like fronts" in unfolded(result.report())
+    assert "first crack-like precursor" in result.report(verbose=True)
     assert set(result.fitted.status) == {Outcome.ARRESTED}
 
 

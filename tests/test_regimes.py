@@ -146,4 +146,4 @@ def test_no_standard_error_where_the_edge_breaks_again(b, again):
     assert (result.stderrs["stiffness"] is None) == again
     assert (int(sp.first_precursor(sp.Slider(800.0, b / (2.6 * 500), 0.3)).status) == Outcome.REBREAK) == again
     np.testing.assert_allclose(result.regime.b, slider.b, rtol=0.01)
-    assert "Regime: b = " in result.report()
+    assert "Regime: b = " in result.report(verbose=True)

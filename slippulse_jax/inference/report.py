@@ -458,6 +458,7 @@ def _table(result: "FitResult") -> list[str]:
     m, fitted = result.measurements, result.fitted
     scale, unit = m.unit
     counted, numbers = m.numbered
+    known = result.identifiability is not Identifiability.NO_SCATTER  # whether σ has a size
     several, pushed = len(set(m.specimen)) > 1, result.parameters.body == "block" and m.push_height is not None
     rows = [
         [
@@ -474,7 +475,7 @@ def _table(result: "FitResult") -> list[str]:
             [
                 f"{numbers[i]} {m.specimen[i]}" if several else str(numbers[i]),
                 f"{m.height[i] * scale[i]:.6g}{push}",
-                _measured(m.kind[i], m.length[i] * scale[i], result.sigma[i] * scale[i]),
+                _measured(m.kind[i], m.length[i] * scale[i], result.sigma[i] * scale[i] * known),
                 f"{fitted.length[i] * scale[i]:.5g}",
                 f"{result.residuals[i]:+.2f}",
             ]
