@@ -172,7 +172,7 @@ def test_fit_reports_and_draws(tmp_path):
     figure = tmp_path / "fit.svg"
     done = slippulse("fit", PMMA, "--figure", str(figure))
     assert done.returncode == 0, done.stderr
-    assert "Result: identified" in done.stdout
+    assert "│ Identified. From 6 lengths of lengths.csv: " in done.stdout
     assert "Pa/m" in done.stdout
     assert done.stderr.strip() == f"figure written to {figure}"
     assert figure.read_bytes().startswith(b"<?xml")
@@ -237,7 +237,7 @@ def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path, in_this_proce
     path.write_text("height,poisson,length,length_sigma\n25,0.3,40,0.5\n")
     done = in_this_process("fit", str(path))
     assert done.returncode == 0
-    assert "not identifiable: the length is at or above the attainable maximum" in done.stdout
+    assert "│ Not identifiable: the length is at or above the attainable maximum; " in done.stdout
 
 
 def test_interrupted():

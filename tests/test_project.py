@@ -116,7 +116,7 @@ def test_readme_examples_run(monkeypatch, capsys):
         assert int(scope["front"].contacts_broken) == 26
         assert scope["scan"].shape == (3, 3)
         assert scope["scan"][1, 2] == pytest.approx(25.7898, abs=1e-4)
-    assert "Result: identified" in capsys.readouterr().out
+    assert "│ Identified. From 6 lengths of lengths.csv" in capsys.readouterr().out
 
 
 def test_readme_commands_are_the_ones_ci_runs():

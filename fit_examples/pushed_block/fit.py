@@ -17,7 +17,7 @@ def main() -> FitResult:
     assert interval.low < TRUE_AREAL_STIFFNESS < interval.high
     slider = result.as_slider
     assert slider is not None
-    assert slider.identifiability is Identifiability.POOR_FIT
+    assert slider.verdicts["areal_stiffness"] is Identifiability.POOR_FIT
     return result
 
 

@@ -47,6 +47,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             for name, v in result.verdicts.items()
         },
         "converged": result.converged,
+        "model": {"body": q.body, "event": q.event},
         "values": result.values,
         "stderr": result.stderrs,
         "units": {name: units.get(name, "") for name in result.values},
