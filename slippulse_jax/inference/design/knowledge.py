@@ -15,7 +15,7 @@ from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import STIFFNESSES, Body, Inputs, body_of, pushed_at, ratio_per_unit, softest, stiffest
-from slippulse_jax.lattice.events import EventKind, check_event
+from slippulse_jax.lattice.front import EventKind, check_event
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
