@@ -33,7 +33,7 @@ def main() -> None:
     lanes = BlockNumbers(
         height.ravel(), np.repeat(stiffness, SPECIMENS), POISSON * every, none, none, given.push * every, np.nan * every
     )
-    length = tall_lengths(lanes, "displacement")[0].reshape(height.shape)
+    length = tall_lengths(lanes, "displacement", "full")[0].reshape(height.shape)
     measured = length * (1 + SIGMA * rng.standard_normal(height.shape))
     pulls, held, ratio, verdicts = [], {level: [] for level in LEVELS}, [], []
     for H, x, true, exact in zip(height, measured, stiffness, length, strict=True):

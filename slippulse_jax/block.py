@@ -12,10 +12,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice
+from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
-from slippulse_jax.units import Numbers, as_float, quantity_field
+from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity_field
 
 Control = Literal["displacement", "force"]
 Plane = Literal["stress", "strain"]
@@ -24,8 +24,9 @@ LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
-def _float_or_none(x: Any) -> Any:
-    return None if x is None else as_float(x)
+def _side(x: Any) -> Any:
+    """A height over H; whole numbers, which none is, may be axes of ``jax.vmap``."""
+    return x if x is None or type(x) is int else as_float(x)
 
 
 def _finite_or_none(x: Any) -> Any:
@@ -63,8 +64,8 @@ class Push(eqx.Module):
         If it does not lie on the side; values traced by JAX are not checked.
     """
 
-    height: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
-    width: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
+    height: Float[Real, ""] | None = eqx.field(default=None, converter=_side)
+    width: Float[Real, ""] | None = eqx.field(default=None, converter=_side)
     control: Control = eqx.field(default="displacement", static=True)
 
     if TYPE_CHECKING:  # types that the converters accept
@@ -75,6 +76,11 @@ class Push(eqx.Module):
 
     def __check_init__(self) -> None:
         check_choice("Push.control", self.control, Control)
+        if type(self.height) is not int and type(self.width) is not int:
+            self.check()
+
+    def check(self) -> None:
+        """Check that it lies on the side."""
         if self.height is None:
             if self.width is not None:
                 raise ValueError("Push.width is given without a height: say at what height its centre is")
@@ -139,31 +145,43 @@ class Block(eqx.Module):
     ------
     ValueError
         If a value lies outside its domain; values traced by JAX are not checked.
+
+    Notes
+    -----
+    Under ``jax.vmap`` axes are given as for a `Slider`: ``in_axes=(Block(0, None, None, Push(0)),)`` maps the heights of block
+    and push.
     """
 
-    height: Float[Real, ""] = quantity_field("H/\\lambda_c", "1", "", "height of the block, H/λc", converter=as_float)
-    stiffness: Float[Real, ""] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K", converter=as_float)
-    poisson: Float[Real, ""] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
+    height: Float[Real, ""] = quantity_field("H/\\lambda_c", "1", "", "height of the block, H/λc")
+    stiffness: Float[Real, ""] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K")
+    poisson: Float[Real, ""] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio")
     push: Push = eqx.field(default_factory=lambda: Push(0.25))
     plane: Plane = eqx.field(default="stress", static=True)
-    length: Int[Array | np.ndarray, ""] | None = eqx.field(default=None, converter=_whole_or_none)
-    normal_stiffness: Float[Real, ""] | None = eqx.field(default=None, converter=_finite_or_none)
+    length: Int[Array | np.ndarray, ""] | None = None
+    normal_stiffness: Float[Real, ""] | None = None
 
-    if TYPE_CHECKING:  # types that the converters accept
-
-        def __init__(
-            self,
-            height: Numbers,
-            stiffness: Numbers,
-            poisson: Numbers,
-            push: Push = ...,
-            plane: Plane = "stress",
-            length: Numbers | None = None,
-            normal_stiffness: Numbers | None = None,
-        ) -> None: ...
+    def __init__(
+        self,
+        height: Numbers | None,
+        stiffness: Numbers | None,
+        poisson: Numbers | None,
+        push: Push | int | None = Push(0.25),  # noqa: B008 - a constant
+        plane: Plane = "stress",
+        length: Numbers | None = None,
+        normal_stiffness: Numbers | None = None,
+    ) -> None:
+        self.height, self.stiffness, self.poisson = floats_or_axes(height, stiffness, poisson)
+        axes = not are_numbers(self.height, self.stiffness, self.poisson)
+        self.push, self.plane = push, plane  # pyright: ignore[reportAttributeAccessIssue] - an axis, in a tree of axes
+        self.length = length if axes else _whole_or_none(length)  # pyright: ignore[reportAttributeAccessIssue]
+        self.normal_stiffness = normal_stiffness if axes else _finite_or_none(normal_stiffness)  # pyright: ignore
 
     def __check_init__(self) -> None:
         check_choice("Block.plane", self.plane, Plane)
+        if not are_numbers(self.height, self.stiffness, self.poisson):
+            return
+        check_kind("Block.push", self.push, Push)
+        self.push.check()
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
         for name, domain in domains.items():
             value = getattr(self, name)
@@ -219,7 +237,8 @@ class Block(eqx.Module):
         push = Push(
             *(lengths[name] / height for name in ("push_height", "push_width") if name in lengths), control=push_control
         )
-        return cls(height, stiffness, poisson, push, plane, None if length is None else np.rint(lengths["length"]))
+        whole = None if length is None else np.rint(lengths["length"])
+        return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness)
 
     def __repr__(self) -> str:
         return in_a_line(self)

@@ -3,7 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.units import Numbers, as_float, quantity, quantity_field
+from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -40,7 +40,8 @@ class Slider(eqx.Module):
     Notes
     -----
     The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
-    and ``jax.grad`` work through it.
+    and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field; where only the height has one, say so:
+    ``jax.vmap(f, in_axes=(Slider(0, None, None),))``.
 
     Examples
     --------
@@ -49,15 +50,16 @@ class Slider(eqx.Module):
     0.0201 per λc
     """
 
-    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", "height of the slider, H/λc", converter=as_float)
-    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K", converter=as_float)
-    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio", converter=as_float)
+    height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", "height of the slider, H/λc")
+    stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K")
+    poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio")
 
-    if TYPE_CHECKING:  # types that the converters accept
-
-        def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None: ...
+    def __init__(self, height: Numbers | None, stiffness: Numbers | None, poisson: Numbers | None) -> None:
+        self.height, self.stiffness, self.poisson = floats_or_axes(height, stiffness, poisson)
 
     def __check_init__(self) -> None:
+        if not are_numbers(self.height, self.stiffness, self.poisson):
+            return
         for name, domain in _DOMAIN.items():
             domain.check(f"Slider.{name}", getattr(self, name))
         try:

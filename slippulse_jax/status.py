@@ -31,8 +31,8 @@ class Outcome(Status):
     NO_DOMINO = 1, "no domino: only the contact at the edge broke, its neighbour stayed below threshold (length 0)"
     REBREAK = (
         2,
-        "arrested, but the contact at the edge was back at its threshold before that: the length is that of the front, and "
-        "the event goes farther; to follow the second pulse, use rupture",
+        "arrested, but a contact behind the front was back at its threshold before that: the length is that of the front, and "
+        "the event goes farther; event='full' has the length of the whole event, rupture the breaks of a chain",
     )
     RAN_THROUGH = 3, "ran through: the last contact of the chain broke, so the event has no length (inf)"
     LIMIT = 4, "given up: contacts were still over threshold after the largest number of breaks allowed (length NaN)"

@@ -129,7 +129,7 @@ def blocks(rng: np.random.Generator, count: int) -> Found:
         ][rng.integers(4)]  # fmt: skip
         block = sp.Block(height, b / (2 * (1 + poisson) * height), poisson, push)
         with jax.enable_x64(True):
-            found = sp.first_precursor(block, sites=256)
+            found = sp.first_precursor(block, sites=256, event="full")
         status, length = Outcome(int(found.status)), float(found.length)
         stopped = status in STOPPED
         refused += not stopped

@@ -15,13 +15,13 @@ from slippulse_jax.lattice import blocks, elements, waveguide
 from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
-from slippulse_jax.lattice.precursor import _warn_once
 from slippulse_jax.lattice.series import Adiabatic, Shape, Spring, Steps, Stopping, _one_series, of_response
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
 PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
 NAMES = ["top", "patch", "force", "side"]
+KINDS = ["domino", "full"]
 
 
 def at_b(height, b, push, poisson=0.3, **more):
@@ -100,11 +100,12 @@ def test_response_is_that_of_a_long_block(push):
     found = response(block, 48)
     np.testing.assert_allclose(found.push, dense.push, rtol=0, atol=1e-10)
     np.testing.assert_allclose(found.matrix, dense.matrix, rtol=0, atol=1e-10)
-    order, stress = break_all(dense.push, dense.matrix)
-    record = sp.first_precursor(block, sites=48)
-    assert int(record.breaks) == len(order)
-    assert int(record.nucleation) == order[0]
-    np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
+    for event in KINDS:
+        order, stress = break_all(dense.push, dense.matrix, once=event == "domino")
+        record = sp.first_precursor(block, sites=48, event=event)
+        assert int(record.breaks) == len(order)
+        assert int(record.nucleation) == order[0]
+        np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
 
 
 def test_twenty_random_blocks_break_in_the_same_order():
@@ -114,11 +115,28 @@ def test_twenty_random_blocks_break_in_the_same_order():
         push = [sp.Push(rng.uniform(0.1, 0.7)), sp.Push(rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.3))][rng.integers(2)]
         block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
         dense = whole(block, int(12 * height))
-        order, _ = break_all(dense.push, dense.matrix)
         push, matrix = map(np.asarray, response(block, 64))
-        assert break_all(push, matrix)[0] == order
-        record = sp.first_precursor(block, sites=64)
-        assert (int(record.breaks), int(record.contacts_broken)) == (len(order), len(set(order)))
+        for event in KINDS:
+            once = event == "domino"
+            order, _ = break_all(dense.push, dense.matrix, once)
+            assert break_all(push, matrix, once)[0] == order
+            record = sp.first_precursor(block, sites=64, event=event)
+            assert (int(record.breaks), int(record.contacts_broken)) == (len(order), len(set(order)))
+
+
+def test_a_front_behind_which_a_contact_is_overloaded():
+    """It breaks no contact twice, and says that the event goes farther."""
+    block = at_b(20.0, 25.0, sp.Push(0.4, 0.2))
+    dense = whole(block, 240, reach=64)
+    (order, stress), (every, _) = (break_all(dense.push, dense.matrix, once) for once in (True, False))
+    assert len(set(order)) == len(order) < len(set(every)) < len(every)
+    assert stress[order].max() >= 1 > np.delete(stress, order).max()
+    front, event = (sp.first_precursor(block, sites=64, event=kind) for kind in KINDS)
+    np.testing.assert_allclose(front.stress, stress, rtol=0, atol=1e-7)  # of the end, at twelve heights
+    assert (int(front.status), int(event.status)) == (Outcome.REBREAK, Outcome.ARRESTED)
+    assert (int(front.breaks), int(front.contacts_broken)) == (len(order), len(order))
+    assert (int(event.breaks), int(event.contacts_broken)) == (len(every), len(set(every)))
+    assert float(front.length) < float(event.length)
 
 
 def test_plane_strain_is_plane_stress_of_other_constants():
@@ -181,11 +199,12 @@ def test_a_block_with_a_free_end(push):
         np.testing.assert_allclose(found.matrix[:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
         assert not found.push[contacts:].any()
         assert not found.matrix[contacts:].any()
-        order, stress = break_all(dense.push, dense.matrix)
-        record = sp.first_precursor(block)
-        assert (int(record.breaks), int(record.nucleation)) == (len(order), order[0])
-        assert (int(record.status) == Outcome.RAN_THROUGH) == (order[-1] == contacts - 1) == bool(jnp.isinf(record.length))
-        np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
+        for event in KINDS:
+            order, stress = break_all(dense.push, dense.matrix, once=event == "domino")
+            record = sp.first_precursor(block, event=event)
+            assert (int(record.breaks), int(record.nucleation)) == (len(order), order[0])
+            assert (int(record.status) == Outcome.RAN_THROUGH) == (order[-1] == contacts - 1) == bool(jnp.isinf(record.length))
+            np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
 
 
 def test_fields_of_a_block_with_a_free_end():
@@ -310,7 +329,13 @@ MATERIAL = {"height": 0.02, "correlation_length": 20e-6, "areal_stiffness": 1e10
 def test_from_material():
     """By hand; the push in m too."""
     block = sp.Block.from_material(
-        **MATERIAL, push_height=5e-3, push_width=2e-3, push_control="force", plane="strain", length=0.05
+        **MATERIAL,
+        push_height=5e-3,
+        push_width=2e-3,
+        push_control="force",
+        plane="strain",
+        length=0.05,
+        normal_stiffness=3.0,
     )
     assert float(block.height) == pytest.approx(1000)
     assert float(block.stiffness) == pytest.approx(1e10 * 20e-6 / 3e9)
@@ -319,7 +344,7 @@ def test_from_material():
     assert jax.tree.leaves(block.slider) == jax.tree.leaves(sp.Slider.from_material(**MATERIAL))
     assert repr(block) == (
         "Block(height=1000, stiffness=6.66667e-05, poisson=0.3, "
-        "push=Push(height=0.25, width=0.1, control='force'), plane='strain', length=2500)"
+        "push=Push(height=0.25, width=0.1, control='force'), plane='strain', length=2500, normal_stiffness=3)"
     )
     assert repr(sp.Block.from_material(**MATERIAL, push_height=5e-3).push) == "Push(height=0.25)"
 
@@ -344,7 +369,7 @@ def test_lengths_of_a_separate_program(name):
     """H/λc = 100, ν = 0.3, ℓ/H to the mesh; and where the event begins, and whether contacts break again."""
     push, lengths = TABLE[name]
     for b, expected in lengths.items():
-        found = sp.first_precursor(at_b(100.0, b, push), sites=320)
+        found = sp.first_precursor(at_b(100.0, b, push), sites=320, event="full")
         assert float(found.length) / 100 == pytest.approx(expected, rel=0.015)
         assert (int(found.nucleation) > 0) == ((name, b) in INSIDE)
         assert int(found.status) == Outcome.ARRESTED
@@ -381,7 +406,18 @@ def test_lengths_do_not_depend_on_the_contacts_resolved():
     few, many = (float(sp.precursor_length(block, sites=n)) for n in (96, 192))
     assert few == pytest.approx(many, rel=1e-12)
     assert float(sp.precursor_length(block)) == pytest.approx(many, rel=1e-12)
-    assert float(sp.precursor_length(block, sites=8)) == np.inf  # ran through all that were resolved
+
+
+def test_too_few_contacts_resolved_are_said():
+    """A block that goes on has a length, which is not known; one that ends has none, and no warning."""
+    block = at_b(30.0, 1.0, sp.Push(0.4))
+    with pytest.warns(RuntimeWarning, match="sites = 8: the event reached the last contact resolved"):
+        assert float(sp.precursor_length(block, sites=8)) == np.inf
+    with pytest.warns(RuntimeWarning, match="sites = 8: the event reached the last contact resolved"):
+        assert int(sp.first_precursor(block, sites=8).status) == Outcome.RAN_THROUGH
+    assert float(jax.jit(lambda block: sp.precursor_length(block, sites=8))(block)) == np.inf
+    ends = at_b(30.0, 1.0, sp.Push(0.4), length=8)
+    assert float(sp.precursor_length(ends, sites=8)) == float(sp.precursor_length(ends)) == np.inf
 
 
 @pytest.mark.parametrize(
@@ -426,7 +462,8 @@ def test_a_smooth_length_has_no_jumps(count):
     """Over pushes at which contacts behind the front break again in ever other orders, the hard one has."""
 
     def length(height, rule):
-        return sp.precursor_length(at_b(40.0, 10.0, sp.Push(height)), rule=rule, sites=128)
+        event = "full" if rule is HARD else "domino"
+        return sp.precursor_length(at_b(40.0, 10.0, sp.Push(height)), rule=rule, sites=128, event=event)
 
     def roughness(rule):
         one = jax.jit(lambda height: length(height, rule))
@@ -510,6 +547,15 @@ def test_fields_in_the_block_are_those_the_contacts_read():
         ),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sp.Interface(repin_delay=2)), r"repin_delay = 2.*of a block"),
         (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a block needs sites"),
+        (lambda: sp.Block(5.0, 0.1, 0.3, sp.Push(0)), r"Push.height = 0: must lie in \(0, 1\)"),
+        (
+            lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), rule=sp.SmoothBreak(0.01), event="full"),
+            r"event = 'full': under a smooth rule",
+        ),
+        (
+            lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), event="whole"),
+            r"event = 'whole': must be one of 'domino', 'full'",
+        ),
     ],
 )
 def test_refusals(make, message):
@@ -562,7 +608,7 @@ def test_a_series_of_a_block(contacts):
     breaks = np.asarray(found.break_site)
     assert [list(breaks[found.break_event == e]) for e in range(count)] == orders[:count]
     assert max(found.drift, found.energy_drift) < 1e-12
-    first = sp.first_precursor(block)
+    first = sp.first_precursor(block, event="full")
     assert found.length[0] == pytest.approx(float(first.length), rel=1e-12)
     assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
 
@@ -572,7 +618,7 @@ def test_a_series_on_an_interface_and_of_a_batch():
     interface = sp.Interface(prestress=0.2, threshold_slope=0.01)
     block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=50)
     found = sp.series(block, events=3, interface=interface)
-    first = sp.first_precursor(block, interface)
+    first = sp.first_precursor(block, interface, event="full")
     assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
     assert found.length[0] == pytest.approx(float(first.length), rel=1e-12)
     change = block.stiffness * (first.stress - interface.prestress_at(jnp.arange(50))).sum()
@@ -601,21 +647,126 @@ def test_series_that_cannot_be(body, given, message):
         sp.series(body, events=3, **given)
 
 
-def test_single_precision_says_what_it_is_worth(float32):
-    with jax.enable_x64(True):
-        exact = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.5)), sites=64))
-    _warn_once.cache_clear()
-    with pytest.warns(RuntimeWarning, match=r"single precision and a block: .* 2e-4 of themselves at H/λc = 20"):
-        length = sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.5)), sites=64)
-    assert length.dtype == jnp.float32
-    assert float(length) == pytest.approx(exact, rel=1e-3)
+# --- the first front, and the whole event -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("b", "again"), [(2.0, False), (10.0, True), (25.0, True)])
+def test_both_events_of_the_slider_as_a_waveguide(b, again):
+    """Contacts in one block of the cascade, against the recursion and the cascade of the chain."""
+    slider = sp.Slider(50.0, b / 130, 0.3)
+    for event in KINDS:
+        found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
+        ended, *_ = blocks.event(found, jnp.ones(160), jnp.zeros(160), kind=event)
+        furthest = jnp.nonzero(ended.broken)[0].max()
+        reached = event_length(furthest, ended.overload[furthest], ended.stress[furthest + 1] - 1)
+        assert float(reached) == pytest.approx(float(sp.precursor_length(slider, event=event)), abs=1e-8)
+    front, whole = (float(sp.precursor_length(slider, event=event)) for event in KINDS)
+    assert (whole > front) == again
+    assert whole == float(sp.precursor_lengths(slider, event="full"))
+
+
+def test_the_front_of_a_block_is_that_of_its_slider():
+    """Where contacts break again, both fronts stop before their events do; elsewhere they are the events."""
+    for b, again in ((1.0, False), (10.0, True), (25.0, True)):
+        block = at_b(40.0, b, sp.Push(0.4))
+        fronts, events = ([sp.first_precursor(block, event=event) for event in KINDS],
+                          [float(sp.precursor_length(block.slider, event=event)) for event in KINDS])  # fmt: skip
+        front, whole = fronts
+        assert int(front.contacts_broken) == int(front.breaks) <= int(whole.breaks)
+        beyond = [float(whole.length / front.length) > 1 + 1e-9, events[1] / events[0] > 1 + 1e-9]
+        assert beyond == [again, again]
+        assert int(front.status) == (Outcome.REBREAK if again else Outcome.ARRESTED)
+        assert int(whole.status) == Outcome.ARRESTED
+        assert (front.event, whole.event) == ("domino", "full")
+        if not again:
+            assert float(front.length) == pytest.approx(float(whole.length), rel=1e-14)
+        for event, found in zip(KINDS, fronts, strict=True):
+            assert float(sp.precursor_length(block, event=event)) == pytest.approx(float(found.length), rel=1e-13)
+    assert "'full' has the length of the whole event" in str(sp.first_precursor(at_b(40.0, 25.0, sp.Push(0.4))))
+
+
+def test_both_events_of_tall_blocks():
+    """From coarser blocks, against the contacts themselves."""
+    block = at_b(600.0, 25.0, sp.Push(0.1))
+    found = [float(sp.precursor_length(block, event=event)) for event in KINDS]
+    direct = [float(sp.first_precursor(block, event=event).length) for event in KINDS]
+    assert found == pytest.approx(direct, rel=0.01)
+    assert found[0] < found[1]
+
+
+def test_derivative_of_a_front_at_a_fixed_order_of_breaks():
+    """Beyond the onset of breaking again, where the whole event has other ones."""
+    slopes = []
+    for event in KINDS:
+        length = functools.partial(lambda k, event: sp.precursor_length(sp.Block(40.0, k, 0.3, sp.Push(0.4)), sites=128, event=event),
+                                   event=event)  # fmt: skip
+        around = (float(length(0.2 + 1e-7)) - float(length(0.2 - 1e-7))) / 2e-7
+        slopes.append(float(jax.grad(length)(0.2)))
+        assert slopes[-1] == pytest.approx(around, rel=1e-5)
+    assert slopes[0] != pytest.approx(slopes[1], rel=0.1)
+
+
+def test_a_single_break_inside_is_an_event():
+    """It is arrested at the contact that broke; no domino is for contact 0 alone."""
+    threshold = np.full(64, 0.9)
+    threshold[7], threshold[0] = 0.1, 5.0
+    block = at_b(30.0, 1.0, sp.Push(0.4))
+    for event in KINDS:
+        found = sp.first_precursor(block, sp.Profile(threshold=threshold), sites=64, event=event)
+        assert (int(found.nucleation), int(found.contacts_broken)) == (7, 1)
+        assert (int(found.status), float(found.length)) == (Outcome.ARRESTED, 7)
+        assert str(found).endswith(
+            "arrested: the first contact ahead stayed below its threshold; it begins at contact 7, not at the edge"
+        )
+        length = sp.precursor_length(block, sp.Profile(threshold=threshold), sites=64, event=event)
+        assert float(length) == 7
+    threshold[6] = float(found.stress_before[6]) + 1e-3  # its left neighbour breaks next: the rightmost contact decides
+    found = sp.first_precursor(block, sp.Profile(threshold=threshold), sites=64)
+    assert (int(found.nucleation), int(found.contacts_broken), float(found.length)) == (7, 2, 7)
+
+
+def test_the_whole_event_of_a_slider_where_it_cannot_be():
+    slider = sp.Slider(50.0, 0.1, 0.3)
+    with pytest.raises(ValueError, match=r"sp\.rupture\(sp\.chain\(slider"):
+        sp.first_precursor(slider, event="full")
+    for traced in (jax.jit, jax.grad):
+        with pytest.raises(ValueError, match=r"is not traced\. .* precursor_lengths\(.*rupture"):
+            traced(functools.partial(sp.precursor_length, event="full"))(slider)
+    with pytest.raises(ValueError, match="not on a Profile"):
+        sp.precursor_length(slider, sp.Profile(np.ones(5)), event="full")
+    with pytest.raises(ValueError, match="needs the hard rule"):
+        sp.precursor_length(slider, rule=sp.SmoothBreak(0.01), event="full")
+
+
+# --- precision ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_blocks_under_strict_promotion(double):
+    """No number changes its type by itself."""
+    interface = sp.Interface(0.1, 0.01)
+    ends = sp.Block(12.0, 0.05, 0.3, sp.Push(0.4, 0.2, "force"), length=40, normal_stiffness=2.0)
+    with jax.numpy_dtype_promotion("strict"), jax.enable_x64(double):
+        for block in (sp.Block(12.0, 0.05, 0.3), ends):
+            found = sp.first_precursor(block, interface)
+            assert found.length.dtype == (jnp.float64 if double else jnp.float32)
+            assert float(sp.precursor_length(block, interface)) == pytest.approx(float(found.length), rel=1e-7)
+            assert jnp.isfinite(blocks.fields(block, found.load, found.pinning).horizontal).all()
+            assert jnp.isfinite(jax.grad(lambda h, block=block: sp.precursor_length(
+                sp.Block(h, 0.05, 0.3, block.push, length=block.length, normal_stiffness=block.normal_stiffness)))(12.0))  # fmt: skip
+        assert jnp.isfinite(sp.precursor_length(sp.Block(600.0, 0.01, 0.3)))
+        assert jnp.isfinite(sp.precursor_length(sp.Block(12.0, 0.05, 0.3), rule=sp.SmoothBreak(0.01)))
+        assert jnp.isfinite(blocks.stages(found.block, interface, 40, jnp.arange(3), "domino").shear).all()
+        for protocol in (Adiabatic(), Steps(0.05), Spring(0.7)):
+            many = sp.series(sp.Block(12.0, 0.05, 0.3), protocol, events=3, sites=64, interface=interface)
+            assert int(many.number) == 3
 
 
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
     lanes = jnp.array([[20.0, 0.02, 0.3, 0.0, 0.0, 0.3, 0.0]] * 3).T
     with jax.default_device(jax.devices("cpu")[0]):
-        program = blocks._events.lower(lanes, False, "displacement", blocks.FOLLOWED).compile().as_text()
+        program = blocks._events.lower(lanes, False, "displacement", blocks.FOLLOWED, "full").compile().as_text()
     eliminations = [line for line in program.splitlines() if "getrf" in line and "custom-call(" in line]
     assert eliminations
     assert all(re.search(r"= \(f64\[\d+,\d+\]", line) for line in eliminations), eliminations

@@ -22,7 +22,7 @@ def test_stresses_from_nucleation_to_the_end(found):
     with jax.enable_x64(True):
         first, half, last = range(3)
         breaks = jnp.array([0, int(found.breaks) // 2, int(found.breaks)])
-        every = stages(BLOCK, None, found.stress.size, breaks)
+        every = stages(BLOCK, None, found.stress.size, breaks, found.event)
     np.testing.assert_allclose(every.contact[first], found.stress_before, atol=1e-12)
     np.testing.assert_allclose(every.contact[last], found.stress, atol=1e-12)
     assert np.max(every.contact[half]) > 1

@@ -1,5 +1,6 @@
 """Ruptures against the dense event-by-event program, against the fast recursion, and against themselves in batches."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -378,3 +379,24 @@ def test_a_chain_takes_an_interface():
         chain(FIG2, sites=5, interface=sp.Interface(repin_delay=2))
     with pytest.raises(ValueError, match=r"chain takes one interface, got a batch of shape \(2,\)"):
         chain(FIG2, sites=5, interface=sp.Interface(prestress=[0.1, 0.2]))
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_the_usual_call_breaks_the_first_contact(double):
+    """Without a state it nucleates; of a nucleated state, rounding does not matter. These were found among random chains."""
+    with jax.enable_x64(double):
+        below = 0
+        for height, stiffness, right in itertools.product((5.0, 50.0, 1000.0), (1e-3, 0.03, 1.0), ("semi-infinite", "free")):
+            c = chain(sp.Slider(height, stiffness, 0.3), sites=20, right=right)
+            state, site = nucleate(c)
+            expected = rupture(c, state, trigger=site)
+            below += int(rupture(c, state, trigger=-1).status) == Outcome.NOTHING_BROKE
+            assert int(expected.breaks) >= 1
+            for found in (rupture(c), rupture(c, state), jax.jit(rupture)(c)):
+                np.testing.assert_array_equal(found.order, expected.order)
+                assert int(found.status) == int(expected.status)
+            if int(expected.status) != Outcome.LIMIT:
+                assert int(rupture(c, expected.state).status) == Outcome.NOTHING_BROKE
+        assert below, "rounding kept none of them below"
+        smooth = rupture(c, rule=SmoothBreak(0.01))
+        assert float(smooth.broken[0]) == 1

@@ -315,7 +315,7 @@ def test_at_what_height_to_push_a_block():
     plan = sp.design(known, height=height, sigma=sigma, push_height=at)
     for i, h in enumerate(at):
         block = [sp.Block(height, middle * np.exp(x), 0.3, sp.Push(h)) for x in (-0.1, 0.1)]
-        low, high = (float(sp.precursor_length(one)) for one in block)
+        low, high = (float(sp.precursor_length(one, event="full")) for one in block)
         assert plan.expected_length[i, 0] == pytest.approx((low + high) / 2, rel=0.01)
         assert plan.information[i] == pytest.approx(0.5 * np.log1p((sd * (high - low) / 0.2 / sigma) ** 2), rel=0.12)
     assert plan.best == 2
@@ -366,7 +366,7 @@ def test_a_push_is_over_the_height_of_its_block_or_in_mm():
 
 def test_earlier_measurements_of_a_block_are_knowledge_of_it():
     block = sp.Block(400.0, 8e-4, 0.3, sp.Push(0.25))
-    length = float(sp.precursor_length(block))
+    length = float(sp.precursor_length(block, event="full"))
     m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=100)
     known = sp.Knowledge.from_measurements(m)
     assert (known.body, known.event) == ("block", "full")

@@ -11,6 +11,7 @@ import typing
 from pathlib import Path
 
 import documented
+import jax
 import pytest
 
 import slippulse_jax as sp
@@ -152,8 +153,18 @@ PAGES = sorted(
 )
 
 
+@pytest.fixture
+def jax_as_it_is():
+    """JAX as a reader's process has it: in single precision, and with ranks promoted. By its flags: a page may set them too."""
+    jax.config.update("jax_enable_x64", False)
+    jax.config.update("jax_numpy_rank_promotion", "allow")
+    yield
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
 @pytest.mark.parametrize("page", PAGES)
-def test_examples_of_a_page_run(page, tmp_path, monkeypatch):
+def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
     """Programs, commands and tables in their order, in one folder; pages mark what cannot run here as another kind of block."""
     import matplotlib.pyplot as plt
 

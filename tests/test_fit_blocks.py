@@ -41,7 +41,7 @@ def stiffness_at(b):
 def study():
     """Lengths without scatter above a quarter of each height, by the cascade on ever coarser blocks, and their k/K."""
     stiffness = stiffness_at(0.8)
-    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3), sites=None)) for h in HEIGHT])
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3), sites=None, event="full")) for h in HEIGHT])
     return stiffness, sp.Measurements(
         height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * HEIGHT
     )
@@ -59,8 +59,8 @@ def fitted(study):
 def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
     """Against every contact of the block, as many as it has."""
     block = sp.Block(350.0, b / (2.6 * 350), 0.3, sp.Push(push))
-    found, off = map(float, tall_length(block, None))
-    assert found == pytest.approx(float(sp.precursor_length(block, sites=1024)), abs=max(off, 0.002 * found))
+    found, off = map(float, tall_length(block, None, "full"))
+    assert found == pytest.approx(float(sp.precursor_length(block, sites=1024, event="full")), abs=max(off, 0.002 * found))
     assert off < 0.02 * found
 
 
@@ -88,7 +88,7 @@ def test_lengths_of_a_fit_are_those_of_the_cascade():
     found, off = block_lengths(inputs_of(height, b, push))
     for i in range(6):
         block = sp.Block(height[i], b[i] / (2.6 * height[i]), 0.3, sp.Push(push[i]))
-        assert found[i] == pytest.approx(float(tall_length(block, None)[0]), rel=0.005)
+        assert found[i] == pytest.approx(float(tall_length(block, None, "full")[0]), rel=0.005)
     assert np.all(off < 0.01 * found)
 
 
@@ -96,7 +96,9 @@ def test_nodes_of_the_package_are_what_it_computes():
     grid = block_grid()
     rng = np.random.default_rng(5)
     packaged = [node for node in grid.known if node[0] == 1 and node[1] > -10]
-    for node in (packaged[i] for i in rng.integers(len(packaged), size=3)):
+    single = (1, -30, 4, 0, 2, 1, 1)  # whose event is a single break inside
+    assert grid.known[single][0] == pytest.approx(8 / 200)
+    for node in (single, *(packaged[i] for i in rng.integers(len(packaged), size=3))):
         np.testing.assert_allclose(grid.known[node], grid.compute(np.array([node]) * grid.spacing)[0], rtol=1e-5, atol=1e-6)
 
 
@@ -105,7 +107,10 @@ def test_soft_blocks_have_no_precursor():
     found, _ = block_lengths(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
     assert np.all(found < 0.01 * np.array([400, 4000]))
     for height in (400.0, 4000.0):
-        lengths = [float(sp.precursor_length(sp.Block(height, b / (2.6 * height), 0.3), sites=1024)) for b in (0.0117, 0.0134)]
+        lengths = [
+            float(sp.precursor_length(sp.Block(height, b / (2.6 * height), 0.3), sites=1024, event="full"))
+            for b in (0.0117, 0.0134)
+        ]
         assert lengths[1] > 3 * lengths[0]
 
 
@@ -120,7 +125,7 @@ def at_prestress(height, b, push, prestress):
 )
 def test_prestressed_tall_blocks_have_the_length_of_every_contact(b, push, prestress, known):
     """Known values followed every contact, up to 8192."""
-    found, off = tall_length(*at_prestress(5000.0, b, push, prestress))
+    found, off = tall_length(*at_prestress(5000.0, b, push, prestress), "full")
     assert float(found) / 5000 == pytest.approx(known, rel=0.025)
     assert float(off) < 0.03 * float(found)
 
@@ -146,7 +151,7 @@ def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
     with pytest.raises(ValueError, match="reaches beyond 4096 contacts, farther than can be followed"):
         sp.precursor_length(block, interface)
     with pytest.raises(ValueError, match="farther than can be followed"):
-        tall_length(block, interface)
+        tall_length(block, interface, "full")
 
 
 def test_events_that_do_not_stop_are_inf_in_bulk():
@@ -348,7 +353,7 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
     """A force that is held lets a contact inside break first, and its lengths say little of the stiffness."""
     height, stiffness = np.array([300.0, 520.0]), 0.8 / (2.6 * 400)
     push = sp.Push(0.25, 0.1, control)
-    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3, push))) for h in height])
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3, push), event="full")) for h in height])
     m = sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * height,
                         push_width=0.1 * height, push_control=(control,) * 2)  # fmt: skip
     found = sp.fit(m, bounds=(stiffness / 1.5, stiffness * 1.5))
@@ -362,7 +367,7 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
 
 def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
-    length = np.array([float(sp.precursor_length(one)) for one in block])
+    length = np.array([float(sp.precursor_length(one, event="full")) for one in block])
     m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=[100, 140, 200])
     lengths, stiffness, residuals = sp.plot.fit(sp.fit(m)).axes
     assert residuals.get_xlabel() == r"height of the push, $h/\lambda_c$"

@@ -94,3 +94,14 @@ def test_a_front_that_does_not_end_within_the_sites_says_so():
         assert not found.complete
         assert np.isnan(found.length)
         assert np.isnan(found.prestress).all()
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_under_strict_promotion(double):
+    """No number changes its type by itself."""
+    with jax.numpy_dtype_promotion("strict"), jax.enable_x64(double):
+        for rule in RULES[:2]:
+            for interface in (None, sp.Interface(0.1, 0.01), sp.Profile(threshold=np.ones(10))):
+                found = sp.sensitivity(sp.Slider(10.0, 0.03, 0.3), interface, sites=40, rule=rule)
+                assert found.length.dtype == found.prestress.dtype == (jnp.float64 if double else jnp.float32)
+                assert bool(found.complete)

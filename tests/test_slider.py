@@ -1,5 +1,6 @@
 """The slider's numbers against the paper's formulas in many digits, and what it refuses."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -154,12 +155,76 @@ def test_wrong_objects_are_named(bad):
     functions = sp.precursor_length, sp.precursor_lengths, sp.first_precursor, sp.exact_length, sp.exact_front, sp.exact_lengths
     calls = [lambda f=f: f(bad) for f in functions]
     calls += [lambda: sp.sensitivity(bad, sites=30), lambda: sp.chain(bad, sites=30)]
-    calls += [lambda: sp.rupture(bad, chain.relaxed()), lambda: sp.rupture(chain, bad), lambda: sp.nucleate(bad)]
+    calls += [lambda: sp.rupture(bad, chain.relaxed()), lambda: sp.nucleate(bad)]
     calls += [lambda: sp.equilibrium(bad, chain.relaxed()), lambda: sp.series(bad, events=2)]
     if bad is not None:
         calls += [lambda f=f: f(slider, bad) for f in functions]
+        calls += [lambda: sp.rupture(chain, bad)]
     if bad != "x":  # the path of a table
         calls += [lambda: sp.fit(bad)]
     for call in calls:
         with pytest.raises(TypeError, match=r"(slider|interface|chain|body|state|measurements) (is|= )|path chain"):
             call()
+
+
+# --- as JAX takes trees -------------------------------------------------------------------------------------------------
+
+
+def test_trees_of_axes():
+    """What `jax.vmap` needs where not every field has an axis; and any other leaves."""
+    heights = jnp.array([10.0, 25.0, 50.0])
+    sliders, one = Slider(heights, 0.03, 0.3), jax.vmap(precursor_length, in_axes=(Slider(0, None, None),))
+    np.testing.assert_allclose(one(sliders), precursor_length(sliders), rtol=1e-14)
+    slopes = jax.vmap(jax.grad(precursor_length), in_axes=(Slider(0, None, None),))(sliders)
+    assert slopes.stiffness.shape == (3,)
+    back = jax.vmap(lambda s: s, in_axes=(Slider(0, None, None),), out_axes=Slider(0, None, None))(sliders)
+    assert (back.height.shape, back.stiffness.shape) == ((3,), ())
+    records = jax.vmap(lambda s: sp.first_precursor(s, recorded_sites=64), in_axes=(Slider(0, None, None),))(sliders)
+    np.testing.assert_allclose(records.length, precursor_length(sliders), rtol=1e-14)
+
+    stressed = sp.Interface(jnp.array([0.0, 0.1]), 0.01)
+    found = jax.vmap(precursor_length, in_axes=(None, sp.Interface(0, None)))(Slider(25.0, 0.03, 0.3), stressed)
+    np.testing.assert_allclose(found, precursor_length(Slider(25.0, 0.03, 0.3), stressed), rtol=1e-14)
+    profiles = eqx.tree_at(
+        lambda p: p.threshold, sp.Profile(np.ones(60)), jnp.array([1.0, 1.01])[:, None] ** jnp.arange(60)[None]
+    )
+    found = jax.vmap(precursor_length, in_axes=(None, sp.Profile(0, None)))(Slider(25.0, 0.03, 0.3), profiles)
+    each = [float(precursor_length(Slider(25.0, 0.03, 0.3), sp.Profile(one))) for one in profiles.threshold]
+    np.testing.assert_allclose(found, each, rtol=1e-12)
+
+    pushed = jax.vmap(lambda h: sp.Block(12.0 * h, 0.05, 0.3, sp.Push(0.4 * h)))(jnp.array([1.0, 1.1]))
+    mixed = sp.Block(jnp.array(12.0), 0.05, 0.3)
+    mixed = eqx.tree_at(lambda b: (b.height, b.push.height), mixed, (pushed.height, pushed.push.height))
+    axes = sp.Block(0, None, None, sp.Push(0))
+    lengths = jax.vmap(lambda b: precursor_length(b, sites=64), in_axes=(axes,))(mixed)
+    each = [float(precursor_length(sp.Block(float(h), 0.05, 0.3, sp.Push(float(p))), sites=64))
+            for h, p in zip(pushed.height, pushed.push.height, strict=True)]  # fmt: skip
+    np.testing.assert_allclose(lengths, each, rtol=1e-12)
+
+    leaf = object()
+    for made in (Slider(leaf, leaf, leaf), sp.Interface(leaf, leaf), sp.Profile(leaf, leaf), sp.Block(leaf, leaf, leaf, leaf)):
+        assert jax.tree.leaves(made)[0] is leaf
+    assert jax.tree.leaves(jax.tree.map(lambda _: None, sliders)) == []
+    assert jax.tree.leaves(jax.tree.map(lambda _: 0, sliders)) == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Slider(None, 0.03, 0.3),
+        lambda: Slider(25.0, None, None),
+        lambda: sp.Interface(None, 0.1),
+        lambda: sp.Block(10.0, None, 0.3),
+        lambda: Slider(25.0, object(), 0.3),
+        lambda: Slider("25", None, None),
+    ],
+)
+def test_a_missing_number_is_no_axis(make):
+    with pytest.raises(TypeError):
+        make()
+
+
+def test_a_batch_of_records_needs_its_size():
+    """The message shows the call that works."""
+    with pytest.raises(ValueError, match=r"recorded_sites=200\)\)\(sliders\)"):
+        jax.vmap(sp.first_precursor)(Slider(jnp.array([10.0, 25.0]), jnp.full(2, 0.03), jnp.full(2, 0.3)))

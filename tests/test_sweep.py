@@ -254,7 +254,7 @@ def test_blocks_over_the_height_of_the_push(pushes):
     with jax.enable_x64(True):
         for h in heights:
             for at in pushes:
-                alone = float(sp.precursor_length(sp.Block(h, 4e-3, 0.3, sp.Push(at)), interface))
+                alone = float(sp.precursor_length(sp.Block(h, 4e-3, 0.3, sp.Push(at)), interface, event="full"))
                 assert float(found.block_precursor_length.sel(height=h, push_height=at)) == pytest.approx(alone, rel=1e-9)
 
 
@@ -263,7 +263,9 @@ def test_blocks_pushed_by_a_force_on_a_patch():
                      outputs="block_precursor_length")  # fmt: skip
     block = sp.Block(60.0, 4e-3, 0.3, sp.Push(0.5, 0.2, "force"))
     with jax.enable_x64(True):
-        assert float(found.block_precursor_length[1]) == pytest.approx(float(sp.precursor_length(block)), rel=1e-9)
+        assert float(found.block_precursor_length[1]) == pytest.approx(
+            float(sp.precursor_length(block, event="full")), rel=1e-9
+        )
 
 
 def test_blocks_do_not_depend_on_their_company(tmp_path):

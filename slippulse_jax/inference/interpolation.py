@@ -167,7 +167,8 @@ def _block_lengths(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
         some = BlockNumbers(*(x[here] for x in lanes))
         if not patch:
             some = some._replace(push_width=np.full(here.sum(), np.nan))
-        found[here] = np.stack(tall_lengths(some, "force" if force else "displacement"), axis=1) / height[here, None]
+        lengths_and_errors = tall_lengths(some, "force" if force else "displacement", "full")
+        found[here] = np.stack(lengths_and_errors, axis=1) / height[here, None]
     return found
 
 

@@ -1,10 +1,17 @@
 """First precursors of a block under two-dimensional elasticity: any contacts, in any order.
 
 The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.lattice.cascade`), with all
-contacts in one block. Every contact stays attached to the body, so a break costs one row of a matrix
-(`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks are those of the sums.
+contacts in one block. In the first front every contact breaks at most once, as on a slider. Every contact stays attached to the
+body, so a break costs one row of a matrix (`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks are
+those of the sums.
+
+Everything is computed in double precision (`in_double`): single precision loses several per cent of a length at H/λc = 400,
+and at 800 the event itself.
 """
 
+import dataclasses
+import functools
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -15,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.block import Block, Control, Push
@@ -25,7 +31,7 @@ from slippulse_jax.domains import NORMAL_STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.cascade import Moves, Stresses, run
-from slippulse_jax.lattice.front import event_length, first_of, in_domain, length_or_reason
+from slippulse_jax.lattice.front import EventKind, event_length, first_of, in_domain, length_or_reason
 from slippulse_jax.lattice.response import of_matrix
 from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide, MatrixResponse
@@ -51,6 +57,7 @@ TOGETHER = 4
 """Blocks computed at once."""
 BREAKS = 64
 """Breaks per contact after which an event is given up."""
+IN_DOUBLE = "a block needs double precision: work under jax.enable_x64(True)"
 NEGLIGIBLE = 1e-9
 """Broken fraction of a contact below which a smooth front has faded: farther contacts would only cost time."""
 
@@ -71,7 +78,7 @@ class BlockPrecursor(eqx.Module):
     block: Block
     nucleation: Int[Array, ""]  # contact that breaks first
     contacts_broken: Int[Array, ""]
-    breaks: Int[Array, ""]  # more than contacts broke where some broke again
+    breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
     length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops
     load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in k u_s
     status: Int[Array, ""]  # an `Outcome`
@@ -79,6 +86,7 @@ class BlockPrecursor(eqx.Module):
     stress: Float[Array, " sites"]  # when the event is over
     slip: Float[Array, " sites"]  # of the interface while it ran
     pinning: Float[Array, " sites"]
+    event: EventKind = eqx.field(static=True)  # the first front, or the whole event
 
     def __repr__(self) -> str:
         return in_a_line(self, "block", "contacts_broken", "length", "load")
@@ -97,6 +105,37 @@ class BlockPrecursor(eqx.Module):
         if int(self.breaks) > int(self.contacts_broken):
             text += f"; contacts behind the front break again, {int(self.breaks)} breaks in all"
         return text
+
+
+Computed = TypeVar("Computed", bound=Callable)
+
+
+def in_double(function: Computed) -> Computed:
+    """Compute a function of a block in double precision, whatever the JAX flags; results are in the caller's precision.
+
+    Raises
+    ------
+    ValueError
+        If an argument is traced while JAX is in single precision.
+    """
+
+    @functools.wraps(function)
+    def computed(*given: Any) -> Any:
+        single = not jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+        if single and any(isinstance(x, Tracer) for x in jax.tree.leaves(given)):
+            raise ValueError(f"under jit, vmap and grad {IN_DOUBLE}")
+        with jax.enable_x64(True):
+            found = function(*jax.tree.map(lambda x: _of_type(x, np.float64), given))
+            return jax.tree.map(lambda x: _of_type(x, np.float32), found) if single else found
+
+    return computed  # pyright: ignore[reportReturnType]
+
+
+def _of_type(x: Any, dtype: Any) -> Any:
+    """`x` in this floating type; anything else as it is."""
+    if isinstance(x, jax.Array):
+        return lax.convert_element_type(x, dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
+    return np.asarray(x, dtype) if isinstance(x, float | np.ndarray) and np.asarray(x).dtype.kind == "f" else x
 
 
 def guide_of(block: Block, finer: int = 0) -> Guide:
@@ -119,11 +158,12 @@ def event(
     prestress: Float[Array, " N"],
     last: Int[Array, ""] | int = -1,
     limit: Int[Array, ""] | int | None = None,
+    kind: EventKind = "domino",
 ) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
     """Load the body until a contact is at its threshold, and break contacts until none is, or the last has broken.
 
-    It is given up after `limit` breaks, at least one. Returns too the contact that broke first, and the load and the stress at
-    nucleation.
+    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one. Returns too the
+    contact that broke first, and the load and the stress at nucleation.
     """
     push, matrix = response
     sites = push.size
@@ -132,6 +172,11 @@ def event(
     start = prestress + load * push
 
     none = jnp.zeros_like(start)
+
+    def limits(_: Array, given: Array) -> tuple[Array, Array]:
+        if kind == "full":
+            return threshold, threshold
+        return jnp.where(given > 0, jnp.inf, threshold), jnp.full_like(threshold, jnp.inf)
 
     def note(book: tuple[Array, Array], moves: Moves, released: Array, _: Array) -> tuple[Array, Array]:
         (overload, broken), j = book, moves.sites[-1]
@@ -143,7 +188,7 @@ def event(
         of_matrix(matrix),
         Stresses(start[None], jnp.zeros((1, 4), start.dtype), (start - threshold).max()[None]),
         none[None],
-        lambda *_: (threshold, threshold),
+        limits,
         first.astype(jnp.int32),
         (none, jnp.zeros(sites, bool)),
         note,
@@ -165,10 +210,10 @@ class BlockContacts(NamedTuple):
 
 def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> BlockContacts:
     """The first contacts of a block, and their response."""
-    site = jnp.arange(sites)
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
     threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
+    site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
     valid = in_domain(block)
@@ -178,17 +223,19 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
 
 
 @in_full
-def _record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
+def _record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
     site = jnp.arange(sites)
     response, threshold, prestress, last, valid = contacts_of(block, interface, sites)
-    ended, first, load, before = event(response, threshold, prestress, last)
+    ended, first, load, before = event(response, threshold, prestress, last, kind=kind)
     furthest = jnp.max(jnp.where(ended.broken, site, -1))
     excess = ended.stress - threshold
+    again = (excess >= 0) & ended.broken if kind == "domino" else jnp.zeros(sites, bool)
     endings = {
         Outcome.INVALID: ~(valid & jnp.isfinite(excess).all()),
         Outcome.RAN_THROUGH: ended.broken[last],
-        Outcome.LIMIT: (excess >= 0).any(),
-        Outcome.NO_DOMINO: ended.breaks == 1,
+        Outcome.LIMIT: ((excess >= 0) & ~again).any(),
+        Outcome.NO_DOMINO: furthest == 0,
+        Outcome.REBREAK: again.any(),
     }
     status = first_of(endings)
     length = event_length(furthest, ended.overload[furthest], excess[jnp.minimum(furthest + 1, sites - 1)])
@@ -204,13 +251,14 @@ def _record(block: Block, interface: Interface | Profile | None, sites: int) -> 
         stress=ended.stress,
         slip=response.matrix @ ended.pinning,
         pinning=ended.pinning,
+        event=kind,
     )
 
 
-@partial(jax.jit, static_argnames="sites")
-def record(block: Block, interface: Interface | Profile | None, sites: int) -> BlockPrecursor:
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts."""
-    return _record(block, interface, sites)
+    return _record(block, interface, sites, kind)
 
 
 class StressedFront(NamedTuple):
@@ -237,18 +285,21 @@ def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
     return length_or_reason(status, end.length)
 
 
-@partial(jax.jit, static_argnames="sites")
-def length(block: Block, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int) -> Float[Array, ""]:
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def length(
+    block: Block, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int, kind: EventKind
+) -> Float[Array, ""]:
     """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
-    numbers, together = ravel_pytree((block, interface, rule))
+    given, tree = jax.tree.flatten((block, interface, rule))
 
-    def one(numbers: Array) -> Array:
-        block, interface, rule = together(numbers)
+    def one(*numbers: Array) -> Array:
+        here = [x.astype(like.dtype) for x, like in zip(numbers, given, strict=True)]
+        block, interface, rule = jax.tree.unflatten(tree, here)
         if isinstance(rule, SmoothBreak):
             return faded(contacts_of(block, interface, sites), rule)
-        return _record(block, interface, sites).length
+        return _record(block, interface, sites, kind).length
 
-    return by_forward_mode(one)(numbers)
+    return by_forward_mode(one)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
 
 
 class NotFollowed(ValueError):
@@ -307,15 +358,16 @@ def checked_sites(block: Block, sites: Numbers | None) -> int:
     return sites
 
 
-def _known(given: Any) -> Any:
+def _known(
+    given: Any,
+    why: str = "a block needs sites, the number of contacts resolved: its length is not known",
+) -> Any:
     """Strip derivatives from a block and its interface, which leaves numbers."""
     given = lax.stop_gradient(given)
     try:
         return jax.tree.map(np.asarray, given)
     except jax.errors.JAXTypeError:
-        raise ValueError(
-            "under jit and vmap a block needs sites, the number of contacts resolved: its length is not known"
-        ) from None
+        raise ValueError(f"under jit and vmap {why}") from None
 
 
 def _coarser(body: tuple[Block, Interface | None], height: float) -> tuple[Block, Interface | None]:
@@ -425,11 +477,11 @@ def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, An
     """
     fine, rough = fine * tall / height, rough * tall * 2 / height
     correction = (fine - rough) * (1 - height / tall)
-    alike = _alike(fine, rough)
+    alike = _alike(fine, rough).astype(fine.dtype)
     return fine + correction * alike, abs(correction) * (1 - 0.75 * alike)
 
 
-def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array]:
+def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> tuple[Array, Array]:
     """ℓ of one tall block from coarser ones of the same b, and how far it may be off.
 
     Raises
@@ -440,7 +492,7 @@ def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array
     known = _known((block, interface))
 
     def look(_: np.ndarray, height: np.ndarray, sites: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        found = record(*_coarser(known, float(height[0])), sites)
+        found = record(*_coarser(known, float(height[0])), sites, kind)
         return np.array([found.length]), np.array([found.contacts_broken]), np.array([found.status])
 
     one, carried = known[0], (0.0, 0.0) if known[1] is None else (known[1].prestress, known[1].threshold_slope)
@@ -454,26 +506,28 @@ def tall_length(block: Block, interface: Interface | None) -> tuple[Array, Array
             block, "becomes ever longer on ever finer contacts" if grows else f"reaches beyond {sites / height:.2g} heights"
         )
     if height == known[0].height:
-        found = length(block, interface, sites=sites)
+        found = length(block, interface, sites=sites, kind=kind)
         return found, jnp.zeros_like(found)
-    pair = [length(*_coarser((block, interface), one), sites=sites) for one in (height, height / 2)]
+    pair = [length(*_coarser((block, interface), one), sites=sites, kind=kind) for one in (height, height / 2)]
     return extrapolated(pair[0], pair[1], height, block.height)
 
 
-@partial(jax.jit, static_argnames=("patch", "control", "sites"))
-def _events(lanes: Float[Array, "7 n"], patch: bool, control: Control, sites: int) -> tuple[Array, Array, Array]:
+@partial(jax.jit, static_argnames=("patch", "control", "sites", "kind"))
+def _events(
+    lanes: Float[Array, "7 n"], patch: bool, control: Control, sites: int, kind: EventKind
+) -> tuple[Array, Array, Array]:
     """Lengths, contacts broken and statuses of a few blocks."""
 
     def one(lane: Array) -> tuple[Array, Array, Array]:
         height, stiffness, poisson, prestress, slope, at, width = lane
         push = Push(at, width if patch else None, control)
-        found = _record(Block(height, stiffness, poisson, push), Interface(prestress, slope), sites)
+        found = _record(Block(height, stiffness, poisson, push), Interface(prestress, slope), sites, kind)
         return found.length, found.contacts_broken, found.status
 
     return jax.vmap(one, 1)(lanes)
 
 
-def _look(lanes: BlockNumbers, control: Control) -> Look:
+def _look(lanes: BlockNumbers, control: Control, kind: EventKind) -> Look:
     """Events of many blocks; either all pushes cover everything above a height, or none does."""
     given = np.stack(lanes)
     patch = not np.isnan(lanes.push_width).any()
@@ -486,9 +540,11 @@ def _look(lanes: BlockNumbers, control: Control) -> Look:
         numbers[0], numbers[1], numbers[4] = height, numbers[1] * larger, numbers[4] * larger
         padded = np.resize(np.arange(len(which)), -(-len(which) // together) * together)
         with jax.enable_x64(True):
-            parts = [_events(numbers[:, part], patch, control, sites) for part in np.split(padded, len(padded) // together)]
+            parts = [
+                _events(numbers[:, part], patch, control, sites, kind) for part in np.split(padded, len(padded) // together)
+            ]
         length, broken, status = (np.concatenate(column)[: len(which)] for column in zip(*parts, strict=True))
-        lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RAN_THROUGH))
+        lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH))
         if lost.any():
             where = ", ".join(f"{x:.9g}" for x in numbers[:, np.argmax(lost)])
             why = Outcome(int(status[lost][0])).message
@@ -498,13 +554,13 @@ def _look(lanes: BlockNumbers, control: Control) -> Look:
     return look
 
 
-def tall_lengths(lanes: BlockNumbers, control: Control) -> tuple[np.ndarray, np.ndarray]:
+def tall_lengths(lanes: BlockNumbers, control: Control, kind: EventKind) -> tuple[np.ndarray, np.ndarray]:
     """ℓ of many blocks from coarser ones, and how far each may be off.
 
     Lengths are 0 where no domino starts, and inf where the event does not stop within the contacts followed. The error of an
     infinite length is set to H, for the blocks beside it in a table.
     """
-    view = _views(lanes, _look(lanes, control))
+    view = _views(lanes, _look(lanes, control, kind))
     found, error = view.fine, np.where(np.isinf(view.fine), lanes.height, 0)
     coarse = np.nonzero(np.isfinite(view.fine) & (view.height < lanes.height))[0]
     if len(coarse):
@@ -513,50 +569,89 @@ def tall_lengths(lanes: BlockNumbers, control: Control) -> tuple[np.ndarray, np.
     return found, error
 
 
-def lengths(lanes: BlockNumbers, control: Control) -> np.ndarray:
+def lengths(lanes: BlockNumbers, control: Control, kind: EventKind) -> np.ndarray:
     """ℓ of many blocks, each as `precursor_length` has it to rounding, inf where that refuses; shape (n,)."""
     found = np.empty(len(lanes.height))
     for patch in (False, True):
         own = np.isfinite(lanes.push_width) == patch
         tall, short = (np.nonzero(own & side)[0] for side in (lanes.height > TALL, lanes.height <= TALL))
         if tall.size:
-            found[tall] = tall_lengths(BlockNumbers(*(x[tall] for x in lanes)), control)[0]
+            found[tall] = tall_lengths(BlockNumbers(*(x[tall] for x in lanes)), control, kind)[0]
         if short.size:
             some = BlockNumbers(*(x[short] for x in lanes))
-            found[short], _, status = _look(some, control)(np.arange(len(short)), some.height, FOLLOWED)
+            found[short], _, status = _look(some, control, kind)(np.arange(len(short)), some.height, FOLLOWED)
             for i in short[status == Outcome.RAN_THROUGH]:
                 height, stiffness, poisson, prestress, slope, at, width = (float(x[i]) for x in lanes)
                 block = Block(height, stiffness, poisson, Push(at, width if patch else None, control))
                 try:
                     with jax.enable_x64(True):
-                        found[i] = precursor_length(block, Interface(prestress, slope), None)
+                        found[i] = precursor_length(block, Interface(prestress, slope), None, HARD, kind)
                 except NotFollowed:
                     found[i] = np.inf
     return found
 
 
 def precursor_length(
-    block: Block, interface: Interface | Profile | None, sites: Numbers | None, rule: BreakRule = HARD
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, rule: BreakRule, kind: EventKind
 ) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
+    given = block, interface, rule
+    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(given))
+    if not traced or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        found = in_double(_length)(block, interface, rule, sites, kind)
+        _warn_of_few_sites(block, sites, found)
+        return found
+    _known(given, IN_DOUBLE)
+    numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
+    numbers, tree = jax.tree.flatten(numbers)
+    others = _known(others)
+
+    def one(*numbers: Array) -> Array:
+        with jax.enable_x64(True):  # in here, because JAX computes derivatives later
+            every = eqx.combine(jax.tree.unflatten(tree, numbers), others)
+            block, interface, rule = jax.tree.map(lambda x: _of_type(x, np.float64), every)
+            return _of_type(_length(block, interface, rule, sites, kind), np.float32)
+
+    return by_forward_mode(one)(*numbers)
+
+
+def _length(
+    block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
+) -> Float[Array, ""]:
     smooth = isinstance(rule, SmoothBreak)
     every = sites is not None or block.length is not None or smooth
     if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
-        return tall_length(block, interface)[0]
-    found = resolved((block, interface, rule), sites, lambda given, count: length(*given, sites=count))
+        return tall_length(block, interface, kind)[0]
+    found = resolved((block, interface, rule), sites, lambda given, count: length(*given, sites=count, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(first_precursor(block, interface, sites).nucleation)
+        begins = int(_first(block, interface, sites, kind).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 
 
-def first_precursor(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> BlockPrecursor:
+def first_precursor(
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind
+) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    found = resolved((block, interface), sites, lambda given, count: record(*given, count))
-    if block.contacts is None:
-        return found
-    # no more than it has
-    return jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
+    found = in_double(_first)(block, interface, sites, kind)
+    _warn_of_few_sites(block, sites, found.length)
+    if block.contacts is not None:  # no more than it has
+        found = jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
+    return dataclasses.replace(found, block=block)  # not rounded
+
+
+def _first(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
+    return resolved((block, interface), sites, lambda given, count: record(*given, count, kind))
+
+
+def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> None:
+    """Say that an event reached the last contact resolved of a block that goes on."""
+    if sites is not None and block.length is None and not isinstance(length, Tracer) and np.isposinf(length):
+        warnings.warn(
+            f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
+            RuntimeWarning,
+            stacklevel=4,
+        )
 
 
 class BlockFields(NamedTuple):
@@ -580,7 +675,7 @@ def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockField
     """
     if block.contacts not in (None, pinning.size):
         raise ValueError(f"pinning has shape {pinning.shape}: the block has {block.contacts} contacts")
-    return _fields(block, load, pinning)
+    return in_double(_fields)(block, load, pinning)
 
 
 @jax.jit
@@ -603,15 +698,23 @@ class Stages(NamedTuple):
     shear: Float[Array, "n N cells"]  # σ_xy over each contact, from one node to the next
 
 
-@partial(jax.jit, static_argnames="sites")
-def stages(block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"]) -> Stages:
+def stages(
+    block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"], kind: EventKind
+) -> Stages:
     """Stresses after so many breaks of the first precursor, 0 for none."""
+    return in_double(_stages)(block, interface, sites, breaks.astype(np.int32), kind)
+
+
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def _stages(
+    block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"], kind: EventKind
+) -> Stages:
     response, threshold, prestress, last, _ = contacts_of(block, interface, sites)
-    _, _, load, before = event(response, threshold, prestress, last, 1)
+    _, _, load, before = event(response, threshold, prestress, last, 1, kind)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array]:
-        now = event(response, threshold, prestress, last, limit)[0]
+        now = event(response, threshold, prestress, last, limit, kind)[0]
         field = _fields_of(block, guide, load, jnp.where(limit > 0, now.pinning, 0))
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2

@@ -124,10 +124,10 @@ def loaded(block: Block, finer: int = 0) -> Loaded:
     keep = freedoms(block, y.size)
 
     def along(x: Any) -> Array:
-        return jnp.zeros(2 * y.size, y.dtype).at[0::2].set(x)[keep]
+        return jnp.zeros(2 * y.size, y.dtype).at[0::2].set(jnp.asarray(x, y.dtype))[keep]
 
     none = along(0.0)
     if push.control == "displacement":
         return Loaded(along(under), none)
-    part = jnp.diff(y) * (under[1:] & under[:-1])
+    part = jnp.diff(y) * (under[1:] & under[:-1]).astype(y.dtype)
     return Loaded(none, along((jnp.pad(part, (0, 1)) + jnp.pad(part, (1, 0))) / (2 * part.sum())))

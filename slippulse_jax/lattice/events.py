@@ -7,7 +7,7 @@ resolved. Everywhere else the event is its front.
 """
 
 import functools
-from typing import Any, Literal
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
-from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_choice
+from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.crossing import system_of
@@ -27,9 +27,6 @@ from slippulse_jax.lattice.response import response
 from slippulse_jax.lattice.rupture import one_rupture
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-
-EventKind = Literal["domino", "full"]
-"""Event whose length is meant: the first front, in which each contact breaks once; or the whole event."""
 
 ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
@@ -117,11 +114,6 @@ def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
 
 
 # --- lengths of whole events --------------------------------------------------------------------------------------------
-
-
-def check_event(event: str) -> None:
-    """Refuse an unknown kind of event."""
-    check_choice("event", event, EventKind)
 
 
 def event_lengths(

@@ -30,7 +30,7 @@ complex, for a block. So they also take the NumPy arrays of single numbers of th
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
-from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS
+from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import Modes
 from slippulse_jax.slider import Slider
@@ -47,6 +47,9 @@ from slippulse_jax.status import Outcome
 
 DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
+
+EventKind = Literal["domino", "full"]
+"""Event whose length is meant: the first front, in which each contact breaks once; or the whole event."""
 
 FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
 """Possible outcomes of a front."""
@@ -57,6 +60,11 @@ APPROACH = 45.0
 AnyArray = Array | np.ndarray
 Contacts = Interface | Profile | None
 """Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""
+
+
+def check_event(event: str) -> None:
+    """Refuse an unknown kind of event."""
+    check_choice("event", event, EventKind)
 
 
 class LengthDerivatives(NamedTuple):

@@ -17,8 +17,8 @@ from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.lattice import lanes, long_fronts
-from slippulse_jax.lattice.events import EventKind, check_event, event_lengths
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, LengthDerivatives
+from slippulse_jax.lattice.events import event_lengths
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
     arrest,

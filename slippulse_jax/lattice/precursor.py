@@ -22,7 +22,7 @@ from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
 from slippulse_jax.lattice.blocks import BlockPrecursor
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, Passage
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, EventKind, Passage, check_event
 from slippulse_jax.lattice.modes import (
     ENDLESS,
     Ends,
@@ -173,20 +173,21 @@ def precursor_length(
     sites: Numbers | None = None,
     machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
+    event: EventKind = "domino",
 ) -> Float[Array, "..."]:
     """Length ℓ of the first precursor, in λc.
 
     ℓ is where the stress on the contact ahead, drawn as a straight line between the last contact that broke and the
     first that did not, falls to its threshold. The whole-contact count of the paper is s0 = ceil(ℓ) (for s0 > 1), and
     Λ = s0 λc. Where the neighbour of the edge contact does not break there is no domino: s0 = 1, ℓ = 0, and ℓ is flat; where
-    it starts to break, ℓ jumps from 0 to 1. On tall and stiff sliders the contact at the edge may be back at its threshold
-    before the front stops: ℓ is the length of that front, and `first_precursor` says so by its status.
+    it starts to break, ℓ jumps from 0 to 1. On tall and stiff bodies a contact behind the front may be back at its threshold
+    before the front stops: ℓ is the length of that front, and `first_precursor` says so by its status (`REBREAK`).
 
     Parameters
     ----------
     slider : Slider or Block
-        One slider or a batch; ℓ has its shape. Or one block, whose events are any contacts in any order, those that break again
-        included, and end at the rightmost; `sites` is then the number of contacts resolved, at least those of a block with a
+        One slider or a batch; ℓ has its shape. Or one block, whose events are any contacts in any order, the most overloaded
+        next, and end at the rightmost; `sites` is then the number of contacts resolved, at least those of a block with a
         `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are those at a fixed order of breaks.
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
@@ -206,11 +207,15 @@ def precursor_length(
         displacement of the edge is imposed.
     max_contacts : int
         Breaks after which the front is given up.
+    event : {"domino", "full"}
+        The first front, in which each contact breaks at most once; or the whole event, in which contacts may break again, under
+        the hard rule. Both agree where none does, below b = 3.09 on relaxed sliders. The whole event of a slider is not traced.
 
     Returns
     -------
     array
-        ℓ ≥ 0; inf where the front reaches the right end of a finite chain; NaN in the lanes of a batch, or under
+        ℓ ≥ 0; inf where the front reaches the right end of a finite chain or block, or, with a warning where nothing is traced,
+        the last contact resolved of a block without end; NaN in the lanes of a batch, or under
         ``jit`` and ``vmap``, where the front was given up or the (traced) slider is not physical. A length that is not
         finite has no finite derivative.
 
@@ -219,7 +224,8 @@ def precursor_length(
     FrontNotArrested
         If a single front, called outside ``jit``, was given up. A batch warns instead, and says which.
     ValueError
-        If the event of a block does not stop within the contacts that can be followed.
+        If the event of a block does not stop within the contacts that can be followed. If a block is traced by ``jit`` or
+        ``vmap`` in single precision, or the whole event of a slider by any.
 
     Notes
     -----
@@ -231,7 +237,8 @@ def precursor_length(
     In single precision the error stays below 0.01 λc up to H/λc = 1000, however soft the interface, and reaches 6e-4 of the
     length at H/λc = 1e5: above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known.
     Near the run-away prestress, where the length grows without bound, and on finite chains much shorter than 1/κ_2 it is up to
-    a hundredth of the length. Work under ``jax.enable_x64(True)`` there.
+    a hundredth of the length. Work under ``jax.enable_x64(True)`` there. Blocks are computed in double precision whatever the
+    JAX flags, under ``grad`` too.
 
     Examples
     --------
@@ -241,11 +248,15 @@ def precursor_length(
     """
     check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
+    check_event(event)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
-        warn_single_precision(slider)
-        return blocks.precursor_length(slider, interface, sites, rule)
+        if event == "full" and isinstance(rule, SmoothBreak):
+            raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
+        return blocks.precursor_length(slider, interface, sites, rule, event)
+    if event == "full":
+        return _whole(slider, interface, rule=rule, right=right, sites=sites, machine=machine, max_contacts=max_contacts)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule)
@@ -265,9 +276,30 @@ def precursor_length(
     return length
 
 
+def _whole(slider: Slider, interface: Interface | Profile | None, **options: Any) -> Array:
+    """Lengths of whole events."""
+    from slippulse_jax.lattice.lengths import precursor_lengths  # which needs this module
+
+    if isinstance(interface, Profile):
+        raise ValueError("event = 'full': not on a Profile; take rupture of a chain on it")
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves((slider, interface, options))):
+        raise ValueError(
+            "event = 'full': the whole event of a slider is not traced. Outside jit, vmap and grad use "
+            "precursor_lengths(…, event='full', derivatives=1), or rupture of a chain for its breaks"
+        )
+    found = precursor_lengths(slider, interface, event="full", **options)
+    if np.ndim(found) == 0 and np.isnan(found):
+        raise FrontNotArrested(Outcome.LIMIT.message)
+    return jnp.asarray(found)
+
+
 @overload
 def first_precursor(
-    slider: Block, interface: Interface | Profile | None = None, *, sites: Numbers | None = None
+    slider: Block,
+    interface: Interface | Profile | None = None,
+    *,
+    sites: Numbers | None = None,
+    event: EventKind = "domino",
 ) -> BlockPrecursor: ...
 @overload
 def first_precursor(
@@ -279,6 +311,7 @@ def first_precursor(
     machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
+    event: EventKind = "domino",
 ) -> FirstPrecursor: ...
 def first_precursor(
     slider: Slider | Block,
@@ -289,6 +322,7 @@ def first_precursor(
     machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
+    event: EventKind = "domino",
 ) -> FirstPrecursor | BlockPrecursor:
     """Record of the first precursor: count, length, load, front stress, fields, status.
 
@@ -302,6 +336,8 @@ def first_precursor(
         Number of sites on which stress and fields are given: the whole of a finite chain by default, otherwise four
         to eight times the length of the front. Needed under ``jit`` and ``vmap``, where the length is not known beforehand,
         and there at least `contacts_broken` for the fields to be complete.
+    event : {"domino", "full"}
+        As for `precursor_length`. The record of the whole event of a slider is a `Rupture`.
 
     Raises
     ------
@@ -309,16 +345,19 @@ def first_precursor(
         If the front was given up and `recorded_sites` is missing, so that the length of the record is unknown. With it, the
         record has the status LIMIT. Under ``jit`` and ``vmap`` nothing is raised.
     ValueError
-        If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest.
+        If `slider` is a batch, or if `recorded_sites` is needed and missing or does not reach the arrest; if the whole event of
+        a slider is asked for, or a block is traced in single precision.
     """
     check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
+    check_event(event)
     if recorded_sites is not None:
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
-        warn_single_precision(slider)
-        return blocks.first_precursor(slider, interface, sites)
+        return blocks.first_precursor(slider, interface, sites, event)
+    if event == "full":
+        raise ValueError("event = 'full': the record of a whole event of a slider is sp.rupture(sp.chain(slider, sites=…))")
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
@@ -327,7 +366,10 @@ def first_precursor(
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
         if traced and (sites is None or isinstance(sites, Tracer)):
-            raise ValueError("first_precursor under jit or vmap needs recorded_sites: the length is not known beforehand")
+            raise ValueError(
+                "first_precursor under jit or vmap needs recorded_sites, because the length is not known beforehand: "
+                "jax.vmap(lambda slider: first_precursor(slider, recorded_sites=200))(sliders)"
+            )
         if sites is None:
             report_without_length(np.asarray(ended.status), max_contacts, raises=True)
         if sites is not None:
@@ -406,14 +448,11 @@ def _warn_once(message: str) -> None:
     warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=4)
 
 
-def warn_single_precision(body: Slider | Block) -> None:
+def warn_single_precision(slider: Slider) -> None:
     """Say once what single precision costs there."""
     if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         return
-    if isinstance(body, Block):
-        _warn_once("and a block: its lengths are off by 2e-4 of themselves at H/λc = 20, 2e-3 at 100, 2e-2 at 400")
-        return
-    tall = body.height > FLOAT32_HEIGHT
+    tall = slider.height > FLOAT32_HEIGHT
     try:
         if np.any(tall) if not isinstance(tall, Tracer) else bool(tall.any()):
             _warn_once(

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, run, whole
+from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, most, run, whole
 from slippulse_jax.lattice.chain import Chain, State, check_linear, eliminate
 from slippulse_jax.lattice.equilibrium import (
     Equilibrium,
@@ -41,6 +41,8 @@ from slippulse_jax.lattice.response import Response, into_blocks, propagators, s
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
 
+CLOSEST, ROUNDING = -(2**31), 16
+"""For a trigger: the contact closest to its threshold, where only rounding keeps it below; and the units of that rounding."""
 BREAKS_PER_SITE = 20
 """Default limit on the breaks of a rupture, per site."""
 
@@ -75,7 +77,7 @@ class Rupture(NamedTuple):
 
 def rupture(
     chain: Chain,
-    state: State,
+    state: State | None = None,
     *,
     rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
     trigger: int | Int[Array, ""] | None = None,
@@ -91,13 +93,15 @@ def rupture(
     ----------
     chain : Chain
         With linear contacts.
-    state : State
+    state : State, optional
+        By default that of the relaxed chain under the load that brings a first contact to its threshold (`nucleate`), which
+        then breaks.
     rule : HardBreak or SmoothBreak, or one derived from it
         ``SmoothBreak(width)`` is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
-        Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none.
-        None by default. The status is INVALID if that contact does not exist, is detached, or lies below its threshold by
-        more than rounding.
+        Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none. By
+        default, where no contact is at its threshold, one that only rounding keeps below it; under a smooth rule none. The
+        status is INVALID if that contact does not exist, is detached, or lies below its threshold by more than rounding.
     max_breaks : int, optional
         Limit on the number of breaks, and length of their record; 20 N by default.
     repin_delay : int
@@ -125,6 +129,9 @@ def rupture(
     """
     check_kind("chain", chain, Chain)
     check_rule(rule, one=True)
+    if state is None:
+        state, nucleus = nucleate(chain)
+        trigger = nucleus if trigger is None else trigger
     _check(chain, state)
     check_whole("repin_delay", repin_delay, 0)
     if max_breaks is not None:
@@ -135,8 +142,10 @@ def rupture(
         and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
     ):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
-    first = np.int32(-1 if trigger is None else trigger) if not isinstance(trigger, Tracer) else trigger.astype(jnp.int32)
-    if not isinstance(rule, HardBreak):
+    hard = isinstance(rule, HardBreak)
+    none_given = CLOSEST if hard else -1
+    first = trigger.astype(jnp.int32) if isinstance(trigger, Tracer) else np.int32(none_given if trigger is None else trigger)
+    if not hard:
         if repin_delay:
             raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
         return smooth_rupture(chain, state, rule, first)
@@ -199,6 +208,15 @@ def _can_break(chain: Chain, stress: Array, trigger: Array) -> Array:
     return (trigger == -1) | (trigger == site) & reached
 
 
+def _or_closest(chain: Chain, stress: Array, trigger: Array) -> Array:
+    """The trigger, or for `CLOSEST` the contact that only rounding keeps below its threshold; −1 where there is none."""
+    overload = jnp.where(chain.contact > 0, stress - chain.threshold, -jnp.inf)
+    site, most_overloaded = most(overload)
+    rounding = ROUNDING * jnp.finfo(stress.dtype).eps * jnp.maximum(chain.threshold[site], jnp.abs(stress).max())
+    closest = jnp.where((most_overloaded < 0) & (most_overloaded >= -rounding), site, -1)
+    return jnp.where(trigger == CLOSEST, closest, trigger)
+
+
 def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
     return (before.status == EquilibriumStatus.INVALID) | (after.status == EquilibriumStatus.INVALID)
 
@@ -249,6 +267,7 @@ def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: St
     valid = all_numbers(chain, state)
     safe, state, right = or_harmless(valid, (chain, state, resp.right))
     before = in_balance(valid, safe, state, right)
+    trigger = _or_closest(safe, before.stress, trigger)
     meant = _can_break(safe, before.stress, trigger)
     good = (before.status == EquilibriumStatus.SOLVED) & meant
     n = chain.sites

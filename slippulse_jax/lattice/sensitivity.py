@@ -136,7 +136,7 @@ def _arrested(stress: Array, theta: Array) -> tuple:
     def length(stress: Array, theta: Array) -> Array:
         over = stress - theta
         behind = jnp.where(s0 == 1, 0.0, over[s0 - 1])  # contact 0 breaks at its threshold exactly
-        return straight_line(s0 - 1, behind, over[s0])
+        return straight_line((s0 - 1).astype(over.dtype), behind, over[s0])
 
     direct, direct_theta = jax.grad(length, (0, 1))(stress, theta)
     gain = (jnp.arange(n) < s0).astype(stress.dtype)

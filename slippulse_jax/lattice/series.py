@@ -50,7 +50,6 @@ from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
 from slippulse_jax.lattice.chain import Chain, State, check_linear, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
 from slippulse_jax.lattice.front import event_length
-from slippulse_jax.lattice.precursor import warn_single_precision
 from slippulse_jax.lattice.response import Response, into_blocks, of_matrix, shared_response
 
 
@@ -166,7 +165,9 @@ def series(
         jnp.asarray(stop_when_spanning),
         jnp.asarray(50 * sites if max_breaks is None else max_breaks, jnp.int32),
     )
-    return _hard_series(Shape(events, recorded_breaks, repin_delay, sites), (body, interface), protocol, ageing, stopping)
+    shape = Shape(events, recorded_breaks, repin_delay, sites)
+    run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
+    return run_series(shape, (body, interface), protocol, ageing, stopping)
 
 
 def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
@@ -177,7 +178,6 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: give the delay to series, as repin_delay")
     if sites is None and block.contacts is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
-    warn_single_precision(block)
     found = blocks.checked_sites(block, block.contacts if sites is None else sites)
     return block.contacts or found
 

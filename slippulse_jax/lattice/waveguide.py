@@ -197,7 +197,7 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
 @in_full
 def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
-    T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1)
+    T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1, dtype=column.dtype)
 
     def beside(state: tuple[Array, Array], ahead: Array) -> tuple[tuple[Array, Array], Array]:
         power, direct = state  # T^i, and G_i q_1 but for its last term
@@ -226,7 +226,7 @@ def response(guide: Guide, contact: Array, sites: int) -> MatrixResponse:
     t = ahead @ guide.pushed
     if guide.end is not None:
         pushed, reached = at_end(guide, guide.end.column, q)
-        there = jnp.arange(sites) < guide.end.column
+        there = jnp.arange(sites, dtype=guide.end.column.dtype) < guide.end.column
         t = jnp.where(there, t + reached @ guide.end.back @ pushed, 0)
         A = jnp.where(there[:, None] & there[None], A + reached @ guide.end.back @ reached.T, 0)
     return MatrixResponse(t, contact * A)

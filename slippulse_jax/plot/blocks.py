@@ -35,9 +35,8 @@ def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | 
     last = int(found.breaks)
     if breaks.min() < 0 or breaks.max() > last:
         raise ValueError(f"breaks = {breaks.max() if breaks.max() > last else breaks.min()}: this event has 0 to {last}")
-    with jax.enable_x64(found.stress.dtype == jnp.float64):
-        computed = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks))
-        stages = jax.tree.map(np.asarray, computed)
+    computed = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event)
+    stages = jax.tree.map(np.asarray, computed)
     if breaks[-1] == last and not np.allclose(stages.contact[-1], found.stress, atol=1e-3):
         raise ValueError("this is not the event of this interface: give interface= as first_precursor had it")
     furthest = int(np.max(np.nonzero(np.asarray(found.pinning))[0], initial=0)) + 1

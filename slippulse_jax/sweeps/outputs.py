@@ -212,7 +212,7 @@ def _smooth(request: Request, columns: Columns) -> Columns:
 def _block(request: Request, columns: Columns) -> Columns:
     columns = {"push_width": np.full(len(columns["height"]), np.nan)} | columns
     lanes = blocks.BlockNumbers(*_fields(columns, *SLIDER, "prestress", "threshold_slope", *PUSH))
-    return {"block_precursor_length": blocks.lengths(lanes, request.push_control)}
+    return {"block_precursor_length": blocks.lengths(lanes, request.push_control, "full")}
 
 
 def _load(request: Request, columns: Columns) -> Columns:

@@ -77,8 +77,11 @@ class WholeBlock:
         self.matrix = stiffness * (inner @ solve(np.ascontiguousarray(inner.T.toarray())))
 
 
-def break_all(push, matrix):
-    """Contacts in the order in which they break, the most overloaded next, until the last one does; plain NumPy."""
+def break_all(push, matrix, once=False):
+    """Contacts in the order in which they break, the most overloaded next, until the last one does; plain NumPy.
+
+    In the first front each breaks once: those that broke are passed over.
+    """
     stress = push / push.max()
     order = [int(np.argmax(push))]
     while True:
@@ -86,8 +89,9 @@ def break_all(push, matrix):
         released = stress[j]
         stress = stress + matrix[:, j] * released
         stress[j] -= released
-        j = int(np.argmax(stress))
-        if stress[j] < 1 or order[-1] == stress.size - 1:
+        left = [i for i in range(stress.size) if not (once and i in order)]
+        j = max(left, key=stress.__getitem__, default=j)
+        if not left or stress[j] < 1 or order[-1] == stress.size - 1:
             return order, stress
         order.append(j)
 

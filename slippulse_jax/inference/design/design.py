@@ -23,7 +23,7 @@ from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
-from slippulse_jax.lattice.events import EventKind
+from slippulse_jax.lattice.front import EventKind
 from slippulse_jax.shown import html
 
 MOST_EXPERIMENTS = 12

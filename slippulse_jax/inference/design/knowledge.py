@@ -24,7 +24,7 @@ from slippulse_jax.inference.parameters import (
     softest,
     stiffest,
 )
-from slippulse_jax.lattice.events import EventKind, check_event
+from slippulse_jax.lattice.front import EventKind, check_event
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
