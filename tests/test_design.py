@@ -337,7 +337,7 @@ def test_a_push_is_over_the_height_of_its_block_or_in_mm():
             height=candidate.height, correlation_length=50e-6, areal_stiffness=9e10, poisson=0.3, young=3e9,
             push_height=0.25 * candidate.height, push_width=0.1 * candidate.height,
         )  # fmt: skip
-        assert mean == pytest.approx(float(sp.precursor_length(block)), rel=0.03)
+        assert mean == pytest.approx(float(sp.precursor_length(block, event="full")), rel=0.03)
 
     given = ["--sigma-mm", "0.2", "--correlation-length-um", "50", "--young-gpa", "3", "--poisson", "0.3", "--json"]
     given += ["--stiffness", "9e10", "--log-sd", "0.2", "--height-mm"]
