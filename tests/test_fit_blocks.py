@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from reports import section, unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
@@ -188,11 +189,16 @@ def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted
     assert fitted.values["stiffness"] == pytest.approx(stiffness, rel=0.02)
     (piece,) = fitted.intervals["stiffness"][0.95]
     assert piece.low < stiffness < piece.high
-    assert fitted.as_slider.parameters.body == "slider"
+    slider = sp.fit(m, body="slider")
+    assert fitted.as_slider.values["stiffness"] == pytest.approx(slider.values["stiffness"], rel=1e-9)
     report = fitted.report()
-    assert "block under two-dimensional elasticity" in report
-    assert f"slider over block: {fitted.as_slider.values['stiffness'] / fitted.values['stiffness']:.3g}" in report
-    assert "height of the push" in report
+    assert "block under two-dimensional elasticity" in unfolded(report)
+    rows = section(report, "What else would move it")
+    (row,) = [row for row in rows if row.startswith("  the paper's slider")]
+    assert float(row.split()[-2]) == pytest.approx(
+        100 * (slider.values["stiffness"] / fitted.values["stiffness"] - 1), abs=0.06
+    )
+    assert any(row.startswith("  height of the push larger by 5 %") for row in rows)
 
 
 def test_where_the_side_is_pushed_decides(study):
@@ -224,12 +230,13 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     found = CliRunner().invoke(command, [str(table), "--json"])
     assert found.exit_code == 0, found.output
     content = json.loads(found.stdout)
-    assert content["request"]["body"] == "block"
+    assert content["model"]["body"] == "block"
+    assert "body" not in content["request"]  # it was not asked for
     assert content["as_slider"]["values"]["areal_stiffness"] > 0
     again = sp.fit(sp.read_measurements(table), **from_request(content["request"]))
     assert again.values["areal_stiffness"] == pytest.approx(content["values"]["areal_stiffness"], rel=1e-12)
     assert as_request(again.request) == content["request"]
-    slider = CliRunner().invoke(command, [str(table), "--body", "slider"])
+    slider = CliRunner().invoke(command, [str(table), "--body", "slider", "--verbose"])
     assert "semi-infinite slider" in slider.stdout
 
 
@@ -282,7 +289,7 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
         ({"push_height": None, "push_width": 9.0}, {}, r"push_width is given without push_height"),
         ({"push_height": None}, {"body": "block"}, r"needs the height of the push: give push_height"),
         ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
-        ({"block_length": 9 * HEIGHT}, {}, r"block_length: a fit of a block takes lengths only"),
+        ({"block_length": 9 * HEIGHT}, {}, r"block_length beside push_height: a fit of a block takes one without an end"),
         ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
         ({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'"),
         ({}, {"body": "brick"}, r"body = 'brick': one of slider, block"),
@@ -303,9 +310,15 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     assert found.unstated_push["0.25"] == pytest.approx(ratio, rel=0.1)
     assert found.unstated_push["0.5"] < 0.3
     assert np.isnan(found.unstated_push["0.1"])
-    assert f"side from 0.5 H up: {found.unstated_push['0.5']:.2g} times this; from 0.25 H up: " in found.report()
-    assert "Add a column push_height (and push_width) to fit a block" in found.report()
-    assert not block.unstated_push
+    ratios = [found.unstated_push[at] for at in ("0.5", "0.25")]
+    rows = section(found.report(), "What else would move it")
+    (row,) = [
+        row for row in rows if row.startswith("  a real block, pushed from 0.5, 0.25, 0.1 H up (column push_height fits one)")
+    ]
+    assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none")
+    by = f"A real block has {ratios[0]:.2g} to {ratios[1]:.2g} times this, or none, by where its side is pushed."
+    assert by in unfolded(found.report())
+    assert set(block.unstated_push) == {"0.1 H high"}  # no longer by where it is pushed
 
 
 def test_the_command_has_lengths_of_blocks():

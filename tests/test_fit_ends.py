@@ -2,11 +2,13 @@
 
 import dataclasses
 import functools
+import re
 
 import jax
 import numpy as np
 import pytest
 from oracles import dense_chain
+from reports import unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.inference.likelihood import log_density
@@ -39,7 +41,8 @@ def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     assert aware.values["stiffness"] == pytest.approx(TRUTH, rel=1e-6)
     assert aware.deviance < 1e-12
     assert (aware.fitted.status == Outcome.ARRESTED).all()
-    assert "; L/H = 4" in aware.report()
+    assert "; L/H = 4" in aware.report(verbose=True)
+    assert "slider, with the end that is stated, " in unfolded(aware.report())
     assert aware.to_dict()["regime"]["block_length_over_height"] == [4, 4, 4]
     plain = sp.fit(measured(length), intervals="profile")
     assert plain.values["stiffness"] > 2 * TRUTH
@@ -180,11 +183,13 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     assert -0.05 < found.unstated_ends["block_length"]["stiffness"] < 0
     assert -0.4 < found.unstated_ends["machine_stiffness"]["stiffness"] < -0.1
     report = found.report()
-    assert "so this holds only for blocks longer than 4/κ₂ = " in report
-    assert "a machine ten times as stiff as the block would move k/K by -" in report
+    assert f"slider, longer than {float(f'{4 * decay.max():.2g}'):g} λc, its edge held" in unfolded(report)
+    assert "so this holds only for blocks longer than 4/κ₂ = " in found.report(verbose=True)
+    moved = 100 * np.expm1(found.unstated_ends["machine_stiffness"]["stiffness"])
+    assert re.search(rf"\n  a machine ten times as stiff as the block +{moved:+.1f} %\n", report)
     known = sp.fit(dataclasses.replace(plain, block_length=2 * decay, machine_stiffness=100.0), intervals="profile")
     assert known.unstated_ends == {}
-    report = known.report()
+    report = known.report(verbose=True)
     assert "3 of 3 blocks are shorter than 4/κ₂ (the shortest " in report
     assert "block with a free end pushed through a spring (length by the recursion)" in report
     dense = dense_chain.chain_matrix(40.0, 0.004, 0.3, 400)

@@ -510,3 +510,28 @@ def test_simulated_intervals_are_refused_before_the_search(monkeypatch):
     ):
         with pytest.raises(ValueError, match="calibrated intervals"):
             fit(given, free, intervals="calibrated", **more)
+
+
+def test_contacts_broken_are_those_of_the_front_itself():
+    """Not of the length as it would be measured, with a factor and an offset of all lengths."""
+    height = np.array([20.0, 40.0, 60.0])
+    length = 1.15 * model(height, 0.003) + 1.5
+    m = Measurements(height, 0.3, length, 0.3, provenance=("measured",) * 3)
+    result = fit(m, fixed={"offset": 1.5, "model_factor": 1.15})
+    front = model(height, result.values["stiffness"])
+    np.testing.assert_allclose(result.fitted.length, 1.15 * front + 1.5, rtol=1e-9)
+    assert result.fitted.contacts_broken.tolist() == np.ceil(front).astype(int).tolist()
+    assert (result.fitted.contacts_broken < result.fitted.length - 1).all()
+
+
+@pytest.mark.parametrize("body", ["slider", "block"])
+def test_bounds_of_the_ratio_on_a_table_in_si_are_refused(body):
+    """k/K given where Pa/m are meant: the message has the unit, what is expected, and the value that was meant."""
+    name = {"slider": "pmma_block", "block": "pushed_block"}[body]
+    m = read_measurements(Path(__file__).resolve().parent.parent / f"fit_examples/{name}/lengths.csv")
+    low, high = (1e9, 1e12)
+    for given in ({"bounds": (1e-5, 1e-2)}, {"free": [Parameter("stiffness", bounds=(1e-5, 1e-2))]}):
+        with pytest.raises(ValueError, match=r"are taken in Pa/m: no domino starts below .* expected within \S+ to \S+ Pa/m"):
+            fit(m, **given)
+    result = fit(m, bounds=(low, high), intervals="profile")
+    assert low < result.values["areal_stiffness"] < high

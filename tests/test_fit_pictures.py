@@ -85,7 +85,9 @@ def test_curve_and_points_of_a_specimen_share_name_and_colour():
     title = figure.get_suptitle()
     assert [title.count(f"[{name}] = ") for name in "XYZ"] == [1, 1, 1]
     assert "…" not in title
-    assert max(map(len, title.split("\n"))) <= 100
+    figure.draw_without_rendering()
+    (text,) = [text for text in figure.texts if text.get_text() == title]
+    assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
 def test_the_title_says_what_was_fitted_beside():
@@ -127,3 +129,16 @@ def test_fitted_lengths_off_the_curve_are_marked():
     assert np.abs(np.interp(x, *curve.get_data()) - y).min() > 0.01 * ax.get_ylim()[1]
     exact = plot.fit_lengths(fit(specimens()[:3], "areal_stiffness"))
     assert "fitted (own inputs)" not in texts(exact)
+
+
+def test_a_corner_plot_has_points_of_bootstrap_and_posterior():
+    result = fit(specimens(), [EACH], intervals="profile")
+    theta = result.theta + 0.01 * np.random.default_rng(0).standard_normal((50, len(result.theta)))
+    drawn = {"bootstrap": result.bootstrap(20), "posterior": theta}
+    figure = plot.corner(result, drawn, nodes=5)
+    panels = [ax for ax in figure.axes if any(line.get_label() in drawn for line in ax.lines)]
+    assert panels
+    for ax in panels:
+        points = {line.get_label(): line for line in ax.lines if line.get_label() in drawn}
+        assert {name: len(line.get_xdata()) for name, line in points.items()} == {"bootstrap": 20, "posterior": 50}
+        assert points["bootstrap"].get_color() != points["posterior"].get_color()

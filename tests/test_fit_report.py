@@ -14,6 +14,8 @@ from scipy.optimize import minimize
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.budget import total_interval, total_of_ratio
+from slippulse_jax.inference.interpolation import block_lengths
+from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.report import value_with_error
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
@@ -357,3 +359,72 @@ def test_of_many_roots_the_best_are_listed():
     assert heads.split() == ["k/K[a]", "k/K[b]", "k/K[c]", "chi-squared"]
     assert len(listed) == 4
     assert more == "  … and 4 more (FitResult.roots)"
+
+
+# --- what the report uses is what it shows ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv")))
+def test_the_deviance_is_that_of_the_residuals_shown(name):
+    """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
+    result = sp.fit(EXAMPLES / name / "lengths.csv", intervals="profile")
+    if result.problem.plain:
+        parts = [(result.residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
+        for one, t in zip(result.parameters.free, result.theta, strict=True):
+            parts.append(((t - one.prior_mean) / one.prior_sigma) ** 2 if np.isfinite(one.prior_sigma) else 0.0)
+        assert result.deviance == pytest.approx(sum(parts), rel=1e-9, abs=1e-12)
+    report = result.report()
+    box = [line for line in report.splitlines() if line.startswith(("┌", "│", "└"))]
+    values = 1 + len(result.names) + len(result.stiffness_ratios)
+    assert max(map(len, box)) <= max(114, *(len(line.rstrip("│ ")) + 2 for line in box[1 : 1 + values]))
+    if name == "pmma_block":
+        assert len(report.splitlines()) <= 30
+
+
+def test_sigma_is_shown_with_what_is_added_to_it():
+    """Of short sliders the definition of a length between contacts counts; the error shown is the one that was used."""
+    height = np.array([6.0, 7.0, 8.0, 9.0, 10.0])
+    length = np.asarray(sp.exact_lengths(sp.Slider(height, 0.02, 0.3)))
+    result = sp.fit(sp.Measurements(height, 0.3, length, 0.02))
+    assert result.between_contacts is not None
+    np.testing.assert_allclose(result.sigma, np.hypot(0.02, result.between_contacts), rtol=1e-12)
+    np.testing.assert_allclose(result.residuals, (result.fitted.length - length) / result.sigma, rtol=1e-6, atol=1e-9)
+    said = result.report()
+    shown = [float(x) for x in re.findall(r"\n .* ± (\S+) +\S+ +[+-]\d\.\d\d", said)]
+    assert shown == pytest.approx(result.sigma.tolist(), rel=0.06)
+    assert "σ as given" not in unfolded(said)
+    assert "which is added to σ in quadrature" in said
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_counts_have_no_best_value_and_no_sigma(verbose):
+    result = sp.fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
+    assert result.identifiability is Identifiability.EQUAL
+    report = unfolded(result.report(verbose=verbose))
+    assert "k/K any in the interval" in report
+    assert "σ as given" not in report
+    assert "highest likelihood" not in report
+    value = value_with_error(result.values["stiffness"], None)
+    assert f"k/K = {value}" not in report
+    assert f"k/K {value}" not in report
+
+
+def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
+    """Lengths of a pusher 0.1 H high, fitted as if it covered all above: the factor leads from one stiffness to the other."""
+    push, k = np.arange(0.25, 0.56, 0.05), 8e-3
+    inputs = Inputs.of(np.full(len(push), 200.0), k, 0.3)
+    inputs = inputs._replace(
+        log_push=np.log(push), log_push_width=np.full(len(push), np.log(0.1)), push_force=np.zeros(len(push), bool)
+    )
+    length, _ = block_lengths(inputs)
+    assert np.isfinite(length).all()
+    m = sp.Measurements(200.0, 0.3, length, 0.08 * length, push_height=200 * push)
+    unstated = sp.fit(m, intervals="profile")
+    ((_, factor),) = unstated.unstated_push.items()
+    assert factor * unstated.values["stiffness"] == pytest.approx(k, rel=0.25)
+    guess = "Guessed: the pusher covers all of the side above push_height, as no push_width is stated; if it is 0.1 H high, "
+    assert f"{guess}the stiffness is about {factor:.2g} times as large." in unfolded(unstated.report())
+    stated = sp.fit(dataclasses.replace(m, push_width=20.0), intervals="profile")
+    assert stated.values["stiffness"] == pytest.approx(k, rel=0.05)
+    assert stated.unstated_push == {}
+    assert "Guessed" not in stated.report()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from oracles import dense_chain
+from reports import unfolded
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -181,7 +182,7 @@ def test_gauges_refuse_where_contacts_break_again(ratio):
     assert result.identifiability is Identifiability.POOR_FIT
     assert set(result.stderrs.values()) == {None}
     assert not any(piece for found in result.intervals.values() for piece in found.values())
-    assert "the model does not describe these data" in result.report()
+    assert "The model does not describe these data" in unfolded(result.report())
     assert ("of the first front alone" in result.report()) == (ratio == 0.1)
     with pytest.raises(ValueError, match="gauges, block_length and machine_stiffness need the model of one front"):
         sp.fit(m, ["stiffness", "strength"], event="full")

@@ -291,3 +291,17 @@ def test_what_design_and_recovery_do_not_use_is_said():
 def test_a_gauge_is_of_a_whole_row(row):
     with pytest.raises(MeasurementError, match="gauges, column row: (0.7|nan): must be the number of a measurement"):
         Gauges(row=[row], position=[1.0], slip=[0.1], slip_sigma=[0.01])
+
+
+@pytest.mark.parametrize(("table", "got"), [(pd.Series({"height": 20.0}), "Series"), ({"height": [20.0]}, "dict")])
+def test_what_is_no_dataframe_is_named(table, got):
+    with pytest.raises(TypeError, match=rf"table is {got}: must be a pandas.DataFrame: pandas.DataFrame\(…\) makes one"):
+        from_dataframe(table)
+
+
+def test_an_optional_column_of_blanks_is_as_if_absent():
+    table = pd.DataFrame({"height_mm": [25.0, 50, 75], "correlation_length_um": 10, "poisson": 0.3, "young_GPa": 3.0})
+    table = table.assign(length_mm=[14.0, 34, 59], length_sigma_mm=0.5)
+    usual = sp.fit(table, intervals="profile").report()
+    for column in ("block_length_mm", "push_height_mm"):
+        assert sp.fit(table.assign(**{column: [None] * 3}), intervals="profile").report() == usual

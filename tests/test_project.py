@@ -12,9 +12,11 @@ from pathlib import Path
 import documented
 import nbformat
 import pytest
+from click.testing import CliRunner
 from nbclient import NotebookClient
 
 import slippulse_jax
+from slippulse_jax.cli.fit import command as fit_command
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = Path(slippulse_jax.__file__).parent
@@ -219,3 +221,13 @@ def test_release_is_one_everywhere():
     named = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
     assert re.findall(r"3\.\d+", tried) == named
     assert project["requires-python"] == f">={named[0]}"
+
+
+def test_readme_quotes_the_report():
+    """The text below the first command is how its output begins, up to …"""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    quoted = re.search(r"```text\n(.*?)```", text, flags=re.S)[1].splitlines()
+    said = CliRunner().invoke(fit_command, [str(ROOT / "fit_examples/pmma_block/lengths.csv")]).stdout.splitlines()
+    quoted = quoted[:-1] if quoted[-1].strip() == "…" else quoted
+    assert len(quoted) > 5
+    assert quoted == said[: len(quoted)]

@@ -1,5 +1,6 @@
 """Tables in and out: a fit that is saved and loaded is the same; DataFrames and arrays in SI."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.record import data_hash
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "fit_examples"
 LENGTHS = EXAMPLES / "pmma_block/lengths.csv"
@@ -102,3 +104,58 @@ def test_a_catalogue_as_a_dataframe():
     assert frame["kind"][0] == "edge"
     assert frame.attrs["units"]["load"] == "u_s"
     np.testing.assert_array_equal(frame["length"], catalogue.table()["length"])
+
+
+def measured(scale=1.0, **columns):
+    height = np.array([20.0, 40.0, 60.0])
+    length = scale * np.asarray(sp.exact_lengths(sp.Slider(height, 0.003, 0.3))) * [1.01, 0.99, 1.0]
+    return sp.Measurements(height, 0.3, length, columns.pop("sigma", 0.3), provenance=("measured",) * 3, **columns)
+
+
+def test_the_request_is_the_arguments_of_the_fit():
+    """Without what measuring adds, so that another table gets errors of its own."""
+    result = sp.fit(measured())
+    assert {"offset", "model_factor"} <= set(result.parameters.names)
+    assert [one.name for one in result.request["free"]] == ["stiffness"]
+    again = sp.fit(measured(), **result.request)
+    assert again.values == result.values
+    assert again.intervals == result.intervals
+
+
+def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path):
+    sp.fit(measured()).save(tmp_path / "fit.json")
+    pd.DataFrame(
+        {"height": [20, 40, 60], "poisson": 0.3, "length": measured().length, "length_sigma": 0.6, "provenance": "measured"}
+    ).to_csv(tmp_path / "other.csv", index=False)
+    found = CliRunner().invoke(command, [str(tmp_path / "other.csv"), "--request", str(tmp_path / "fit.json"), "--json"])
+    assert found.exit_code == 0, found.output
+    (tmp_path / "other.json").write_text(found.stdout)
+    assert sp.load_fit(tmp_path / "other.json").parameters.named("offset").prior_sigma == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("name", ["pmma_block", "pushed_block"])
+def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
+    result = sp.fit(EXAMPLES / name / "lengths.csv")
+    result.save(tmp_path / "fit.json")
+    said, content = result.report(verbose=True), result.to_dict()
+
+    def refuse(*_, **__):
+        raise AssertionError("fitted again")
+
+    for module in ("budget", "hints", "search", "profile", "scatter", "bootstrap"):
+        monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
+    monkeypatch.setattr("slippulse_jax.inference.budget._refitted", refuse)
+    monkeypatch.setattr("slippulse_jax.inference.hints._helps", refuse)
+    monkeypatch.setattr("slippulse_jax.inference.fit.fit", refuse)
+    loaded = sp.load_fit(tmp_path / "fit.json")
+    assert loaded.report(verbose=True) == said
+    assert loaded.to_dict() == content
+    loaded.save(tmp_path / "again.json")
+    assert json.loads((tmp_path / "again.json").read_text()) == json.loads((tmp_path / "fit.json").read_text())
+
+
+def test_the_hash_of_the_data_has_specimens_and_provenance():
+    """Which decide what is fitted beside the stiffness."""
+    m = measured()
+    others = [m, dataclasses.replace(m, provenance=()), dataclasses.replace(m, specimen=tuple("AAB"))]
+    assert len({data_hash(one) for one in others}) == 3

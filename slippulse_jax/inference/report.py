@@ -24,7 +24,7 @@ from slippulse_jax.inference.measurements import likely_mistakes
 from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Identifiability
+from slippulse_jax.inference.verdict import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
 from slippulse_jax.shown import html
 from slippulse_jax.theory import rebreaking_b
 
@@ -49,7 +49,7 @@ SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
 MANY = 3.0
 """Factor from which on a change is given as one instead of in per cent."""
-WIDEST, TIED = 106, "\u00a0"
+WIDEST, TIED = 110, "\u00a0"
 """Characters of the longest sentence in the box, and the space at which it is not folded."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
@@ -113,8 +113,8 @@ def methods(result: "FitResult") -> str:
         errors = " The error does not contain that of the model."
     tested = f" (χ² = {result.deviance:.3g} for {_plural(result.testable_dof or 0, 'degree')} of freedom)"
     return (
-        f"From the {_measured_as(result)} of {_plural(len(m), 'first precursor')} at {heights} "
-        f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with those of {body}, "
+        f"From {_plural(len(m), _measured_as(result))} of first precursors at {heights} "
+        f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with {body}, "
         f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).{errors}"
     )
 
@@ -142,13 +142,7 @@ def _errors(result: "FitResult", name: str) -> tuple[str, str]:
 
 def _measured_as(result: "FitResult") -> str:
     kinds = set(result.measurements.kind)
-    return (
-        "lengths"
-        if kinds == {"length"}
-        else "counts of broken contacts"
-        if kinds == {"whole"}
-        else "lengths, counts and limits"
-    )
+    return "length" if kinds == {"length"} else "count" if kinds == {"whole"} else "measurement"
 
 
 def _usual(name: str) -> str:
@@ -247,9 +241,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         yield f"a real block has {has} where its side is pushed"
     if ratio is not None:
         suffix = f"_{unit}" * m.in_si
-        would = (
-            "no stiffness gives these lengths" if math.isnan(ratio) else f"the stiffness is about {ratio:.2g} times as large"
-        )
+        would = "no stiffness fits these lengths" if math.isnan(ratio) else f"the stiffness is about {ratio:.2g} times as large"
         yield (
             f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if it "
             f"is {NARROW_PUSHER}, {would}"
@@ -395,7 +387,8 @@ def _quality(result: "FitResult") -> str:
     """State what was fitted, how well, and the size of the errors that was used."""
     m, scaled = result.measurements, result.scaled
     specimens = len(set(m.specimen))
-    data = f"from {_plural(len(m), 'length')} of {Path(m.source).name}" + f" on {specimens} specimens" * (specimens > 1)
+    data = f"from {_plural(len(m), _measured_as(result))} of {Path(m.source).name}"
+    data += f" on {specimens} specimens" * (specimens > 1)
     name = "chi-squared" if result.problem.plain else "deviance"
     if scaled and result.identifiability is Identifiability.NO_SCATTER:
         return f"{data}: no scatter from which to take the size of their errors"
@@ -701,7 +694,9 @@ def _details(result: "FitResult") -> list[str]:
     for name, value in result.values.items():
         one, by_level = shown.get(name), result.intervals.get(name, {})
         symbol, unit = (_symbol(name, one.symbol), one.unit) if one else ("k/K", "")
-        rows.append(f"    {symbol} = {value_with_error(value, result.stderrs[name])} {unit}".rstrip())
+        verdict = result.verdicts.get(name, result.verdicts[gravest(result.verdicts)]).identifiability
+        text = WITHOUT_VALUE.get(verdict) or f"{value_with_error(value, result.stderrs[name])} {unit}".rstrip()
+        rows.append(f"    {symbol} = {text}")
         for level, pieces in by_level.items():
             text = " or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) or "none"
             rows.append(f"      {level:.0%} interval{' (simulated)' * result.calibrated}  {text}")
