@@ -3,10 +3,13 @@
 import dataclasses
 import importlib.util
 import json
+import re
+import time
 from pathlib import Path
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from reports import section, unfolded
@@ -14,6 +17,7 @@ from reports import section, unfolded
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
+from slippulse_jax.inference import interpolation
 from slippulse_jax.inference.interpolation import block_grid, block_lengths
 from slippulse_jax.inference.model import recursion_status
 from slippulse_jax.inference.parameters import Inputs
@@ -388,3 +392,35 @@ def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     assert [text.get_text() for text in stiffness.get_legend().get_texts()][:3] == [
         rf"$h/\lambda_c$ = {h}" for h in (100, 140, 200)
     ]
+
+
+def test_a_block_that_ends_is_refused_by_the_names_of_its_columns():
+    """No other body is recommended: the slider would give another stiffness."""
+    table = pd.read_csv(ROOT / "fit_examples/pmma_block/lengths.csv").assign(block_length_mm=500.0, push_height_mm=5.0)
+    with pytest.raises(ValueError, match="block_length_mm beside push_height_mm") as refused:
+        sp.fit(table)
+    assert "slider" not in str(refused.value)
+    assert "leave it out" in str(refused.value)
+
+
+# --- progress -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_long_computations_are_announced_once(slow, capsys, monkeypatch):
+    """On a stderr that is no terminal, where a bar would not be seen; quick ones are not."""
+    if slow:
+        monkeypatch.setattr(interpolation, "LONG", 0.05)
+
+    def compute(place):
+        time.sleep(0.03)
+        return place
+
+    place = np.arange(6 * interpolation.AT_ONCE, dtype=float)[:, None]
+    grid = interpolation.Grid([1.0], compute)
+    np.testing.assert_array_equal(grid(place), place)
+    grid(place)  # known by now
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert bool(re.fullmatch(rf"following {len(place)} events of blocks, which takes about \d+ s more\n", err)) == slow
+    assert bool(err) == slow
