@@ -214,7 +214,7 @@ def test_no_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     assert bool(result.unstated_push) == ("times this" in unfolded(report)) == (held == 1.0)
     (row,) = [line for line in section(report, "What else") if "a real block" in line]
     assert "(column push_height fits one)" in row
-    assert ("not computed beside what lengths share" in row) == (held != 1.0)
+    assert ("not computed beside an offset or a model factor" in row) == (held != 1.0)
     assert ("A real block has another stiffness" in unfolded(report)) == (held != 1.0)
 
 

@@ -133,7 +133,7 @@ def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path)
     assert sp.load_fit(tmp_path / "other.json").parameters.named("offset").prior_sigma == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize("name", ["pmma_block", "pushed_block"])
+@pytest.mark.parametrize("name", ["pmma_block", "pushed_block", "threshold_profile"])
 def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
     result = sp.fit(EXAMPLES / name / "lengths.csv")
     result.save(tmp_path / "fit.json")

@@ -508,7 +508,7 @@ class _Builder:
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
         low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
         if name in STIFFNESSES and parameter.bounds is not None:
-            _check_stiff_enough(self, parameter, rows, float(reference[0]))
+            _check_unit(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
             low, high = np.log(low), np.log(high)
@@ -660,19 +660,20 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
-def _check_stiff_enough(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> None:
-    """Refuse bounds below every stiffness at which a domino starts: they are in another unit, probably values of k/K."""
+def _check_unit(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> None:
+    """Refuse bounds far below every stiffness at which a domino starts: they are in another unit, probably values of k/K."""
     assert parameter.bounds is not None
-    lowest, highest = _default_bounds(builder, replace(parameter, bounds=None, prior=None), rows, reference)
-    low, high = parameter.bounds
-    if high > lowest:
+    (low, high), per_unit = parameter.bounds, ratio_per_unit(builder.m)[rows].max()
+    least = softest(builder.m)[rows].min()
+    if high * per_unit > least:
         return
+    lowest, highest = _default_bounds(builder, replace(parameter, bounds=None, prior=None), rows, reference)
     in_si = builder.m.correlation_length is not None
-    unit, per_unit = PARAMETERS[parameter.name].unit[in_si], ratio_per_unit(builder.m)[rows].max()
+    unit = PARAMETERS[parameter.name].unit[in_si]
     taken = f" are taken in {unit}" * in_si
     raise ValueError(
-        f"bounds = ({low:g}, {high:g}) of {parameter.name}{taken}: no domino starts below k/K = {lowest * per_unit:.2g}, and "
-        f"they reach to {high * per_unit:.2g}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
+        f"bounds = ({low:g}, {high:g}) of {parameter.name}{taken}: no domino starts below k/K = {least:.2g}, and they reach to "
+        f"{high * per_unit:.2g}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
         + f" (k/K = {high:g} is {high / per_unit:.2g} {unit})" * in_si
     )
 

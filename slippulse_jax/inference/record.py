@@ -338,7 +338,7 @@ def data_hash(measurements: Measurements) -> str:
     digest = hashlib.sha256()
     for name in NUMERIC:
         column = getattr(measurements, name)
-        if column is None and name in MAY_BE_ABSENT:  # added later: older hashes stay valid
+        if column is None and name in MAY_BE_ABSENT:  # added later
             continue
         digest.update(name.encode() + b"=")
         digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())

@@ -397,17 +397,17 @@ def _quality(result: "FitResult") -> str:
         return f"{data}: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
     if result.identifiability is Identifiability.POOR_FIT and result.problem.plain:
         return data  # the verdict has the rest
-    tested = ""
+    tested, least = "", f"{round(result.deviance, 9):.3g}"  # no rounding errors
     if result.p_value is not None:
         degrees = _plural(result.testable_dof or 0, "degree") + " of freedom"
-        tested = f"{name} {result.deviance:.3g} for {degrees} ({_probability(result.p_value).replace(' ', TIED)})"
+        tested = f"{name} {least} for {degrees} ({_probability(result.p_value).replace(' ', TIED)})"
     elif not result.problem.plain:
         return data  # counts and limits that hold cost nothing
     elif result.dof > 0:
-        tested = f"{name} {result.deviance:.3g}, {_plural(result.dof, 'degree')} of freedom"
+        tested = f"{name} {least}, {_plural(result.dof, 'degree')} of freedom"
     else:
         why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
-        tested = f"{name} {round(result.deviance, 9):.3g} with no degree of freedom, so {why}"
+        tested = f"{name} {least} with no degree of freedom, so {why}"
     used = ""
     if (m.stated_sigma > 0).any():
         used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
@@ -470,7 +470,7 @@ def _table(result: "FitResult") -> list[str]:
                 f"{m.height[i] * scale[i]:.6g}{push}",
                 _measured(m.kind[i], m.length[i] * scale[i], result.sigma[i] * scale[i] * known),
                 f"{fitted.length[i] * scale[i]:.5g}",
-                f"{result.residuals[i]:+.2f}",
+                f"{result.residuals[i]:+.2f}".replace("-0.00", "+0.00"),
             ]
         )
     return _aligned(rows, str.rjust)
@@ -583,7 +583,7 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
         yield _Change(what, size, dict.fromkeys(stiff, factors))
     elif push_is_unstated(result) and stiff:
         what = f"a real block (column push_height{unit} fits one)"
-        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed beside what lengths share"))
+        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed beside an offset or a model factor"))
     if result.parameters.event != "crack" and stiff:  # not studied for crack-like fronts
         effect = " to ".join(f"{1 / (1 - share):.2g}" for share in SCATTERING)
         size = -math.log(1 - SCATTERING[0])
