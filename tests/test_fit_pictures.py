@@ -90,6 +90,14 @@ def test_curve_and_points_of_a_specimen_share_name_and_colour():
     assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
+@pytest.mark.parametrize("count", [2, 5, 8])
+def test_no_colour_stands_for_two_things(count):
+    ax = plot.fit_lengths(fit(table("mm", height=np.linspace(2.5, 7.5, count), specimen=[f"block {i}" for i in range(count)])))
+    curve = next(line for line in ax.lines if line.get_label() == "best fit")
+    colours = [curve.get_color(), *(points[0].get_color() for points in ax.containers)]
+    assert len({*colours}) == len(colours) == count + 1
+
+
 def test_the_title_says_what_was_fitted_beside():
     exact, known = (plot.fit(fit(specimens(**one), [EACH])).get_suptitle() for one in ({}, {"poisson_sigma": 0.02}))
     assert "E = 3 GPa, ν = 0.3, λc = 1000 µm" in exact

@@ -345,19 +345,23 @@ def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np
     for number, group in enumerate(groups):
         for i, name in enumerate(names if named else [""]):
             rows = np.isin(np.arange(len(m)), group) & ((specimen == name) | (not named))
-            color = _of_curve(c, number, groups) if len(groups) > 1 else c.data[1 + i % (len(c.data) - 1)]
+            color = _of_curve(c, number, groups) if len(groups) > 1 else _of_many(c, i + 1, 1 + len(names) * named)
             if rows.any():
                 yield MARKERS[i], color, name if named else "measured", rows
 
 
 def _of_curve(c: Colours, number: int, groups: list[np.ndarray]) -> str:
-    """Colour of a curve: one of its own, from a scale where there are more curves than colours."""
-    if len(groups) <= len(c.data):
-        return c.data[number] if len(groups) > 1 else c.blue
+    return _of_many(c, number, len(groups)) if len(groups) > 1 else c.blue
+
+
+def _of_many(c: Colours, number: int, count: int) -> str:
+    """One of `count` different colours: from a scale where they are more than the colours for data."""
+    if count <= len(c.data):
+        return c.data[number]
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    return to_hex(colormaps["viridis"](0.95 * number / (len(groups) - 1)))
+    return to_hex(colormaps["viridis"](0.95 * number / (count - 1)))
 
 
 def _apart(x: np.ndarray) -> np.ndarray:
@@ -460,7 +464,7 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     label = axis_label(along, unit)
     ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
     ax.set_ylabel("misfit/σ" if along_height else "(fitted − measured)/σ")
-    reach = max(2.5, 1.15 * float(np.abs(result.residuals).max()))
+    reach = max(3.0, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
     if not along_height:
         ax.legend(**ABOVE)
