@@ -1,4 +1,4 @@
-"""Lines and tables that show objects, the tables in notebooks."""
+"""Numbers, lines and tables that show objects, the tables in notebooks."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -33,6 +33,20 @@ def short(x: Any) -> str:
         text = np.array2string(array, separator=", ", max_line_width=10000, formatter={"float": "{:g}".format})
         return " ".join(text.split()).replace("[ ", "[")
     return f"<{'×'.join(map(str, array.shape))} from {np.nanmin(array):g} to {np.nanmax(array):g}>"
+
+
+def exponent_of(value: float) -> int:
+    """Power of ten with which to write a value; 0 for everyday sizes."""
+    if value == 0:
+        return 0
+    exponent = int(np.floor(np.log10(abs(value))))
+    return 0 if -2 <= exponent < 4 else exponent
+
+
+def format_number(value: float, digits: int = 4) -> str:
+    """``1.955e10`` or ``0.03``: to four digits."""
+    exponent = exponent_of(value)
+    return f"{value / 10.0**exponent:.{digits}g}e{exponent}" if exponent else f"{value:.{digits}g}"
 
 
 def in_a_line(made: Any, *names: str) -> str:

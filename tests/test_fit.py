@@ -167,9 +167,14 @@ def test_plateau_without_domino_is_never_called_converged():
 
 
 def test_bounds_cut_off_the_minimum():
-    result = fit(study(np.array([15.0, 30.0, 60.0]), 0.01, 0.01), bounds=(1e-4, 5e-3))
-    assert result.identifiability is Identifiability.AT_BOUND
-    assert "upper end" in unfolded(result.report())
+    """Far below it nothing fits, which is said before anything else; near it the best fit is the end."""
+    m = study(np.array([15.0, 30.0, 60.0]), 0.01, 0.01)
+    far, near = fit(m, bounds=(1e-4, 5e-3)), fit(m, bounds=(1e-4, 0.0096))
+    assert far.identifiability is Identifiability.POOR_FIT
+    assert "nothing in the range searched (the best fit lies at its upper end)" in unfolded(far.report())
+    assert not any(far.intervals["stiffness"].values())
+    assert near.identifiability is Identifiability.AT_BOUND
+    assert "lies at an end of the range searched; the upper one" in unfolded(near.report())
 
 
 def test_unfinished_search_says_so(monkeypatch):
@@ -459,18 +464,18 @@ def test_panels_take_the_place_of_an_axes():
 
 @pytest.mark.parametrize("name", ["height", "length", "young", "poisson", "correlation_length"])
 def test_budget_is_what_fits_of_moved_inputs_give(name):
-    m, by = read_measurements(PMMA), 0.004
-
-    def stiffness(sign):
-        change = {"poisson": m.poisson + sign * by} if name == "poisson" else {name: getattr(m, name) * (1 + sign * by)}
-        if name == "correlation_length":  # heights and lengths were measured in mm
-            for one in ("height", "length", "length_sigma"):
-                change[one] = getattr(m, one) / (1 + sign * by)
-        return fit(dataclasses.replace(m, **change)).values["areal_stiffness"]
-
+    m = read_measurements(PMMA)
     result = fit(m, "areal_stiffness")
-    moved = np.log(stiffness(1) / stiffness(-1)) / (2 * by)
-    assert result.budget[name].slope["areal_stiffness"] == pytest.approx(moved, rel=0.02)
+    by = {"height": 1.01, "length": 1.01, "young": 1.05, "poisson": -0.02, "correlation_length": 0.5}[name]
+    change = {name: m.poisson + by} if name == "poisson" else {name: getattr(m, name) * by}
+    if name == "correlation_length":  # heights and lengths were measured in mm
+        change |= {one: getattr(m, one) / by for one in ("height", "length", "length_sigma")}
+    moved = fit(dataclasses.replace(m, **change)).values["areal_stiffness"] / result.values["areal_stiffness"]
+    assert abs(np.log(moved)) > 0.02
+    assert result.budget[name].change["areal_stiffness"] == pytest.approx(np.log(moved), rel=1e-3)
+    by_word = {"height": "H larger by 1 %", "poisson": "ν smaller by 0.02", "correlation_length": "λc smaller by a factor 2"}
+    (row,) = section(result.report(), f"  {by_word.get(name, name)}"[2:])[:1] if name in by_word else (f"{moved - 1:+.1%}",)
+    assert f"{moved - 1:+.1%}".replace("%", "") in row
 
 
 def test_inputs_with_errors_of_their_own_are_not_taken_as_exact():
@@ -490,12 +495,12 @@ def test_report_adds_what_usual_errors_of_the_inputs_do():
     report = result.report()
     assert f"{value_with_error(result.values['areal_stiffness'], whole)} " in section(report, "k/λc² (Pa/m)")[0]
     rows = section(report, "What else would move it")
-    moves = [
-        next(row for row in rows if row.startswith(f"  {what} ")).split()[-2] for what in ("E larger", "H larger", "ν larger")
-    ]
-    slope = {name: one.slope["areal_stiffness"] for name, one in result.budget.items()}
-    would = [1.05 ** slope["young"], 1.01 ** slope["height"], np.exp(0.02 * slope["poisson"])]
+    whats = {"young": "E larger by 5 %", "height": "H larger by 1 %", "poisson": "ν smaller by 0.02"}
+    moves = [next(row for row in rows if row.startswith(f"  {what} ")).split()[-2] for what in whats.values()]
+    would = [np.exp(result.budget[name].change["areal_stiffness"]) for name in whats]
     assert [float(x) for x in moves] == pytest.approx([100 * (x - 1) for x in would], abs=0.06)
+    assert result.stderrs_with_inputs == {"areal_stiffness": whole}
+    assert result.to_dict()["stderr_with_inputs"] == {"areal_stiffness": whole}
     assert set(result.to_dict()["budget"]) == set(result.budget)
 
 
@@ -539,8 +544,9 @@ def test_errors_of_specimens_in_the_report():
     assert len(set(points["A ± σ"].get_xdata())) == 2  # repeats do not lie on each other
     # what is not said is named, with what it would add
     row = next(x for x in section(said, "What else") if "model factor of 1.1" in x)
-    by = np.exp(0.1 * result.budget["length"].slope["areal_stiffness"]) - 1
-    assert f"beside an offset, if the lengths were measured (provenance = measured fits it)  {100 * by:+.1f} %" in row
+    factor = fit(table, fixed={"model_factor": 1.1}).values["areal_stiffness"] / result.values["areal_stiffness"]
+    assert f"if the lengths were measured (provenance = measured fits it)  {100 * (factor - 1):+.1f} %" in row
+    assert factor < 0.9
 
 
 def test_soft_lengths_rise_with_stiffness():
@@ -565,4 +571,4 @@ def test_counts_have_no_scale():
     )
     found = fit(m, "areal_stiffness").budget
     assert set(found) == {"height", "young", "poisson", "correlation_length"}
-    assert found["young"].slope["areal_stiffness"] == pytest.approx(1, rel=1e-4)
+    assert found["young"].change["areal_stiffness"] == pytest.approx(np.log(1.05), rel=1e-4)

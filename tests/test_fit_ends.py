@@ -42,7 +42,7 @@ def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     assert aware.deviance < 1e-12
     assert (aware.fitted.status == Outcome.ARRESTED).all()
     assert "; L/H = 4" in aware.report(verbose=True)
-    assert "slider, with the end that is stated, " in unfolded(aware.report())
+    assert "Holds for the paper's slider with the stated end" in unfolded(aware.report())
     assert aware.to_dict()["regime"]["block_length_over_height"] == [4, 4, 4]
     plain = sp.fit(measured(length), intervals="profile")
     assert plain.values["stiffness"] > 2 * TRUTH
@@ -183,11 +183,15 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     assert -0.05 < found.unstated_ends["block_length"]["stiffness"] < 0
     assert -0.4 < found.unstated_ends["machine_stiffness"]["stiffness"] < -0.1
     report = found.report()
-    assert f"slider, longer than {float(f'{4 * decay.max():.2g}'):g} λc, its edge held" in unfolded(report)
+    assert (
+        f"slider, if the tallest is longer than {float(f'{4 * decay.max():.2g}'):g} λc and the edge does not move"
+        in unfolded(report)
+    )
     assert "so this holds only for blocks longer than 4/κ₂ = " in found.report(verbose=True)
     moved = 100 * np.expm1(found.unstated_ends["machine_stiffness"]["stiffness"])
     assert re.search(rf"\n  a machine ten times as stiff as the block +{moved:+.1f} %\n", report)
-    known = sp.fit(dataclasses.replace(plain, block_length=2 * decay, machine_stiffness=100.0), intervals="profile")
+    stated = {"block_length": 2 * decay, "machine_stiffness": 100.0, "provenance": ("synthetic",) * 3}
+    known = sp.fit(dataclasses.replace(plain, **stated), intervals="profile")
     assert known.unstated_ends == {}
     report = known.report(verbose=True)
     assert "3 of 3 blocks are shorter than 4/κ₂ (the shortest " in report

@@ -124,7 +124,7 @@ def test_fit_to_what_the_dense_program_makes():
     result = sp.fit(m, ["stiffness", "strength"])
     assert result.values["areal_stiffness"] == pytest.approx(AREAL, rel=1e-6)
     assert result.values["strength"] == pytest.approx(STRENGTH, rel=1e-6)
-    assert "slip         18 data" in result.report()
+    assert "slip         18 readings" in result.report()
     assert [one.observable for one in result.further] == ["slip", "stress"]
     assert max(np.abs(one.residuals).max() for one in result.further) < 1e-5
     assert len(sp.plot.gauges(result).axes) == 2

@@ -1,7 +1,7 @@
 """Error budget of a fit: shifts of its result with each input, beside the errors of the measured lengths.
 
 An input without a standard error of its own is taken as exact. What that leaves out is found by fitting again, near the best
-fit, with one input moved: that of all measurements alike, as by a wrong ruler or modulus.
+fit, with one input moved by its usual error: that of all measurements alike, as by a wrong ruler or modulus.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import IN_LC, Measurements
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import STIFFNESSES, parameter_set
+from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES, parameter_set
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, Identifiability
 
@@ -26,32 +26,35 @@ class Usual(NamedTuple):
     """An input whose error is rarely stated."""
 
     symbol: str
-    error: float  # usual error, relative except for ν
-    upward: bool = True  # whether H/λc does not fall as it grows
+    error: float  # usual error: of ν itself, else of the logarithm
+    in_words: str
+    smaller: bool = False  # whether it is taken smaller, so that H/λc does not fall below one
+    both: bool = False  # whether it is taken both ways: no body of other proportions is needed
     of_a_specimen: bool = False  # measured separately on each specimen
 
 
 USUAL = {
-    "height": Usual("H", 0.01, of_a_specimen=True),
-    "length": Usual("every length", 0.01),
-    "young": Usual("E", 0.05),
-    "poisson": Usual("ν", 0.02, upward=False),
-    "correlation_length": Usual("λc", float(np.log(2)), upward=False),
-    "push_height": Usual("height of the push", 0.05, of_a_specimen=True),
+    "height": Usual("H", float(np.log1p(0.01)), "1 %", of_a_specimen=True),
+    "length": Usual("every length", float(np.log1p(0.01)), "1 %", both=True),
+    "young": Usual("E", float(np.log1p(0.05)), "5 %", both=True),
+    "poisson": Usual("ν", 0.02, "0.02", smaller=True),
+    "correlation_length": Usual("λc", float(np.log(2)), "a factor 2", smaller=True),
+    "push_height": Usual("height of the push", float(np.log1p(0.05)), "5 %", both=True, of_a_specimen=True),
 }
 """By column: a gauge's reading, the scale of a camera, tables of a material. λc is rarely known to better than a factor 2."""
 
-STEP = 1e-3
-"""Change of an input for a refit, relative except for ν; in the direction in which H/λc does not fall below one."""
-
-WIDEST = 0.05
-"""Largest change for a block, both ways: interpolated lengths bend at nodes, so usual errors up to this are taken whole."""
+SMALL = 1e-3
+"""Part of a usual error from which its effect is extrapolated where the data exclude all of it."""
 
 SUPPOSED = {
     "block_length": ("a block that ends at 4/κ₂", 4.0),
     "machine_stiffness": ("a machine ten times as stiff as the block", 10.0),
+    "provenance": (
+        f"a model factor of {1 + MODEL_ERROR:g}, if the lengths were measured (provenance = measured fits it)",
+        1 + MODEL_ERROR,
+    ),
 }
-"""Assumed where the table states none: description, and value over 1/κ_2 or over the stiffness of the block."""
+"""Assumed where the table states none: description, and value over 1/κ_2, over the stiffness of the block, or of the factor."""
 
 PUSHES = (0.5, 0.25, 0.1)
 """Heights above which a block is assumed to be pushed where the table does not say, over H."""
@@ -66,15 +69,23 @@ BOTH_WAYS = np.array([-1.0, 1.0])
 
 
 class Moved(NamedTuple):
-    """Effect of an error of one input on the fitted parameters."""
+    """Effect of a usual error of one input on the fitted parameters."""
 
-    error: float  # of the input, as in `USUAL`
-    slope: dict[str, float]
-    """By parameter, d ln(parameter)/d ln(input); of ν, and of a parameter of either sign, the change itself."""
+    error: float  # change of the input: of ν itself, else of its logarithm; as in `USUAL`, negative where it is taken smaller
+    change: dict[str, float]  # by parameter: of its logarithm where it is positive, else of the parameter itself
+    """NaN where the data exclude such an error: they are rejected with it."""
+    opposite: dict[str, float]
+    """The same by the opposite error; if not computed, minus the change, or minus that by a small error, extrapolated."""
+
+    def both(self, name: str) -> tuple[float, float]:
+        """Changes of a parameter by the error and its opposite."""
+        change, opposite = self.change[name], self.opposite[name]
+        return (-opposite if np.isnan(change) else change), opposite
 
     def by(self, name: str) -> float:
-        """Change of a parameter, relative where it is positive, if the input is larger by its error."""
-        return self.slope[name] * self.error
+        """Mean change of a parameter with the error."""
+        change, opposite = self.both(name)
+        return (change - opposite) / 2
 
 
 class AsSlider(NamedTuple):
@@ -97,22 +108,32 @@ def budget(result: "FitResult") -> dict[str, Moved]:
         exact = [name for name in exact if name != "length"]
     found = {}
     for name in exact if names else ():
-        if result.parameters.body == "slider":
-            step = STEP if USUAL[name].upward else -STEP
-            each = (_refitted(result, _moved(m, name, step), name, step) - result.theta) / step
-        else:
-            step = min(USUAL[name].error, WIDEST)
-            up, down = (_refitted(result, _moved(m, name, by), name, by) for by in (step, -step))
-            each = (up - down) / (2 * step)
-        found[name] = Moved(USUAL[name].error, {one: float(each[result.parameters.index(one)]) for one in names})
+        error = -USUAL[name].error if USUAL[name].smaller else USUAL[name].error
+        change = _changes(result, _moved(m, name, error), name, error)
+        opposite = {one: -by for one, by in change.items()}
+        if np.isnan(list(change.values())).any():
+            small = _changes(result, _moved(m, name, SMALL * error), name, SMALL * error)
+            opposite = {one: -by / SMALL for one, by in small.items()}
+        elif USUAL[name].both:
+            other = _changes(result, _moved(m, name, -error), name, -error)
+            opposite = {one: opposite[one] if np.isnan(by) else by for one, by in other.items()}
+        found[name] = Moved(error, change, opposite)
     return found
 
 
-def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
-    """Changes of the fitted parameters with a block that ends, and a machine that gives way, as in `SUPPOSED`.
+def _changes(result: "FitResult", m: Measurements, name: str, by: float) -> dict[str, float]:
+    """Changes of the parameters that have a value, for other measurements; NaN where these are rejected or run through."""
+    (theta, deviance), q, dof = _refitted(result, m, name, by), result.parameters, result.testable_dof
+    rejected = dof is not None and chdtrc(dof, deviance - result.problem.perfect) < IMPROBABLE
+    moved = theta - result.theta if np.isfinite(deviance) and not (rejected and name in USUAL) else np.full(len(theta), np.nan)
+    return {one: float(moved[q.index(one)]) for one, verdict in result.verdicts.items() if verdict.identifiability in GIVEN}
 
-    Only of what the table does not state; by column and parameter, relative for a positive parameter. NaN where such a block
-    would be run through. Of lengths of first fronts only: gauges take long to compute again, and whole
+
+def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
+    """Changes of the fitted parameters with a block that ends, a machine that gives way and a model factor, as in `SUPPOSED`.
+
+    Only of what the table does not state; by column and parameter, of the logarithm of a positive parameter. NaN where such a
+    block would be run through. Ends and machines for lengths of first fronts only: gauges take long to compute again, and whole
     events and smooth rules are for blocks without end.
     """
     names = [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
@@ -124,9 +145,10 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
     for name, size in supposed.items() if names and plain else ():
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
             continue
-        ended = dataclasses.replace(m, **{name: SUPPOSED[name][1] * size})
-        moved = _refitted(result, ended, name, 0.0) - result.theta
-        found[name] = {one: float(moved[result.parameters.index(one)]) for one in names}
+        found[name] = _changes(result, dataclasses.replace(m, **{name: SUPPOSED[name][1] * size}), name, 0.0)
+    if "length" in result.budget and not any(m.provenance):
+        shorter = -float(np.log(SUPPOSED["provenance"][1]))  # of lengths and their σ, which is the same
+        found["provenance"] = _changes(result, _moved(m, "length", shorter), "provenance", -shorter)
     return found
 
 
@@ -221,8 +243,9 @@ def total_interval(result: "FitResult", name: str, moved: dict[str, Moved]) -> I
     In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
     """
     pieces = result.intervals.get(name, {}).get(LEVELS[0], [])
-    by, value = float(np.linalg.norm([one.by(name) for one in moved.values()])), result.values[name]
-    if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value):
+    moves = np.array([one.both(name) for one in moved.values()])
+    by, value = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1), result.values[name]
+    if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value).all():
         return None
     ends = np.array(pieces[0][:2])
     if result.parameters.named(name).log:
@@ -238,7 +261,7 @@ def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: dict[str
     Errors of inputs measured on each specimen are independent; the others move both stiffnesses.
     """
     ratio, error = result.stiffness_ratios[labels]
-    if error is None or not all(label in one.slope for one in moved.values() for label in labels):
+    if error is None or not all(label in one.change for one in moved.values() for label in labels):
         return None
     above, below = (np.array([one.by(label) for one in moved.values()]) for label in labels)
     own = np.array([USUAL[name].of_a_specimen for name in moved])
@@ -276,12 +299,12 @@ def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
     return {name: getattr(m, name) / factor for name in names if getattr(m, name) is not None}
 
 
-def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> np.ndarray:
-    """θ of least deviance near the best fit, for other measurements."""
+def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> tuple[np.ndarray, float]:
+    """θ of least deviance near the best fit, for other measurements, and that deviance."""
     sigma = result.problem.blocks[0].data.sigma
-    if name == "correlation_length":
+    if name in ("correlation_length", "provenance"):
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
     q = parameter_set(m, result.parameters.wanted, result.parameters.event, result.parameters.body)
     problem = make_problem(m, q, result.problem.loss, sigma)
     found = minimise(problem, result.theta[None], q.low, q.high)
-    return found.theta[0] if np.isfinite(found.value[0]) else np.full(problem.p, np.nan)
+    return found.theta[0], 2 * float(found.value[0])

@@ -186,7 +186,7 @@ def fit(
         minima=minima,
         best=best,
         deviance=deviance,
-        dof=_testable(problem, scaled),
+        dof=None if scaled else problem.testable(best),
         rise=rise,
         attainable=longest,
         curves=curves,
@@ -264,6 +264,8 @@ def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapp
         if not any(bounded):
             raise ValueError(f"bounds = {bounds}: these are bounds of the stiffness, which is not fitted")
         wanted = [dataclasses.replace(one, bounds=bounds) if own else one for one, own in zip(wanted, bounded, strict=True)]
+    if not isinstance(fixed, Mapping | None):
+        raise TypeError(f"fixed is {type(fixed).__name__}: must be a dict of parameters and values, as {{'poisson': 0.3}}")
     return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
 
 
@@ -301,20 +303,6 @@ def _rise(problem: Problem, scatter: Scatter | None) -> Rise:
     if problem.parameters.discrepancy is not None and dof >= 0:
         return Rise(problem.loss.rise, dof + 1, problem.count)
     return Rise(problem.loss.rise)
-
-
-def _testable(problem: Problem, scaled: bool) -> int | None:
-    """Degrees of freedom, where χ² follows its distribution; None elsewhere.
-
-    Counts without an error cost nothing where they hold. Next to them it is the number of other data, an upper bound.
-    """
-    if scaled or problem.parameters.discrepancy is not None or problem.loss.name != "normal":
-        return None
-    normal = [block.data.kind == "length" for block in problem.blocks]
-    if any((block.data.sigma[~one] > 0).any() for block, one in zip(problem.blocks, normal, strict=True)):
-        return None
-    dof = problem.count - problem.p if problem.exact_values else int(np.sum([one.sum() for one in normal]))
-    return dof if dof > 0 else None
 
 
 class Explored(NamedTuple):

@@ -20,7 +20,7 @@ import numpy as np
 from jax.scipy import special
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.special import digamma, ndtr
+from scipy.special import digamma, erf, ndtr
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
@@ -35,6 +35,9 @@ SHARPEST = 1e-3
 
 EXACT = 1e-12
 """Blur where no slope is needed: the interval itself, to rounding."""
+
+NOTHING = 1e-6
+"""Cost of a count, or of a front without arrest, below which the model meets it."""
 
 LAYOUT = Layout(chunk=128, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
@@ -253,6 +256,7 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
         with np.errstate(divide="ignore"):
             log_scatter = log_discrepancy[:, None] + np.log(np.abs(value))
     columns = _costs(mu, value, data, loss, log_scatter)
+    columns = np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
     variance = data.sigma**2 + np.exp(2 * log_scatter)
     plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
     information = np.where(data.kind == "length", plain, columns[2])
@@ -322,7 +326,40 @@ class Problem:
     @property
     def exact_values(self) -> bool:
         """Whether every datum is a value with an error, none a count or a front without arrest."""
-        return all((block.data.kind == "length").all() for block in self.blocks)
+        return self.known == self.count
+
+    def testable(self, theta: np.ndarray) -> int | None:
+        """Degrees of freedom of the deviance beyond `perfect` at its minimum θ; None where its distribution is not known.
+
+        Of values and priors it is χ², with a degree for each less one for each parameter. That holds beside counts and fronts
+        without arrest too, if these cost nothing at the minimum. If some do, the degrees of freedom are an upper bound: none is
+        subtracted for parameters, and one with an error adds two, since a datum of probability below P occurs with a
+        probability of at most P, so that −2 ln P is at most χ² of two degrees.
+        """
+        if self.parameters.discrepancy is not None or self.loss.name != "normal":
+            return None
+        data, lane = self.blocks[0].data, np.zeros(1, int)  # counts and fronts without arrest are lengths
+        costs = terms(self.predict(theta), data, lane, self.loss, None).value[0]
+        binding = (data.kind != "length") & (costs - self._least > NOTHING)
+        dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
+        return dof if dof > 0 else None
+
+    @property
+    def perfect(self) -> float:
+        """Deviance of data that the model meets: 0, but for counts with an error, since another might have been counted."""
+        return 2 * float(self._least.sum())
+
+    @property
+    def _least(self) -> np.ndarray:
+        """Least cost of each length: that of the middle of a count."""
+        data = self.blocks[0].data
+        between = (data.kind == "whole") & (data.value[0] > 1)
+        return np.where(between, -np.log(erf(1 / (np.sqrt(8) * np.maximum(data.sigma, SHARPEST)))), 0.0)
+
+    @property
+    def known(self) -> int:
+        """Number of values with an error, the priors among them: not of counts and fronts without arrest."""
+        return self.count - int((self.blocks[0].data.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
         """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
@@ -418,6 +455,11 @@ class Problem:
     def plain(self) -> bool:
         """Whether the deviance is a sum of squares: values with known Gaussian errors."""
         return self.exact_values and self.loss.name == "normal" and self.parameters.discrepancy is None
+
+    @property
+    def named_deviance(self) -> str:
+        """``chi-squared``, where it is one."""
+        return "chi-squared" if self.plain else "deviance"
 
     @property
     def only_counts(self) -> bool:

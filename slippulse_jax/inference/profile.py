@@ -34,6 +34,10 @@ class Interval(NamedTuple):
     open_low: bool
     open_high: bool
 
+    def encloses(self, value: float) -> bool:
+        """Whether it is closed, and the value lies inside."""
+        return self.low < value < self.high and not (self.open_low or self.open_high)
+
 
 Intervals = dict[float, list[Interval]]
 """The pieces of an interval, in increasing order, by confidence level."""

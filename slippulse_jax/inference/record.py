@@ -50,6 +50,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "model": {"body": q.body, "event": q.event},
         "values": result.values,
         "stderr": result.stderrs,
+        "stderr_with_inputs": result.stderrs_with_inputs,
         "units": {name: units.get(name, "") for name in result.values},
         "intervals": {
             name: {f"{level:g}": [_ends(piece) for piece in pieces] for level, pieces in by_level.items()}
@@ -89,7 +90,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             "stderr": result.as_slider.stderrs,
             "verdicts": {name: one.name.lower() for name, one in result.as_slider.verdicts.items()},
         },
-        "budget": {name: {"error": moved.error, "slope": moved.slope} for name, moved in result.budget.items()},
+        "budget": {name: moved._asdict() for name, moved in result.budget.items()},
         "unstated_ends": result.unstated_ends,
         "unstated_push": result.unstated_push,
         "next_steps": result.next_steps,
@@ -128,13 +129,17 @@ def changes_of_record(content: dict[str, Any]) -> dict[str, Any]:
         return {name: number(x) for name, x in given.items()}
 
     slider, other = content["as_slider"], None
-    if slider is not None and "verdicts" not in slider:  # version 0.2, which left them out
+    older = any("opposite" not in one for one in content["budget"].values())
+    if older or (slider is not None and "verdicts" not in slider):  # version 0.2, which left them out
         return {}
     if slider is not None:
         verdicts = {name: Identifiability[one.upper()] for name, one in slider["verdicts"].items()}
         other = AsSlider(slider["values"], slider["stderr"], verdicts)
     return {
-        "budget": {name: Moved(one["error"], numbers(one["slope"])) for name, one in content["budget"].items()},
+        "budget": {
+            name: Moved(one["error"], numbers(one["change"]), numbers(one["opposite"]))
+            for name, one in content["budget"].items()
+        },
         "unstated_ends": {name: numbers(moved) for name, moved in content["unstated_ends"].items()},
         "unstated_push": numbers(content["unstated_push"]),
         "next_steps": content["next_steps"],
@@ -208,6 +213,7 @@ def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
         "measured": float(m.length[i]),
         "sigma": float(result.sigma[i]),
         "fitted": float(result.fitted.length[i]),
+        "residual": float(result.residuals[i]),
         "contacts_broken": int(result.fitted.contacts_broken[i]),
         "front_status": Outcome(int(result.fitted.status[i])).name.lower(),
         "attainable": float(result.attainable[i]),

@@ -15,20 +15,31 @@ from slippulse_jax.inference.budget import (
     SUPPOSED,
     USUAL,
     push_is_unstated,
+    shares_errors,
     total,
     total_interval,
     total_of_ratio,
 )
 from slippulse_jax.inference.hints import of_attainable
-from slippulse_jax.inference.measurements import likely_mistakes
-from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES
+from slippulse_jax.inference.measurements import READINGS, Measurements, likely_mistakes
+from slippulse_jax.inference.parameters import STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Identifiability, gravest
-from slippulse_jax.shown import html
+from slippulse_jax.inference.verdict import (
+    GIVEN,
+    GRAVITY,
+    IMPROBABLE,
+    LEVELS,
+    SCATTERED,
+    Identifiability,
+    degrees_of_freedom,
+    gravest,
+)
+from slippulse_jax.shown import exponent_of, format_number, html
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
+    from slippulse_jax.inference.parameters import Free
     from slippulse_jax.inference.result import FitResult
 
 WITHOUT_VALUE = {
@@ -47,12 +58,16 @@ NOTHING_HOLDS = (
 """Verdicts that leave nothing to hold for a body."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
+NONE = 1e-6
+"""Change of a prestress, or of another number of either sign, that is none."""
 MANY = 3.0
 """Factor from which on a change is given as one instead of in per cent."""
 WIDEST, TIED = 110, "\u00a0"
 """Characters of the longest sentence in the box, and the space at which it is not folded."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
+ALIKE = 0.05
+"""Difference of two deviances below which the report prefers neither point."""
 MOST_ROOTS = 4
 """Largest number of points that fit that are listed."""
 MOST_RATIOS = 6
@@ -103,52 +118,105 @@ def methods(result: "FitResult") -> str:
     ]
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + _range(m.height * scale)
     held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
-    obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {'; '.join(_verdicts(result))}"
-    if not given:
-        errors = ""
-    elif moved:
-        usual = ", ".join(f"{USUAL[name].symbol} ({_usual(name)})" for name in moved)
-        errors = f" The error contains usual errors of {usual}; it does not contain that of the model."
-    else:
-        errors = " The error does not contain that of the model."
-    tested = f" (χ² = {result.deviance:.3g} for {_plural(result.testable_dof or 0, 'degree')} of freedom)"
-    return (
-        f"From {_plural(len(m), _measured_as(result))} of first precursors at {heights} "
-        f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with {body}, "
-        f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).{errors}"
+    shown, verdict = _shown(result), "; ".join(_verdicts(result))
+    ends = [f"{shown[name]} = {_ends(result, name)}" for name in result.names if any(result.intervals.get(name, {}).values())]
+    obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {verdict}"
+    if ends and not given:
+        obtained = f"the 95 % interval is {', and '.join(ends)}, without a best value: {verdict}"
+    errors = []
+    if given and moved:
+        usual = ", ".join(f"{USUAL[name].symbol} ({USUAL[name].in_words})" for name in moved)
+        errors.append(f"The error contains usual errors of {usual}.")
+    if given and (fitted := _priors(result)):
+        errors.append(f"Fitted with it: {', '.join(fitted)}.")
+    if given and not shares_errors(result):
+        errors.append("The error does not contain that of the model.")
+    sign = "χ²" if result.problem.plain else "deviance"
+    tested = f" ({sign} = {result.misfit:.3g} for {degrees_of_freedom(result.problem, result.testable_dof)})"
+    return " ".join(
+        [
+            f"From {_data(result)} of first precursors at {heights} "
+            f"{m.unit[1]}, fitted by maximum likelihood{tested * (result.p_value is not None)} with {body}, "
+            f"{', '.join([*constants, *held])}, {obtained} (slippulse_jax {version('slippulse_jax')}).",
+            *errors,
+        ]
     )
+
+
+def _data(result: "FitResult") -> str:
+    """``6 lengths``, ``2 counts and 16 readings``."""
+    counts = {_measured_as(result): len(result.measurements)}
+    for one in result.further:
+        kind = "reading" if one.observable in READINGS else one.observable
+        counts[kind] = counts.get(kind, 0) + len(one.value)
+    return _listed([_plural(count, kind) for kind, count in counts.items()])
+
+
+def _priors(result: "FitResult", *names: str) -> list[str]:
+    """Inputs, offset and model factor fitted beside, each with its prior: ``offset = 0 ± 0.5 mm``."""
+    nuisance = [one for one in result.parameters.free if one.nuisance and one.name != "arrest"]
+    beside = [one for one in nuisance if one.name in names] if names else nuisance
+    return list(dict.fromkeys(f"{one.symbol} = {_prior(result, one)}" for one in beside))  # what specimens share, once
+
+
+def _prior(result: "FitResult", one: "Free") -> str:
+    """``0 ± 0.5 mm``, a length in the unit of the table."""
+    size, unit = _in_its_unit(result, one)
+    mean = one.value(one.prior_mean)
+    return f"{value_with_error(mean * size, one.prior_sigma * size * (mean if one.log else 1))} {unit}".rstrip()
+
+
+def _in_its_unit(result: "FitResult", one: "Free") -> tuple[float, str]:
+    """Unit in which to show a parameter: that of the table for heights and an offset."""
+    m = result.measurements
+    if one.unit != "m" or one.name == "correlation_length" or m.correlation_length is None:
+        return 1.0, one.unit
+    return float(m.unit[0][0] / m.correlation_length[0]), m.unit[1]
 
 
 def value_in_words(result: "FitResult", name: str) -> str:
     """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``: with usual errors of inputs first."""
     whole, own = _errors(result, name)
-    one, alone = result.parameters.named(name), f"; {own} {_alone(result)}" if whole else ""
-    return f"{_shown(result)[name]} = {whole or own} {one.unit}".rstrip() + alone
+    unit, alone = _in_its_unit(result, result.parameters.named(name))[1], f"; {own} {_alone(result)}" if whole else ""
+    return f"{_shown(result)[name]} = {whole or own} {unit}".rstrip() + alone
 
 
 def _alone(result: "FitResult") -> str:
-    stated = any(one.nuisance for one in result.parameters.free)
-    return "from lengths and stated errors" if stated else "from the lengths alone"
+    """State what the errors without those of inputs taken as exact come from."""
+    free = result.parameters.free
+    beside = {one.name for one in free if one.nuisance} - {"arrest"}
+    other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
+    other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in free if not one.nuisance)
+    other += ["stated errors"] * bool(beside - {"offset", "model_factor"})
+    other += ["errors of measuring"] * bool(beside & {"offset", "model_factor"})
+    return f"from {_listed(['lengths', *other])} alone" if other else "from the lengths alone"
+
+
+def _listed(texts: list[str]) -> str:
+    """``a, b and c``."""
+    return ", ".join(texts[:-1]) + " and " * (len(texts) > 1) + texts[-1]
 
 
 def _errors(result: "FitResult", name: str) -> tuple[str, str]:
     """A value with the usual errors of inputs, empty where there are none to add, and without them."""
     pieces, moved = result.intervals.get(name, {}).get(LEVELS[0], []), result.budget
-    own = _with_error(result, name, result.stderrs[name], pieces[0] if len(pieces) == 1 else None)
-    if not moved or not all(name in one.slope for one in moved.values()):
-        return "", own
-    return _with_error(result, name, total(result, name, moved), total_interval(result, name, moved)), own
+    own = result.stderrs[name], pieces[0] if len(pieces) == 1 else None
+    if not moved or not all(name in one.change for one in moved.values()):
+        return "", _with_error(result, name, *own, uneven=_uneven(result, name, *own, UNEVEN))
+    whole = total(result, name, moved), total_interval(result, name, moved)
+    uneven = _uneven(result, name, *whole, UNEVEN_TOTAL) or _uneven(result, name, *own, UNEVEN)
+    return _with_error(result, name, *whole, uneven=uneven), _with_error(result, name, *own, uneven=uneven)
+
+
+def _uneven(result: "FitResult", name: str, error: float | None, piece: Interval | None, most: float) -> bool:
+    """Whether an interval differs from value ± standard error by more than a part of the error, or stands without one."""
+    by = _sides(result.values[name], error, piece)
+    return by is None or max(abs(x - 1) for x in by) > most
 
 
 def _measured_as(result: "FitResult") -> str:
     kinds = set(result.measurements.kind)
     return "length" if kinds == {"length"} else "count" if kinds == {"whole"} else "measurement"
-
-
-def _usual(name: str) -> str:
-    """The usual error of an input in words."""
-    error = USUAL[name].error
-    return {"poisson": f"{error:g}", "correlation_length": "a factor 2"}.get(name, f"{100 * error:g} %")
 
 
 # --- the box ------------------------------------------------------------------------------------------------------------
@@ -173,7 +241,8 @@ def _boxed(lines: list[str]) -> list[str]:
 
 def _sentences(*texts: str) -> list[str]:
     """Begin each text with a capital letter, unless it is a symbol, and end it with a full stop."""
-    return [(text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".") + "." for text in texts if text]
+    begun = [(text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".") for text in texts if text]
+    return [text + "." * (not text.endswith("?")) for text in begun]
 
 
 def _values(result: "FitResult") -> list[str]:
@@ -181,10 +250,8 @@ def _values(result: "FitResult") -> list[str]:
     moved, shown = result.budget, _shown(result)
     rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for name in result.names:
-        one, by_level = result.parameters.named(name), result.intervals.get(name, {})
-        narrow, value = _narrowest(by_level), result.values[name]
-        ends = " or ".join(interval(piece, value, narrow) for piece in by_level.get(LEVELS[-1], []))
-        rows.append([shown[name] + f" ({one.unit})" * bool(one.unit), *_errors(result, name), ends or "none"])
+        unit = _in_its_unit(result, result.parameters.named(name))[1]
+        rows.append([shown[name] + f" ({unit})" * bool(unit), *_errors(result, name), _ends(result, name)])
     for labels, ratio in _shown_ratios(result).items():
         own = value_with_error(ratio, result.stiffness_ratios[labels][1])
         rows.append([_over(labels), value_with_error(ratio, total_of_ratio(result, labels, moved)) if moved else "", own, ""])
@@ -192,17 +259,36 @@ def _values(result: "FitResult") -> list[str]:
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
-def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None) -> str:
+def _ends(result: "FitResult", name: str) -> str:
+    """The 95 % interval of a parameter, in its pieces."""
+    size = _in_its_unit(result, result.parameters.named(name))[0]
+    by_level = {level: [_scaled(piece, size) for piece in own] for level, own in result.intervals.get(name, {}).items()}
+    narrow, value = _narrowest(by_level), result.values[name] * size
+    return " or ".join(interval(piece, value, narrow) for piece in by_level.get(LEVELS[-1], [])) or "none"
+
+
+def _scaled(piece: Interval, size: float) -> Interval:
+    return piece._replace(low=piece.low * size, high=piece.high * size)
+
+
+def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None, *, uneven: bool) -> str:
     """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
-    value, verdict = result.values[name], result.verdicts[name].identifiability
-    if piece is not None and verdict in GIVEN and not (piece.open_low or piece.open_high) and piece.low < value < piece.high:
-        by, most = _sides(value, error, piece), UNEVEN if error == result.stderrs[name] else UNEVEN_TOTAL
-        if by is None or max(abs(x - 1) for x in by) > most:
-            return value_with_sides(value, value - piece.low, piece.high - value)
-    several = verdict is Identifiability.SEVERAL_ROOTS
-    if several and all(root.stderrs[name] is None for root in result.roots):  # ranges of equal values
+    verdict, size = result.verdicts[name].identifiability, _in_its_unit(result, result.parameters.named(name))[0]
+    value, error = result.values[name] * size, None if error is None else error * size
+    piece = None if piece is None else _scaled(piece, size)
+    if uneven and piece is not None and piece.encloses(value) and verdict in GIVEN:
+        return value_with_sides(value, value - piece.low, piece.high - value)
+    if verdict is not Identifiability.SEVERAL_ROOTS:
+        return WITHOUT_VALUE.get(verdict) or value_with_error(value, error)
+    if not _points(result):
         return WITHOUT_VALUE[Identifiability.EQUAL]
-    return WITHOUT_VALUE.get(verdict) or value_with_error(value, error) + " (best of several)" * several
+    alike = sum(root.deviance < result.deviance + ALIKE for root in result.roots)
+    return f"{value_with_error(value, error)} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
+
+
+def _points(result: "FitResult") -> bool:
+    """Whether what fits are several points, not ranges of values that fit equally."""
+    return len(result.roots) > 1 and any(error is not None for root in result.roots for error in root.stderrs.values())
 
 
 def _verdicts(result: "FitResult") -> Iterator[str]:
@@ -223,22 +309,24 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
     longest = float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}")
     ended, machine = q.inputs.log_sites is not None, q.inputs.log_machine is not None
     if q.body == "block":
-        body = f"a block under two-dimensional elasticity, longer than {longest:g} {unit}, its pusher held"
-        if "force" in m.push_control:
-            body = body.replace("its pusher held", "pushed as stated")
+        body, still = "a block under two-dimensional elasticity", "the pusher" * ("force" not in m.push_control)
     else:
-        end = "with the end that is stated" if ended else f"longer than {longest:g} {unit}"
-        edge = "pushed through the machine that is stated" if machine else "its edge held"
-        body = f"the paper's slider, {end}, {edge}"
-    fronts = {"crack": " with crack-like fronts", "full": ""}.get(q.event, " under the smooth break rule" * q.smooth)
+        stated = ["end"] * ended + ["machine"] * machine
+        body = "the paper's slider" + f" with the stated {' and '.join(stated)}" * bool(stated)
+        still = "the edge" * (not machine)
+    needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest:g} {unit}"] * (not ended)
+    needed += [f"{still} does not move during the event"] * bool(still)
+    body += f", if {' and '.join(needed)}" * bool(needed)
+    fronts = {"crack": "crack-like fronts", "full": "whole events" * (q.body == "slider")}
+    with_ = fronts.get(q.event, "the smooth break rule" * q.smooth)
     tried = result.identifiability in NOTHING_HOLDS
-    yield f"{'tried with' if tried else 'holds for'} {body}, and for uniform thresholds{fronts}"
+    yield f"{'tried with' if tried else 'holds for'} {body}, with uniform thresholds" + f" and {with_}" * bool(with_)
     ratio = result.unstated_push.get(NARROW_PUSHER)
     if push_is_unstated(result):
         found = [x for x in result.unstated_push.values() if not math.isnan(x)]
-        none = ", or none" * (len(found) < len(result.unstated_push))
-        has = f"{min(found):.2g} to {max(found):.2g} times this{none}, by" if found else "another stiffness, which depends on"
-        yield f"a real block has {has} where its side is pushed"
+        none = ", or none fits" * (len(found) < len(result.unstated_push))
+        factor = f"{min(found):.2g} to {max(found):.2g} times this{none}" if found else "another"
+        yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
     if ratio is not None:
         suffix = f"_{unit}" * m.in_si
         would = "no stiffness fits these lengths" if math.isnan(ratio) else f"the stiffness is about {ratio:.2g} times as large"
@@ -258,8 +346,9 @@ def html_of(result: "FitResult") -> str:
         symbol, unit = shown.get(name, ("k/K", ""))
         by_level = result.intervals.get(name, {})
         ends = [" or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) for pieces in by_level.values()]
-        rows.append((symbol, value_with_error(value, result.stderrs[name]), *(ends or ["", ""]), unit))
-    heads = ("", "value", *(f"{level:.0%} interval" for level in LEVELS), "unit")
+        whole, own = _errors(result, name) if name in result.verdicts else ("", value_with_error(value, result.stderrs[name]))
+        rows.append((symbol, whole or own, own, *(ends or ["", ""]), unit))
+    heads = ("", "with usual errors of inputs", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
     m = result.measurements
     said = [result.reason, f"{_plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
     return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in said if text))
@@ -343,11 +432,10 @@ def _inputs(result: "FitResult") -> list[str]:
     each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
     rows, shown = [f"  also fitted, within their errors{each}:"], _shown(result)
     for one, t, pull in pulls:
-        stated = value_with_error(
-            one.value(one.prior_mean), one.prior_sigma * (float(np.exp(one.prior_mean)) if one.log else 1)
+        fitted = format_number(one.value(t) * _in_its_unit(result, one)[0], 5)
+        rows.append(
+            f"    {shown[one.label]}: stated {_prior(result, one)}, fitted {fitted} ({pull:+.2f} σ)".replace("-0.00", "+0.00")
         )
-        fitted = format_number(one.value(t), 5)
-        rows.append(f"    {shown[one.label]}: stated {stated} {one.unit}".rstrip() + f", fitted {fitted} ({pull:+.2f} σ)")
     return rows
 
 
@@ -365,7 +453,7 @@ def _correlations(result: "FitResult") -> list[str]:
 
 def _roots(result: "FitResult") -> list[str]:
     """Tabulate the points that fit, where there are several, with their own errors."""
-    if len(result.roots) < 2:
+    if not _points(result):
         return []
     keep = "points" if len(result.names) > 1 else "values"
     option = result.measurements.option("--bounds LOW HIGH", "bounds=(low, high)")
@@ -387,20 +475,22 @@ def _quality(result: "FitResult") -> str:
     """State what was fitted, how well, and the size of the errors that was used."""
     m, scaled = result.measurements, result.scaled
     specimens = len(set(m.specimen))
-    data = f"from {_plural(len(m), _measured_as(result))} of {Path(m.source).name}"
+    data = f"from {_data(result)} of {Path(m.source).name}"
     data += f" on {specimens} specimens" * (specimens > 1)
-    name = "chi-squared" if result.problem.plain else "deviance"
+    name = result.problem.named_deviance
     if scaled and result.identifiability is Identifiability.NO_SCATTER:
         return f"{data}: no scatter from which to take the size of their errors"
     if scaled:
         size = f": {_scatter(result)}" if m.length_sigma is None else ""
         return f"{data}: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
-    if result.identifiability is Identifiability.POOR_FIT and result.problem.plain:
+    if result.identifiability is Identifiability.POOR_FIT:
         return data  # the verdict has the rest
-    tested, least = "", f"{round(result.deviance, 9):.3g}"  # no rounding errors
+    tested, least = "", f"{round(result.misfit, 9):.3g}"  # no rounding errors
     if result.p_value is not None:
-        degrees = _plural(result.testable_dof or 0, "degree") + " of freedom"
-        tested = f"{name} {least} for {degrees} ({_probability(result.p_value).replace(' ', TIED)})"
+        degrees = degrees_of_freedom(result.problem, result.testable_dof)
+        bound = "at most " * degrees.startswith("at most")
+        p = _probability(result.p_value).replace("= ", f"= {bound}").replace(" ", TIED)
+        tested = f"{name} {least}{_of_priors(result)} for {degrees} ({p})"
     elif not result.problem.plain:
         return data  # counts and limits that hold cost nothing
     elif result.dof > 0:
@@ -412,6 +502,13 @@ def _quality(result: "FitResult") -> str:
     if (m.stated_sigma > 0).any():
         used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
     return f"{data}: {tested}{used}"
+
+
+def _of_priors(result: "FitResult") -> str:
+    """``, 1.02 of it from stated errors``: the part of χ² that no residual shows."""
+    problem = result.problem
+    part = float((problem.prior_weight * (result.theta - problem.prior_mean[0]) ** 2).sum())
+    return f" ({part:.3g} of it from inputs fitted within their errors)" if f"{part:.2f}" != "0.00" else ""
 
 
 def _regime(result: "FitResult") -> str:
@@ -468,9 +565,9 @@ def _table(result: "FitResult") -> list[str]:
             [
                 f"{numbers[i]} {m.specimen[i]}" if several else str(numbers[i]),
                 f"{m.height[i] * scale[i]:.6g}{push}",
-                _measured(m.kind[i], m.length[i] * scale[i], result.sigma[i] * scale[i] * known),
+                _measured(m, i, result.sigma[i] * scale[i] * known),
                 f"{fitted.length[i] * scale[i]:.5g}",
-                f"{result.residuals[i]:+.2f}".replace("-0.00", "+0.00"),
+                _residual(result, i),
             ]
         )
     return _aligned(rows, str.rjust)
@@ -490,7 +587,7 @@ def _further(result: "FitResult") -> list[str]:
     for one in result.further:
         worst = int(np.argmax(np.abs(one.residuals)))
         rows.append(
-            f"  {one.observable:12s} {_plural(len(one.residuals), 'datum').replace('datums', 'data')}, "
+            f"  {one.observable:12s} {_plural(len(one.residuals), 'reading')}, "
             f"chi-squared {(one.residuals**2).sum():.3g}; "
             f"worst at {one.places[worst]}: (fit-meas)/σ = {one.residuals[worst]:+.2f}"
         )
@@ -504,7 +601,7 @@ class _Change(NamedTuple):
     """A row: what might be otherwise, and the effect on each parameter in words."""
 
     what: str
-    size: float  # largest effect, as a logarithm; inf where nothing fits, −1 where it is not computed
+    size: float  # of the largest effect, as it is printed: `_size`; inf where nothing fits, −1 where it is not computed
     effects: dict[str, str]
 
 
@@ -515,7 +612,9 @@ def _changes(result: "FitResult") -> list[str]:
     if not names:
         return []
     shown = _shown(result)
-    rows = [["What else would move it", *(f"{shown[name]} would be" for name in names)]]
+    rows = [["What else would move it", f"{shown[names[0]]} would be"]]
+    if len(names) > 1:
+        rows = [["What else would move it, and to what", *(shown[name] for name in names)]]
     rows += [[f"  {one.what}", *(one.effects.get(name, "") for name in names)] for one in found]
     return _aligned(rows, str.ljust, indent="")
 
@@ -529,42 +628,44 @@ def _stiff(result: "FitResult") -> list[str]:
     return [name for name in _given(result) if result.parameters.named(name).name in STIFFNESSES]
 
 
-def _effects(result: "FitResult", moved: dict[str, float]) -> tuple[float, dict[str, str]]:
-    """The largest relative change, and all in words; of a positive parameter the change is that of its logarithm."""
+def _effects(result: "FitResult", moved: dict[str, float], none: str) -> tuple[float, dict[str, str]]:
+    """The size of the largest change, and all in words; of a positive parameter the change is that of its logarithm."""
     words, size = {}, 0.0
     for name, by in moved.items():
-        log = result.parameters.named(name).log
-        words[name] = "run through" if math.isnan(by) else _times(math.exp(by)) if log else f"{by:+.2g}"
-        size = max(size, math.inf if math.isnan(by) else abs(by) if log else 0.0)
+        if math.isnan(by):
+            words[name], size = none, math.inf
+        elif result.parameters.named(name).log:
+            words[name], size = _times(math.exp(by)), max(size, _size(math.exp(by)))
+        else:
+            words[name] = f"{by:+.2g}" if abs(by) > NONE else "0"
     return size, words
+
+
+def _size(ratio: float) -> float:
+    """Size of a change by a factor, in the order of what `_times` prints: per cent, then factors."""
+    return abs(ratio - 1) if 1 / MANY < ratio < MANY else max(ratio, 1 / ratio)
 
 
 def _times(ratio: float) -> str:
     """``+5.0 %``, ``× 5.7``, or that nothing fits."""
     if math.isnan(ratio):
         return "none fits"
-    return f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {ratio:.2g}"
+    text = f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {ratio:.2g}"
+    return text[1:] if text[1:] == "0.0 %" else text
 
 
 def _of_inputs(result: "FitResult") -> Iterator[_Change]:
-    """Usual errors of inputs taken as exact, and the model's own error of measured lengths whose provenance is not stated."""
+    """Usual errors of inputs taken as exact."""
     for name, one in result.budget.items():
-        error = one.error if name in ("poisson", "correlation_length") else math.log1p(one.error)  # ν, and a logarithm
-        yield _Change(
-            f"{USUAL[name].symbol} larger by {_usual(name)}", *_effects(result, {j: x * error for j, x in one.slope.items()})
-        )
-    moved = result.budget.get("length")
-    if moved is not None and not any(result.measurements.provenance):
-        effects = _effects(result, {name: slope * MODEL_ERROR for name, slope in moved.slope.items()})
-        more = "" if result.scaled else " beside an offset"
-        what = f"a model factor of {1 + MODEL_ERROR:g}{more}, if the lengths were measured (provenance = measured fits it)"
-        yield _Change(what, *effects)
+        usual = USUAL[name]
+        what = f"{usual.symbol} {'smaller' if usual.smaller else 'larger'} by {usual.in_words}"
+        yield _Change(what, *_effects(result, one.change, "none fits"))
 
 
 def _of_ends(result: "FitResult") -> Iterator[_Change]:
-    """An end of the block and a soft machine, where the table states none; both lengthen the front."""
+    """An end of the block and a soft machine, which lengthen the front, and a model factor, where the table states none."""
     for name, moved in result.unstated_ends.items():
-        yield _Change(SUPPOSED[name][0], *_effects(result, moved))
+        yield _Change(SUPPOSED[name][0], *_effects(result, moved, "run through"))
     if result.parameters.body == "block" and (given := _given(result)):
         force = ", or a pusher of which the force is held" * (not result.measurements.push_control)
         yield _Change(f"an end of the block, a machine that gives way{force}", -1.0, dict.fromkeys(given, "not computed"))
@@ -575,7 +676,7 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
     stiff, unit = _stiff(result), f"_{result.measurements.unit[1]}" * result.measurements.in_si
     if result.unstated_push and stiff:
         ratios = result.unstated_push.values()
-        size = max(math.inf if math.isnan(ratio) else abs(math.log(ratio)) for ratio in ratios)
+        size = max(math.inf if math.isnan(ratio) else _size(ratio) for ratio in ratios)
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         if result.parameters.body == "slider":
             what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
@@ -583,11 +684,11 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
         yield _Change(what, size, dict.fromkeys(stiff, factors))
     elif push_is_unstated(result) and stiff:
         what = f"a real block (column push_height{unit} fits one)"
-        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed beside an offset or a model factor"))
+        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed"))
     if result.parameters.event != "crack" and stiff:  # not studied for crack-like fronts
-        effect = " to ".join(f"{1 / (1 - share):.2g}" for share in SCATTERING)
-        size = -math.log(1 - SCATTERING[0])
-        yield _Change("thresholds that scatter by 5 % between contacts", size, dict.fromkeys(stiff, f"× {effect}"))
+        least, most = (1 / (1 - share) for share in SCATTERING)
+        what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
+        yield _Change(what, _size(most), dict.fromkeys(stiff, f"× {least:.2g} to {most:.2g}"))
     if result.parameters.body == "block" and stiff:
         slider = result.as_slider
         if slider is None:
@@ -596,7 +697,7 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
         ratios = {name: slider.values[name] / result.values[name] for name in stiff if name in slider.values}
         verdicts = dict.fromkeys(slider.verdicts[name].value for name in ratios)
         what = "the paper's slider" + f" ({'; '.join(verdicts)})" * (list(verdicts) != [Identifiability.IDENTIFIED.value])
-        size = max((abs(math.log(ratio)) for ratio in ratios.values()), default=0.0)
+        size = max(map(_size, ratios.values()), default=0.0)
         yield _Change(what, size, {name: _times(ratio) for name, ratio in ratios.items()})
 
 
@@ -610,46 +711,43 @@ def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
     return f"{interval(piece, result.values[name])} {unit}".rstrip()
 
 
-def _measured(kind: str, length: float, sigma: float) -> str:
+def _measured(m: Measurements, i: int, sigma: float) -> str:
+    """``14.03 ± 0.5``, ``> 30``, or ``5 contacts``, in the unit of the table."""
     error = f" ± {sigma:.2g}" if sigma > 0 else ""
-    if kind == "whole":
-        return f"{length:.5g} counted{error}"
-    return f"{'> ' if kind == 'at_least' else ''}{length:.5g}{error}"
+    length = f"{m.length[i] * m.unit[0][i]:.5g}{error}"
+    if m.kind[i] == "whole":
+        return f"{length} ({m.length[i]:g} contacts)" if m.in_si else f"{m.length[i]:g}{error} contacts"
+    return f"{'> ' if m.kind[i] == 'at_least' else ''}{length}"
 
 
-def _exponent(value: float) -> int:
-    """Power of ten with which to write a value; 0 for everyday sizes."""
-    if value == 0:
-        return 0
-    exponent = int(np.floor(np.log10(abs(value))))
-    return 0 if -2 <= exponent < 4 else exponent
+def _residual(result: "FitResult", i: int) -> str:
+    """(fitted − measured)/σ; of a count or a front without arrest that the model meets, that it holds."""
+    off, m = result.residuals[i], result.measurements
+    if m.kind[i] != "length" and off == 0:
+        return "holds"
+    text = f"{off:+.2f}".replace("-0.00", "+0.00")
+    return text if result.sigma[i] > 0 else f"off by {text} λc"
 
 
 def value_with_error(value: float, error: float | None) -> str:
     """``(1.955 ± 0.032)e10``: the error to two digits, the value to the same place; the value to four without one."""
     if error is None or not 0 < error < np.inf:
         return format_number(value)
-    exponent = _exponent(value)
+    exponent = exponent_of(value)
     scaled, scaled_error = value / 10.0**exponent, error / 10.0**exponent
-    digits = max(0, 1 - int(np.floor(np.log10(scaled_error))))
-    text = f"{scaled:.{digits}f} ± {scaled_error:.{digits}f}"
+    digits = 1 - int(np.floor(np.log10(scaled_error)))
+    text = " ± ".join(f"{round(x, digits):.{max(0, digits)}f}" for x in (scaled, scaled_error))
     return f"({text})e{exponent}" if exponent else text
 
 
 def value_with_sides(value: float, below: float, above: float) -> str:
     """``(9.2 -1.9 +2.5)e10``: the smaller side to two digits, value and the other side to the same place."""
-    exponent = _exponent(value)
+    exponent = exponent_of(value)
     numbers = [x / 10.0**exponent for x in (value, below, above)]
     digits = max(0, 1 - int(np.floor(np.log10(min(numbers[1:])))))
     middle, down, up = (f"{x:.{digits}f}" for x in numbers)
     text = f"{middle} ± {down}" if down == up else f"{middle} -{down} +{up}"
     return f"({text})e{exponent}" if exponent else text
-
-
-def format_number(value: float, digits: int = 4) -> str:
-    """``1.955e10`` or ``0.03``, written as `value_with_error` writes it."""
-    exponent = _exponent(value)
-    return f"{value / 10.0**exponent:.{digits}g}e{exponent}" if exponent else f"{value:.{digits}g}"
 
 
 def interval(piece: Interval, near: float | None = None, width: float = 0.0) -> str:
@@ -660,10 +758,10 @@ def interval(piece: Interval, near: float | None = None, width: float = 0.0) -> 
         return f"below {format_number(piece.high)}"
     if piece.open_high:
         return f"above {format_number(piece.low)}"
-    exponent = _exponent(piece.low if near is None else near)
+    exponent = exponent_of(piece.low if near is None else near)
     own = int(np.floor(np.log10(max(abs(piece.low), abs(piece.high), 1e-300))))
     if not -3 <= own - exponent <= 3:  # far from the value, as at the second root
-        exponent, width = _exponent(piece.high), 0.0
+        exponent, width = exponent_of(piece.high), 0.0
     low, high = piece.low / 10.0**exponent, piece.high / 10.0**exponent
     # two digits of half a width, as of a standard error, and never more than six in all
     half = (width / 10.0**exponent or high - low) / 2
@@ -694,8 +792,11 @@ def _details(result: "FitResult") -> list[str]:
     for name, value in result.values.items():
         one, by_level = shown.get(name), result.intervals.get(name, {})
         symbol, unit = (_symbol(name, one.symbol), one.unit) if one else ("k/K", "")
-        verdict = result.verdicts.get(name, result.verdicts[gravest(result.verdicts)]).identifiability
-        text = WITHOUT_VALUE.get(verdict) or f"{value_with_error(value, result.stderrs[name])} {unit}".rstrip()
+        if name in result.verdicts:
+            text = f"{_errors(result, name)[1]} {unit}".rstrip()
+        else:
+            verdict = result.verdicts[gravest(result.verdicts)].identifiability
+            text = WITHOUT_VALUE.get(verdict) or value_with_error(value, result.stderrs[name])
         rows.append(f"    {symbol} = {text}")
         for level, pieces in by_level.items():
             text = " or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) or "none"
@@ -721,8 +822,7 @@ def _searched(result: "FitResult") -> list[str]:
         low, high = (format_number(one.value(x), 2) for x in (one.low, one.high))
         prior = ""
         if math.isfinite(one.prior_sigma):
-            mean = one.value(one.prior_mean)
-            prior = f"; prior {value_with_error(mean, one.prior_sigma * (mean if one.log else 1))}"
+            prior = f"; prior {_prior(result, one)}"
         top = f" (k/K up to {stiffest:.3g})" if "areal" in one.name else ""
         rows.append(f"  range   {_symbol(one.label, one.symbol)} from {low} to {high} {one.unit}".rstrip() + top + prior)
     return rows
@@ -751,8 +851,6 @@ def notes(result: "FitResult") -> Iterator[str]:
             "is that of the first front alone"
         )
     yield from _of_short_blocks(result)
-    for message in result.unconverged:
-        yield f"a start {message}"
 
 
 def _of_short_blocks(result: "FitResult") -> Iterator[str]:
@@ -795,7 +893,7 @@ def _of_data(result: "FitResult") -> Iterator[str]:
             "an offset and a model factor that they share are" if "offset" in beside else "a model factor that they share is"
         )
         yield (
-            f"as the lengths were measured, {shared} fitted too, with the priors shown; "
+            f"as the lengths were measured, {shared} fitted too ({', '.join(_priors(result, 'offset', 'model_factor'))}); "
             f"{option} leaves the errors of the lengths alone"
         )
     if m.in_si and m.young is None:
@@ -808,7 +906,7 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
     if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
-        factor = np.sqrt(result.deviance / (result.testable_dof or 1))
+        factor = np.sqrt(result.misfit / (result.testable_dof or 1))
         relative = result.measurements.option("--sigma relative", 'sigma="relative"')
         yield (
             f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.bayes import posterior
 from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
-from slippulse_jax.inference.budget import AsSlider, Moved, budget, unstated_ends, unstated_push
+from slippulse_jax.inference.budget import AsSlider, Moved, budget, total, unstated_ends, unstated_push
 from slippulse_jax.inference.hints import next_steps
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import READINGS, Measurements
@@ -197,6 +197,11 @@ class FitResult:
         return found
 
     @property
+    def stderrs_with_inputs(self) -> dict[str, float | None]:
+        """Standard errors with usual errors of inputs taken as exact (`budget`): those to publish; None as in `stderrs`."""
+        return {name: total(self, name, self.budget) for name in self.names}
+
+    @property
     def correlations(self) -> dict[tuple[str, str], float]:
         """Correlations between fitted parameters (of their θ); empty where the information is singular."""
         if self.covariance is None:
@@ -244,8 +249,10 @@ class FitResult:
 
     @functools.cached_property
     def regime(self) -> Regime:
-        """Find b and 1/κ_2 of each measurement at the best fit."""
-        return regime(self.parameters.inputs_at(self.theta))
+        """Find b and 1/κ_2 of each measurement at the best fit; lengths in λc of the table, where λc is fitted too."""
+        q = self.parameters
+        found, contact = regime(q.inputs_at(self.theta)), np.exp(q.scales["position"](self.theta))
+        return found._replace(slow_decay_length=found.slow_decay_length * contact)
 
     @property
     def block_length_over_height(self) -> np.ndarray | None:
@@ -310,8 +317,13 @@ class FitResult:
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a χ² at least this large if model and σ are right; None where χ² tests nothing."""
-        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.deviance))
+        """Probability of so large a misfit if model and σ are right, or its upper bound; None where none is known."""
+        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.misfit))
+
+    @property
+    def misfit(self) -> float:
+        """Deviance beyond that of data which the model meets: χ² for plain lengths."""
+        return self.deviance - self.problem.perfect
 
     @property
     def residuals(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from slippulse_jax.inference.model import recursion_status
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.profile import Curve, Interval, Intervals, Rise
 from slippulse_jax.inference.search import SLACK, Minimum
+from slippulse_jax.shown import format_number
 from slippulse_jax.status import Outcome
 
 LEVELS = (0.6827, 0.95)
@@ -87,6 +88,11 @@ class Evidence:
     closest: float | None  # relative distance of the lengths from the fit, where it is too small to be scatter
     at_odds: list[int] | None  # for exact counts: those at odds with the others
 
+    @property
+    def misfit(self) -> float:
+        """Deviance beyond that of a perfect fit."""
+        return self.deviance - self.problem.perfect
+
     @functools.cached_property
     def roots(self) -> list[Minimum]:
         """Minima not excluded at 95 %."""
@@ -98,9 +104,9 @@ def judge(j: int, evidence: Evidence) -> Verdict:
     tests = (
         _lost,
         _nothing_responds,
+        _misfit,
         _everything_allowed,
         _at_an_end,
-        _misfit,
         _singular,
         _beyond_maximum,
         _no_scatter,
@@ -124,13 +130,13 @@ def trusted(j: int, verdict: Verdict, evidence: Evidence) -> Intervals:
         return dict.fromkeys(intervals, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
         # where the data lie far above the maximum, the rise measures the misfit
-        probability = float(chdtrc((evidence.dof or 0) + 1, evidence.deviance))
+        probability = float(chdtrc((evidence.dof or 0) + 1, evidence.misfit))
         return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
     return intervals
 
 
 def _lost(j: int, e: Evidence) -> Verdict | None:
-    return Verdict(Identifiability.NOT_CONVERGED, e.lost[0]) if e.lost else None
+    return Verdict(Identifiability.NOT_CONVERGED, f"a start {e.lost[0]}") if e.lost else None
 
 
 def _nothing_responds(j: int, e: Evidence) -> Verdict | None:
@@ -151,13 +157,26 @@ def _everything_allowed(j: int, e: Evidence) -> Verdict | None:
 def _misfit(j: int, e: Evidence) -> Verdict | None:
     if _above_maximum(e):
         return None  # `_beyond_maximum` is more precise
-    if e.dof and chdtrc(e.dof, e.deviance) < IMPROBABLE:
+    if _improbable(e):
+        end = _end(j, e)
+        at = f" (the best fit lies at its {end} end)" if end else ""
         return Verdict(
             Identifiability.POOR_FIT,
-            f"chi-squared is {e.deviance:.3g} for {e.dof} degree{'s' * (e.dof > 1)} of freedom: with the stated σ nothing in "
-            "the range searched gives these measurements, so no uncertainty is given",
+            f"{e.problem.named_deviance} is {e.misfit:.3g} for {degrees_of_freedom(e.problem, e.dof)}: with the stated σ "
+            f"nothing in the range searched{at} gives these measurements, so no uncertainty is given",
         )
     return None
+
+
+def _improbable(e: Evidence) -> bool:
+    return e.dof is not None and float(chdtrc(e.dof, e.misfit)) < IMPROBABLE
+
+
+def degrees_of_freedom(problem: Problem, dof: int | None) -> str:
+    """``5 degrees of freedom``; ``at most 5`` where `Problem.testable` gives a bound."""
+    count = dof or 0
+    bound = "at most " * (count > problem.known - problem.p)
+    return f"{bound}{count} degree{'s' * (count != 1)} of freedom"
 
 
 def _no_scatter(j: int, e: Evidence) -> Verdict | None:
@@ -188,28 +207,34 @@ def _above_maximum(e: Evidence) -> bool:
 def _beyond_maximum(j: int, e: Evidence) -> Verdict | None:
     if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
         return None
-    block = e.problem.blocks[0]
-    longest = float(np.max(block.data.value[0] / e.attainable))
+    over = e.problem.blocks[0].data.value[0] / e.attainable
+    worst = int(np.argmax(over))
     return Verdict(
         Identifiability.AT_MAXIMUM,
-        f"the measured length is {longest:.3g} times the longest that a stiffness in the range searched gives; {UNCHANGED}",
+        f"{e.measurements.number(worst)} is {over[worst]:.3g} times the longest that a stiffness in the range searched gives; "
+        + UNCHANGED,
     )
 
 
 def _at_an_end(j: int, e: Evidence) -> Verdict | None:
+    end = _end(j, e)
+    if end == "lower" and j == e.problem.parameters.discrepancy:
+        return Verdict(Identifiability.ONE_SIDED, "the data need none: it is bounded from above only")
+    return Verdict(Identifiability.AT_BOUND, f"the {end} one") if end else None
+
+
+def _end(j: int, e: Evidence) -> str:
+    """The end of the range searched at which the best fit lies; empty if at neither."""
     q = e.problem.parameters
     reach = 1e-6 * (q.high[j] - q.low[j])
-    for end, at in (("lower", q.low[j]), ("upper", q.high[j])):
-        if abs(e.best[j] - at) <= reach:
-            if j == q.discrepancy and end == "lower":
-                return Verdict(Identifiability.ONE_SIDED, "the data need none: it is bounded from above only")
-            return Verdict(Identifiability.AT_BOUND, f"the best fit lies at the {end} end of the range searched")
-    return None
+    ends = {"lower": q.low[j], "upper": q.high[j]}
+    return next((end for end, at in ends.items() if abs(e.best[j] - at) <= reach), "")
 
 
 def _open(j: int, e: Evidence) -> Verdict | None:
     if any(piece.open_low or piece.open_high for piece in e.profiled[j][LEVELS[-1]]):
-        return Verdict(Identifiability.ONE_SIDED, "the data bound it on one side only")
+        lower = e.profiled[j][LEVELS[-1]][0].open_low
+        return Verdict(Identifiability.ONE_SIDED, "from above" if lower else "from below")
     return None
 
 
@@ -222,7 +247,7 @@ def _not_alone(j: int, e: Evidence) -> Verdict | None:
     apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > near]
     if len(apart) > 1:
         joined = "; the interval joins them" if len(pieces) == 1 else ""
-        named = " and ".join(f"{value:.4g}" for value in apart)
+        named = " and ".join(map(format_number, apart))
         return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named} {one.unit}".rstrip() + joined)
     return None
 
@@ -277,7 +302,7 @@ def _another_valley(j: int, e: Evidence) -> Verdict | None:
     far = 5 * np.sqrt(best.covariance[j, j])
     for other in e.minima[1:]:
         if other.deviance <= e.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
-            value = f"{one.value(other.theta[j]):.4g} {one.unit}".rstrip()
+            value = f"{format_number(one.value(other.theta[j]))} {one.unit}".rstrip()
             worse = other.deviance - e.deviance
             return Verdict(
                 Identifiability.SKEWED,
@@ -293,11 +318,13 @@ def _breaks_again(j: int, e: Evidence) -> Verdict | None:
         return None
     value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
     inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
-    again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1).any(axis=1)
+    own = np.any([one.slope[:, j] != 0 for one in q.inputs if one is not None], axis=0)  # rows that depend on the parameter
+    rows = np.flatnonzero(own) if own.any() else slice(None)
+    again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1)[:, rows].any(axis=1)
     if not again.any():
         return None
     share = "everywhere in the 95 % interval" if again.all() else "within the 95 % interval"
-    b = np.exp(inputs.log_b).max()
+    b = np.exp(inputs.log_b)[:, rows].max()
     return Verdict(
         Identifiability.REBREAKS,
         f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "
@@ -310,22 +337,22 @@ def _counted(e: Evidence) -> Verdict:
     m, one, pieces = e.measurements, e.problem.parameters.free[0], e.profiled[0][LEVELS[-1]]
     if not pieces:
         at_odds = e.at_odds or []
-        where = ", ".join(m.place(i) for i in at_odds)
-        others = "the others agree without" if len(at_odds) < len(m) else "nor any one of them:"
-        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives all counts; {others} {where}")
+        where = ", ".join(m.number(i) for i in at_odds)
+        without = f"all counts; without {where} the others agree" if len(at_odds) < len(m) else "any of the counts"
+        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives {without}")
     if len(pieces) > 1:
         return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(one, pieces)}")
     (piece,) = pieces
     if piece.open_low and piece.open_high:
         return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
     if piece.open_low or piece.open_high:
-        return Verdict(Identifiability.ONE_SIDED, "the counts bound it on one side only")
+        return Verdict(Identifiability.ONE_SIDED, "from above" if piece.open_low else "from below")
     return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
 
 
 def _ranges(one: Free, pieces: list[Interval]) -> str:
-    each = " and ".join(f"{one.value(piece.low):.4g} to {one.value(piece.high):.4g}" for piece in pieces)
-    return f"{each} {one.unit}".rstrip()
+    each = (" to ".join(format_number(one.value(x)) for x in (piece.low, piece.high)) for piece in pieces)
+    return f"{' and '.join(each)} {one.unit}".rstrip()
 
 
 def gravest(verdicts: dict[str, Verdict]) -> str:
