@@ -168,6 +168,14 @@ def test_what_is_not_found_is_one_line_and_exit_3(arguments, monkeypatch, in_thi
     assert last.endswith(Outcome.NOT_CONVERGED.message)
 
 
+def test_a_search_that_does_not_converge_is_reported_with_exit_3(tmp_path, in_this_process):
+    request = tmp_path / "one_step.toml"
+    request.write_text("max_steps = 1\n")
+    done = in_this_process("fit", PMMA, "--request", str(request))
+    assert "The search did not converge" in done.stdout
+    assert done.returncode == 3
+
+
 def test_fit_reports_and_draws(tmp_path):
     figure = tmp_path / "fit.svg"
     done = slippulse("fit", PMMA, "--figure", str(figure))

@@ -158,9 +158,13 @@ def test_information_too_small_to_invert_is_none():
     assert not undetermined_axes(np.array([[1e-3]])).any()
 
 
-def test_plateau_without_domino_is_never_called_converged():
-    """Bounds inside the region where no domino starts: ℓ = 0 and flat, so nothing is fitted there."""
-    result = fit(Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1), bounds=(1e-9, 1e-4))
+def test_plateau_without_domino_is_never_called_converged(monkeypatch):
+    """Where no domino starts ℓ is 0 and flat: bounds there are refused, and the search itself finds nothing."""
+    m = Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1)
+    with pytest.raises(ValueError, match="no domino starts at k/K from 1e-09 to 0.0001; expected within"):
+        fit(m, bounds=(1e-9, 1e-4))
+    monkeypatch.setattr("slippulse_jax.inference.parameters._check_reached", lambda *_: None)
+    result = fit(m, bounds=(1e-9, 1e-4))
     assert result.roots == []
     assert result.stderrs["stiffness"] is None
     assert result.identifiability is not Identifiability.IDENTIFIED

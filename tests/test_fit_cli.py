@@ -53,6 +53,13 @@ def test_pictures(tmp_path):
         (["--request", "none.toml"], "none.toml: No such file"),
         (["--sigma", "relative", "--intervals", "calibrated"], "calibrated intervals need absolute standard errors"),
         (["--case"], "--case says how --bootstrap draws"),
+        (["--json", "--verbose"], "--verbose adds to the report, and --json prints none"),
+        (["--json", "--methods"], "--methods adds to the report, and --json prints none"),
+        (["--fix", "poisson=3"], r"poisson = 3 means ν = 3 for some measurement: must lie in \(-1, 0.5\]: Poisson's ratio ν"),
+        (["--prior", "young=3,0.1"], r"Error: young = 3 Pa, where young_GPa says 3e\+09 Pa: .*; is it in GPa\?"),
+        (["--fix", "young=3"], r"Error: young = 3 Pa, where young_GPa says 3e\+09 Pa: .*; is it in GPa\?"),
+        (["--range", "young=1,5"], r"Error: young = 1 to 5 Pa, where young_GPa says 3e\+09 Pa: .*; is it in GPa\?"),
+        (["--bounds", "10", "30"], r"no domino starts at k/K from 3\.333e-14 to 1e-13; expected within \S+ to \S+ Pa/m"),
         (["--loss", "huber", "--posterior", "10"], "a posterior needs a likelihood"),
         (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),
     ],
@@ -71,6 +78,14 @@ def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
     done = CliRunner().invoke(command, [str(path)])
     assert done.stderr.startswith("before fitting: 1 of 2 lengths lie within 3% of the longest attainable")
     assert run("--free", "stiffness", "--json").stderr == ""
+
+
+def test_a_prior_in_the_unit_of_the_table_is_said_before_the_fit():
+    """It can be fitted, so that it is a warning."""
+    done = run("--free", "stiffness", "--free", "height", "--prior", "height=25,1", "--intervals", "profile")
+    assert done.exit_code == 0, done.output
+    hint = "height = 25 m, where height_mm says 0.025 m: priors, bounds and held values are in m; is it in mm?"
+    assert f"before fitting: {hint}\n" in done.stderr
 
 
 def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):

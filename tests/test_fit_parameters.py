@@ -526,12 +526,85 @@ def test_contacts_broken_are_those_of_the_front_itself():
 
 @pytest.mark.parametrize("body", ["slider", "block"])
 def test_bounds_of_the_ratio_on_a_table_in_si_are_refused(body):
-    """k/K given where Pa/m are meant: the message has the unit, what is expected, and the value that was meant."""
+    """k/K given where Pa/m are meant: the message has the unit, what is expected, and the value that was meant.
+
+    Of a slider 10 to 30 Pa/m too, where at most the first contact breaks, and a prior or a held value in k/K.
+    """
     name = {"slider": "pmma_block", "block": "pushed_block"}[body]
     m = read_measurements(Path(__file__).resolve().parent.parent / f"fit_examples/{name}/lengths.csv")
     low, high = (1e9, 1e12)
-    for given in ({"bounds": (1e-5, 1e-2)}, {"free": [Parameter("stiffness", bounds=(1e-5, 1e-2))]}):
-        with pytest.raises(ValueError, match=r"are taken in Pa/m: no domino starts below .* expected within \S+ to \S+ Pa/m"):
+    for given in (
+        {"bounds": (1e-5, 1e-2)},
+        {"free": [Parameter("stiffness", bounds=(1e-5, 1e-2))]},
+        {"bounds": (10, 30)},
+        {"free": [Parameter("stiffness", prior=(1e-3, 1e-4))]},
+        {"free": "poisson", "fixed": {"areal_stiffness": 1e-3}},
+    ):
+        with pytest.raises(ValueError, match=r"in Pa/m: no domino starts at k/K .* expected within \S+ to \S+ Pa/m") as refused:
             fit(m, **given)
+        assert ("(k/K = " in str(refused.value)) == ("(10, 30)" not in str(refused.value))
     result = fit(m, bounds=(low, high), intervals="profile")
     assert low < result.values["areal_stiffness"] < high
+
+
+def test_bounds_are_refused_where_no_domino_starts_and_only_there(monkeypatch):
+    """Too soft and too stiff; not where a prestress that is fitted lengthens fronts, nor where a single contact was counted."""
+
+    def searched(*_, **__):
+        raise AssertionError("searched")
+
+    for name in ("_explore", "_between_contacts"):
+        monkeypatch.setattr(f"slippulse_jax.inference.fit.{name}", searched)
+    m = Measurements([15.0, 25.0], 0.3, [9.0, 25.0], 0.5)
+    exact = model(m.height, 6e-6)
+    assert 0 < exact.max() < 1 < model(m.height, 2e-5).max()
+    for bounds in ((1e-9, 1e-7), (1e-7, 6e-6), (300.0, 900.0)):
+        with pytest.raises(ValueError, match="no domino starts at k/K from .* expected within"):
+            fit(m, bounds=bounds)
+    counted = dataclasses.replace(m, length=np.array([1.0, 2.0]), kind=["whole"] * 2)
+    for given, free, bounds in (
+        (m, "stiffness", (1e-7, 2e-5)),
+        (m, ["stiffness", "prestress"], (1e-7, 6e-6)),
+        (m, ["stiffness", Parameter("height", bounds=(15.0, 60.0))], (1e-7, 6e-6)),
+        (dataclasses.replace(m, height=np.array([15.0, 50.0])), "stiffness", (1e-7, 6e-6)),
+        (counted, "stiffness", (1e-7, 6e-6)),
+    ):
+        with pytest.raises(AssertionError, match="searched"):
+            fit(given, free, bounds=bounds)
+
+
+def test_a_force_without_strength_names_its_column_and_what_to_give(tmp_path):
+    path = tmp_path / "force.csv"
+    path.write_text(
+        "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm,force_N_per_mm,force_sigma_N_per_mm\n"
+        "25,10,0.3,3,14,0.5,40,2\n50,10,0.3,3,34,0.5,60,2\n"
+    )
+    said = "column force_N_per_mm: what it states scales with σ_s: fit strength too, or hold it at its value in Pa: "
+    with pytest.raises(ValueError, match="scales with σ_s") as refused:
+        fit(path, ["stiffness", "poisson"])
+    free = 'free=["stiffness", "poisson", "strength"]'
+    command = "--free stiffness --free poisson --free strength"
+    assert str(refused.value) == f"{path}, {said}{command}, in Python {free}"
+    with pytest.raises(ValueError, match="scales with σ_s") as refused:
+        fit(dataclasses.replace(read_measurements(path), lines=()), [Parameter("areal_stiffness")])
+    assert str(refused.value).endswith(': free=["stiffness", "strength"]')
+
+
+@pytest.mark.parametrize(
+    ("held", "message"),
+    [
+        ({"poisson": 3}, r"^poisson = 3 means ν = 3 for some .*: Poisson's ratio ν; give another value$"),
+        ({"height": 0.5}, r"^height = 0.5 means H/λc = 0.5 for some .*; give another value$"),
+        (
+            {"young": 1e8, "areal_stiffness": 1e40},
+            r"^young = 1e\+08 and areal_stiffness = 1e\+40 means k/K = 1e\+27 for some .*; give another value$",
+        ),
+    ],
+)
+def test_a_held_value_outside_the_domain_is_named(held, message):
+    m = Measurements([20.0, 36.0], 0.3, [10.0, 20.0], 1.0)
+    free = "stiffness"
+    if "young" in held:
+        m, free = dataclasses.replace(m, correlation_length=np.full(2, 1e-5), young=np.full(2, 3e8)), "prestress"
+    with pytest.raises(ValueError, match=message):
+        parameter_set(m, [free, *(Parameter(name, value=value) for name, value in held.items())])

@@ -234,7 +234,7 @@ def test_bad_tables_are_refused(tmp_path, gauges, lengths, message):
 
 
 def test_without_strength_readings_mean_nothing():
-    with pytest.raises(ValueError, match=r"reading of a gauge, which scales with σ_s: fit strength too, or hold it"):
+    with pytest.raises(ValueError, match=r"gauges: what gauges read scales with σ_s: fit strength too, or hold it"):
         sp.fit(table())
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -11,8 +10,9 @@ from reports import unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.hints import of_attainable
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning
-from slippulse_jax.inference.parameters import Parameter
+from slippulse_jax.inference.parameters import Parameter, mistaken_priors
 from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
@@ -157,7 +157,56 @@ def test_a_prior_in_the_unit_of_the_table_is_named():
         height=[0.025, 0.05], correlation_length=1e-5, poisson=0.3, length=[0.014, 0.0362], length_sigma=5e-4, young=3e9
     )
     with (
-        pytest.warns(MeasurementWarning, match=r"young = 3 Pa, where young says 3e\+09 Pa: is it in Pa\?"),
-        suppress(ValueError),
+        pytest.warns(MeasurementWarning, match=r"young = 3 Pa, where young says 3e\+09 Pa: .* in Pa; is it in GPa\?"),
+        pytest.raises(ValueError, match=r"^young = 3 Pa, where young says 3e\+09 Pa"),
     ):
         sp.fit(table, [Parameter("areal_stiffness"), Parameter("young", prior=(3, 0.2))])
+
+
+@pytest.mark.parametrize(
+    ("one", "hint"),
+    [
+        (Parameter("height", prior=(25, 1)), "height = 25 m, where height says 0.025 m: .*; is it in mm?"),
+        (Parameter("height", prior=(2.5, 0.1)), "is it in cm?"),
+        (Parameter("height", value=25e-6), "height = 2.5e-05 m"),
+        (Parameter("push_height", bounds=(4, 6)), "push_height = 4 to 6 m, where push_height says 0.005 m: .*; is it in mm?"),
+        (Parameter("correlation_length", prior=(10, 1)), "correlation_length = 10 m, .*; is it in um?"),
+        (Parameter("young", value=3), "is it in GPa?"),
+        (Parameter("height", prior=(0.03, 0.001)), None),
+        (Parameter("correlation_length", value=1e-4), None),
+        (Parameter("young", bounds=(1e9, 1e10)), None),
+        (Parameter("poisson", value=0.4), None),
+    ],
+)
+def test_numbers_in_another_unit_than_si_are_named(one, hint):
+    table = sp.Measurements.from_si(
+        height=[0.025, 0.05], correlation_length=1e-5, poisson=0.3, length=[0.014, 0.0362], young=3e9, push_height=0.005
+    )
+    said = list(mistaken_priors(table, [Parameter("stiffness", bounds=(1e-4, 1)), one]))
+    assert len(said) == (hint is not None)
+    assert hint is None or re.search(hint.replace("?", r"\?"), said[0])
+
+
+def test_without_a_correlation_length_heights_are_in_its_units():
+    table = Measurements(height=[25.0, 50.0], poisson=0.3, length=[14.0, 36.0])
+    (said,) = mistaken_priors(table, [Parameter("height", prior=(0.025, 1e-3))])
+    assert said == "height = 0.025 λc, where height says 25 λc: priors, bounds and held values are in λc"
+
+
+def test_lengths_that_nothing_reaches_and_a_single_one():
+    """Where no domino starts no length is so many times the longest; one length is no "1 of 1 lengths"."""
+    two = Measurements(height=[25.0, 50.0], poisson=0.3, length=[14.0, 36.0], length_sigma=0.5)
+    (said,) = of_attainable(two, np.array([0.0, 0.0]))
+    assert said.startswith("2 lengths lie more than σ above the longest")
+    assert said.endswith("worst at measurement 0: 14 λc, where no domino starts")
+    (said,) = of_attainable(two, np.array([1.0, 0.0]))
+    assert said.endswith("worst at measurement 1: 36 λc, where no domino starts")
+    (said,) = of_attainable(Measurements(25.0, 0.3, 26.2, 0.3), np.array([26.3]))
+    assert said.startswith("the length lies within 3% of the longest attainable, where it constrains stiffness little")
+
+
+def test_no_block_is_suggested_where_the_table_states_what_one_cannot_take():
+    """Of the lengths that suggest one otherwise (`test_a_trend_in_height`)."""
+    length = lengths(0.004, prestress=0.3) + NOISE
+    _, steps = rejected(length, block_length=1e5)
+    assert not any("push_height" in step for step in steps)

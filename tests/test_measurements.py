@@ -293,10 +293,15 @@ def test_a_gauge_is_of_a_whole_row(row):
         Gauges(row=[row], position=[1.0], slip=[0.1], slip_sigma=[0.01])
 
 
-@pytest.mark.parametrize(("table", "got"), [(pd.Series({"height": 20.0}), "Series"), ({"height": [20.0]}, "dict")])
-def test_what_is_no_dataframe_is_named(table, got):
-    with pytest.raises(TypeError, match=rf"table is {got}: must be a pandas.DataFrame: pandas.DataFrame\(…\) makes one"):
-        from_dataframe(table)
+def test_what_is_no_dataframe_is_named():
+    """With what makes one: of a single row it is not `pandas.DataFrame(row)`, which makes one column."""
+    table = pd.DataFrame({"height": [20.0], "poisson": 0.3, "length": 14.0})
+    with pytest.raises(TypeError, match=r"table is dict: must be a pandas.DataFrame: pandas.DataFrame\(…\) makes one of it$"):
+        from_dataframe(table.to_dict("list"))
+    row = table.iloc[0]
+    with pytest.raises(TypeError, match=r"table is Series: must be a pandas.DataFrame: series.to_frame\(\).T makes one of it$"):
+        from_dataframe(row)
+    assert from_dataframe(row.to_frame().T).length == from_dataframe(table).length
 
 
 def test_an_optional_column_of_blanks_is_as_if_absent():

@@ -103,7 +103,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.hints import before_fit
     from slippulse_jax.inference.measurements import MeasurementWarning
-    from slippulse_jax.inference.parameters import event_and_body
+    from slippulse_jax.inference.parameters import event_and_body, mistaken_priors
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.tables import read_measurements
 
@@ -114,7 +114,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         settings = from_request(_with_options(request, options))
         event, body = event_and_body(measurements, settings.get("event"), settings.get("body"))
         prestressed = any(one.name == "prestress" for one in settings["free"])
-        for warning in before_fit(measurements, event, body, prestressed=prestressed):
+        likely = before_fit(measurements, event, body, prestressed=prestressed)
+        for warning in (*likely, *mistaken_priors(measurements, settings["free"])):
             click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)  # printed above
@@ -162,11 +163,14 @@ def _draw(result: "FitResult", samples: dict[str, Any], options: dict[str, Any])
 
 
 def _check(options: dict[str, Any]) -> None:
-    """Check for options that need another one."""
+    """Check that the options go together."""
     if options["gauge_figure"] and not options["gauges"]:
         raise click.UsageError("--gauge-figure needs --gauges")
     if options["case"] and not options["bootstrap"]:
         raise click.UsageError("--case says how --bootstrap draws: give --bootstrap COUNT too")
+    for name in ("verbose", "methods"):
+        if options["as_json"] and options[name]:
+            raise click.UsageError(f"--{name} adds to the report, and --json prints none: give one of them")
 
 
 def _with_options(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:

@@ -78,11 +78,11 @@ def main() -> None:
     _print_in_any_encoding()
     warnings.showwarning = lambda message, *_: click.echo(f"Warning: {message}", err=True)
     try:
-        slippulse.main(standalone_mode=False)
+        status = slippulse.main(standalone_mode=False)  # of ctx.exit; None where a command ran to its end
         if sys.stdout is not None:
             sys.stdout.flush()
-    except click.exceptions.Exit as leaving:
-        sys.exit(leaving.exit_code)
+        if status:
+            sys.exit(status)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)

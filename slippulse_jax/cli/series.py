@@ -87,7 +87,7 @@ def command(
             click.echo(to_csv(found), nl=False)
     click.echo(status.message, err=True)
     if status == SeriesStatus.LIMIT:
-        raise SystemExit(NOT_CONVERGED)
+        click.get_current_context().exit(NOT_CONVERGED)
 
 
 def _check(step: float | None, spring: float | None, newborn: float | None, recovery: float | None) -> None:

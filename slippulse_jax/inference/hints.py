@@ -11,6 +11,7 @@ from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.model import longest_length
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import (
+    NOT_OF_BLOCKS,
     STIFFNESSES,
     Body,
     Inputs,
@@ -55,22 +56,24 @@ def of_attainable(
     lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
     above = lowest > attainable
     if above.any():
-        i = int(np.argmax(m.length / attainable))
+        i = int(np.argmin(attainable / m.length))
         count = int(above.sum())
+        reached = "where no domino starts"
+        if attainable[i] > 0:
+            reached = f"{m.length[i] / attainable[i]:.3g} times the longest attainable, {m.in_its_unit(i, attainable[i])}"
         yield (
             f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest that a stiffness in the range "
-            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {m.length[i] / attainable[i]:.3g} times "
-            f"the longest attainable, {m.in_its_unit(i, attainable[i])}"
+            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {reached}"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any() and event != "crack":
         poisson = m.poisson[plateau][0]
         ceiling = float(length_ceiling(poisson))
         of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
-        yield (
-            f"{int(plateau.sum())} of {len(m)} lengths lie within {1 - PLATEAU:.0%} of the longest attainable, where they "
-            f"constrain stiffness little{of_slider}"
-        )
+        some, they = f"{int(plateau.sum())} of {len(m)} lengths lie", "they constrain"
+        if len(m) == 1:
+            some, they = "the length lies", "it constrains"
+        yield f"{some} within {1 - PLATEAU:.0%} of the longest attainable, where {they} stiffness little{of_slider}"
 
 
 def next_steps(result: "FitResult") -> list[str]:
@@ -121,9 +124,10 @@ def _shared(result: "FitResult") -> Iterator[str]:
 
 
 def _of_a_block(result: "FitResult") -> list[str]:
-    """Suggest a block, where the table does not say at what height its side is pushed."""
+    """Suggest a block, where the table says neither at what height its side is pushed nor what a fit of a block refuses."""
     m = result.measurements
-    if m.push_height is not None:
+    refused = any(getattr(m, name) is not None for name in NOT_OF_BLOCKS) or m.or_zero("threshold_slope").any()
+    if m.push_height is not None or refused:
         return []
     unit = f"_{m.unit[1]}" * m.in_si
     return [f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.units import machine_ratio
+from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS, machine_ratio
 
 MeasuredEvent = Literal["domino", "full", "crack"]
 """What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
@@ -34,8 +34,8 @@ PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
 """Deviation of a prior, over the mean, below which it must have been given in another unit."""
-FAR = 100.0
-"""Factor between a parameter and the value in the table above which a unit is suspected."""
+FAR = 50.0
+"""Factor between a parameter and the value in the table above which a unit is suspected: m and cm are 100 apart."""
 
 
 class Inputs(NamedTuple):
@@ -342,6 +342,8 @@ ARREST = (0.5, 12**-0.5)
 HEIGHTS = ("height", "push_height")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
+NOT_OF_BLOCKS = ("displacement", "force", "gauges", "block_length", "machine_stiffness")
+"""What measurements may state beside lengths, and a fit of a block cannot take."""
 MODEL_ERROR = 0.1
 """Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
 elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/validity.md."""
@@ -507,8 +509,6 @@ class _Builder:
         # a height is fitted as one factor on all of its rows, and shown as the height of the first
         self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
         low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
-        if name in STIFFNESSES and parameter.bounds is not None:
-            _check_unit(self, parameter, rows, float(reference[0]))
         prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
         if kind.log:
             low, high = np.log(low), np.log(high)
@@ -562,7 +562,8 @@ class _Builder:
             event=self.event,
             wanted=wanted,
         )
-        _check_domain(result)
+        _check_domain(self.m, result)
+        _check_reached(self, result)
         return result
 
 
@@ -660,21 +661,37 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
-def _check_unit(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> None:
-    """Refuse bounds far below every stiffness at which a domino starts: they are in another unit, probably values of k/K."""
-    assert parameter.bounds is not None
-    (low, high), per_unit = parameter.bounds, ratio_per_unit(builder.m)[rows].max()
-    least = softest(builder.m)[rows].min()
-    if high * per_unit > least:
+def _check_reached(builder: _Builder, q: ParameterSet) -> None:
+    """Refuse bounds, a prior or a value of the stiffness at which no domino starts: probably in another unit.
+
+    That is, where no measurement is of more than the contact at the edge, whatever the other parameters searched.
+    """
+    from slippulse_jax.inference.model import lengths  # which takes `Inputs`
+
+    m, name = builder.m, stiffness_name(builder.m)
+    one = next(one for one in q.wanted if one.name in ("stiffness", name))
+    key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
+    if key is None or m.length.min() <= 1:
         return
-    lowest, highest = _default_bounds(builder, replace(parameter, bounds=None, prior=None), rows, reference)
-    in_si = builder.m.correlation_length is not None
-    unit = PARAMETERS[parameter.name].unit[in_si]
-    taken = f" are taken in {unit}" * in_si
+    reach = {each: _reach(q, getattr(q.inputs, each)) for each in q.inputs.names}
+    easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
+    low, high = reach["log_stiffness"]
+    some = np.flatnonzero(high > np.log(softest(m)))
+    from_, to = np.maximum(low, np.log(softest(m)))[some], high[some]
+    rows = Inputs(**easiest).of_front.take(some)
+    for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
+        at = rows._replace(log_stiffness=from_ + share * (to - from_))
+        if (lengths(at, event="full" if q.body == "block" else "domino").value > 1).any():
+            return
+    lowest, highest = _default_bounds(builder, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
+    lowest *= 1 if builder.smooth or q.body == "block" else 100  # the default range of sliders begins where none starts
+    in_si, numbers = m.correlation_length is not None, np.atleast_1d(getattr(one, key))
+    unit, ratio = PARAMETERS[name].unit[in_si], numbers[0] / ratio_per_unit(m).max()
+    shown = ", ".join(f"{x:g}" for x in numbers)
     raise ValueError(
-        f"bounds = ({low:g}, {high:g}) of {parameter.name}{taken}: no domino starts below k/K = {least:.2g}, and they reach to "
-        f"{high * per_unit:.2g}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
-        + f" (k/K = {high:g} is {high / per_unit:.2g} {unit})" * in_si
+        f"{key} = {f'({shown})' if key != 'value' else shown} of {name}{f', in {unit}' * in_si}: no domino starts at k/K "
+        f"{_span(np.exp(low.min()), np.exp(high.max()))}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
+        + f" (k/K = {numbers[0]:g} is {ratio:.2g} {unit})" * bool(in_si and numbers[0] <= STIFFEST)
     )
 
 
@@ -701,7 +718,7 @@ def ratio_per_unit(m: Measurements) -> np.ndarray:
     return m.correlation_length if m.young is None else m.correlation_length / m.young
 
 
-def _check_domain(parameters: ParameterSet) -> None:
+def _check_domain(m: Measurements, parameters: ParameterSet) -> None:
     """Check that no limit leads outside the domain of the model."""
     limits = {
         "log_height": (0.0, np.inf, "H/λc", "must exceed 1"),
@@ -718,20 +735,33 @@ def _check_domain(parameters: ParameterSet) -> None:
         "push_force": (0.0, 1.0, "", ""),
     }
     for name in parameters.inputs.names:
-        base, slope = getattr(parameters.inputs, name)
-        down, up = np.minimum(slope, 0), np.maximum(slope, 0)
-        reach = [
-            float((base + up @ parameters.low + down @ parameters.high).min()),
-            float((base + up @ parameters.high + down @ parameters.low).max()),
-        ]
+        linear = getattr(parameters.inputs, name)
+        least, most = _reach(parameters, linear)
+        reach = [float(least.min()), float(most.max())]
         low, high, symbol, requirement = limits[name]
         if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
+            acting = [one for one in parameters.wanted if name in PARAMETERS[one.name].acts]
+            if mistaken := "; ".join(mistaken_priors(m, acting)):
+                raise ValueError(mistaken)
             shown = [np.exp(x) if name.startswith("log") else x for x in reach]
-            moving = " and ".join(one.label for one, by in zip(parameters.free, slope.any(axis=0), strict=True) if by)
+            moving = " and ".join(one.label for one, by in zip(parameters.free, linear.slope.any(axis=0), strict=True) if by)
+            held = " and ".join(f"{one} = {x:g}" for one, x in parameters.held.items() if name in PARAMETERS[one].acts)
+            searched = f"the range searched for {moving}" + f" with {held}" * bool(held) if moving else held
             raise ValueError(
-                f"the range searched for {moving} means {symbol} from {shown[0]:g} to {shown[1]:g} for some measurement: "
-                f"{requirement}; give other bounds or another prior"
+                f"{searched} means {symbol} {_span(*shown)} for some measurement: {requirement}; give "
+                + ("other bounds or another prior" if moving else "another value")
             )
+
+
+def _span(low: float, high: float) -> str:
+    """Write a range, or the one number in it: ``from 0.1 to 0.7``, ``= 3``."""
+    return f"from {low:.4g} to {high:.4g}" if low < high else f"= {low:.4g}"
+
+
+def _reach(q: ParameterSet, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest number that each measurement gets from any θ searched."""
+    down, up = np.minimum(linear.slope, 0), np.maximum(linear.slope, 0)
+    return linear.base + up @ q.low + down @ q.high, linear.base + up @ q.high + down @ q.low
 
 
 def stiffness_name(m: Measurements) -> str:
@@ -754,9 +784,10 @@ def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
     if stiffness not in names:
         raise ValueError(f"{stiffness} is neither fitted nor held: name it, or give Parameter({stiffness!r}, value=…)")
     if "strength" not in names and (carrier := _carries_strength(m)):
-        raise ValueError(
-            f"the measurements state a {carrier}, which scales with σ_s: fit strength too, or hold it at its value in Pa"
-        )
+        asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
+        both = dict.fromkeys([*asked, "strength"])
+        option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
+        raise ValueError(f"{carrier} scales with σ_s: fit strength too, or hold it at its value in Pa: {option}")
     if "width" in names:
         _check_smooth(m, names)
     if not any(one.value is None for one in chosen):
@@ -764,16 +795,30 @@ def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
     return chosen
 
 
-def mistaken_priors(m: Measurements, wanted: list[Parameter]) -> Iterator[str]:
-    """Name the parameters whose priors or values are far from what the table states, since they are taken in SI."""
+def mistaken_priors(m: Measurements, wanted: Iterable[Parameter]) -> Iterator[str]:
+    """Name the parameters whose priors, values or bounds are far from what the table states: they are taken in SI."""
     for one in wanted:
-        given, stated = one.value if one.prior is None else one.prior[0], getattr(m, one.name, None)
-        if given is None or stated is None or not m.in_si or one.name not in ("young", "correlation_length"):
+        key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
+        stated = getattr(m, one.name, None)
+        if key is None or stated is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
             continue
-        unit = PARAMETERS[one.name].unit[1]
-        if max(given / stated.max(), stated.min() / given) > FAR:
-            column = m.columns.get(one.name, one.name)
-            yield f"{one.name} = {given:g} {unit}, where {column} says {stated[0]:.4g} {unit}: is it in {unit}?"
+        if one.name in HEIGHTS and m.correlation_length is not None:
+            stated = stated * m.correlation_length
+        stated = stated[np.isfinite(stated)]
+        if one.name in HEIGHTS and one.each is None:  # shown as that of the first
+            stated = stated[:1]
+        low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
+        if max(low / stated.max(), stated.min() / high) > FAR:
+            unit, column = PARAMETERS[one.name].unit[m.in_si], m.columns.get(one.name, one.name)
+            sizes = (UNITS_OF_MODULUS if one.name == "young" else UNITS_OF_LENGTH) if m.in_si else {}
+            off = {other: abs(np.log(low * size / stated[0])) for other, size in sizes.items()}
+            nearest = min(off, key=off.__getitem__, default="")
+            guess = f"; is it in {nearest}?" * bool(nearest and off[nearest] < np.log(FAR))
+            number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
+            yield (
+                f"{one.name} = {number} {unit}, where {column} says {stated[0]:.4g} {unit}: priors, bounds and held values are "
+                f"in {unit}{guess}"
+            )
 
 
 def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
@@ -817,7 +862,7 @@ def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None
         raise ValueError(
             f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
         )
-    for name in ("displacement", "force", "gauges", "block_length", "machine_stiffness"):
+    for name in NOT_OF_BLOCKS:
         if getattr(m, name) is not None:
             own = m.columns.get(name, name)
             why = {
@@ -843,8 +888,8 @@ def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
 
 
 def _carries_strength(m: Measurements) -> str:
-    """Name a measured quantity that scales with σ_s; empty if there is none."""
-    for name in ("displacement", "force"):
-        if np.isfinite(m.or_zero(name)).any() and getattr(m, name) is not None:
-            return name
-    return "reading of a gauge" if m.gauges is not None else ""
+    """Name the columns of a measured quantity that scales with σ_s, and their file; empty if there is none."""
+    names = [name for name in ("displacement", "force") if getattr(m, name) is not None and np.isfinite(m.or_zero(name)).any()]
+    if names:
+        return f"{m.source}, column {' and '.join(m.columns.get(name, name) for name in names)}: what it states"
+    return f"{m.gauges.source}: what gauges read" if m.gauges is not None else ""

@@ -153,7 +153,8 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
         If it is no DataFrame.
     """
     if not (hasattr(table, "itertuples") and hasattr(table, "columns")):
-        hint = ": pandas.DataFrame(…) makes one of it" * (isinstance(table, Mapping) or hasattr(table, "to_frame"))
+        makes = "series.to_frame().T" if hasattr(table, "to_frame") else "pandas.DataFrame(…)" * isinstance(table, Mapping)
+        hint = f": {makes} makes one of it" * bool(makes)
         raise TypeError(f"{name} is {type(table).__name__}: must be a pandas.DataFrame{hint}")
     missing = table.isna()
     cells = [
