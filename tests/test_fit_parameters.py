@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from oracles import dense_chain
+from reports import unfolded
 from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import chi2, norm
@@ -187,6 +188,67 @@ def test_likelihood_of_a_count_is_that_of_its_interval():
         np.testing.assert_allclose(found.slope[0, :1], (near[0].value - near[1].value)[0, :1] / (2 * h), rtol=1e-6)
         inside = 25 < mu <= 26
         assert (found.value[0, 3] < 1e-6) == inside
+
+
+def test_an_improbable_count_is_as_rare_as_its_cost_says():
+    """What lets a count be tested: costs of t more than that of the middle of a count have a probability of 2 exp(−t) at most."""
+    count, worst = np.arange(1.0, 160), 0.0
+    for sigma in np.geomspace(0.02, 20, 13):
+        m = Measurements(np.full(159, 200.0), 0.3, count, np.full(159, sigma), kind=["whole"] * 159)
+        problem = make_problem(m, parameter_set(m, wanted_parameters("stiffness", None, None)), Loss(), m.stated_sigma)
+        least = np.where(count > 1, -np.log(2 * ndtr(1 / (2 * sigma)) - 1), 0)
+        assert problem.perfect == pytest.approx(2 * least.sum(), rel=1e-9, abs=1e-9)
+        for mu in np.concatenate([np.linspace(0, 3, 16), np.linspace(30, 31, 11)]):
+            cost = terms(np.full((1, 159), mu), problem.blocks[0].data, np.zeros(1, int), Loss(), None).value[0]
+            rare = np.exp(least - cost)
+            order = np.argsort(rare)
+            share = np.cumsum(np.exp(-cost)[order]) / np.maximum(rare[order], 1e-300)
+            worst = max(worst, float(share[rare[order] > 1e-9].max()))
+    assert 1.9 < worst < 2.001
+
+
+@pytest.mark.parametrize("kind", ["at_least", "whole"])
+def test_a_misfit_beside_a_limit_or_a_count_is_seen(kind):
+    """Two lengths of different stiffnesses, with a third that the model may meet or miss: 0.2 said that it fits."""
+    height = np.array([250.0, 500.0, 750.0])
+    length = model(height, 3e-4) * [1.1, 1 / 1.1, 1.0]
+    length[2] = np.floor(0.5 * length[2]) if kind == "at_least" else np.ceil(length[2])
+    m = Measurements(height, 0.3, length, 0.01 * length, kind=["length", "length", kind])
+    result = fit(m)
+    assert result.identifiability is Identifiability.POOR_FIT
+    plain = fit(Measurements(height[:2], 0.3, length[:2], 0.01 * length[:2]))
+    if kind == "at_least":  # it costs nothing, so χ² and its degree of freedom are those of the two lengths
+        assert result.testable_dof == 1
+        assert result.misfit == pytest.approx(plain.deviance, rel=1e-6)
+    else:
+        assert result.testable_dof == 4  # two of each kind, none less for the parameter: a bound
+    met = fit(dataclasses.replace(m, length=np.where(np.arange(3) < 2, model(height, 3e-4), length)))
+    assert met.identifiability is Identifiability.IDENTIFIED
+    assert met.p_value > 0.5
+    assert "for at most" in unfolded(met.report()) or kind == "at_least"
+
+
+def test_a_limit_that_the_lengths_deny_counts_against_the_fit():
+    height = np.array([250.0, 500.0, 750.0])
+    length = model(height, 3e-4) * [1.0, 1.0, 1.1]
+    result = fit(Measurements(height, 0.3, length, 0.01 * length, kind=["length", "length", "at_least"]))
+    assert result.identifiability is Identifiability.POOR_FIT
+    assert result.testable_dof == 4
+    assert "deviance is" in unfolded(result.report())
+    assert "for at most 4 degrees of freedom" in unfolded(result.report())
+
+
+def test_a_datum_left_out_costs_nothing_where_its_front_never_stops():
+    """Nor does it warn: 0 times inf is NaN. As in a refit without an outlier, and in a bootstrap by cases."""
+    data = Data(np.array(["length", "length"]), np.array([[9.0, 20.0]]), np.array([0.5, 0.5]), np.array([[1.0, 0.0]]), False)
+    found = terms(np.array([[9.5, np.inf]]), data, np.array([0]), Loss(), None)
+    np.testing.assert_allclose(found.value, [[0.5, 0.0]])
+    assert all(np.isfinite(x).all() for x in found)
+
+
+def test_fixed_that_is_no_dict_is_named():
+    with pytest.raises(TypeError, match=r"fixed is list: must be a dict of parameters and values, as {'poisson': 0.3}"):
+        fit(Measurements([25.0, 50.0], 0.3, [14.0, 36.0], 0.5), fixed=["poisson"])
 
 
 def test_counts_of_every_length_add_up_to_certainty():

@@ -428,3 +428,100 @@ def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     assert stated.values["stiffness"] == pytest.approx(k, rel=0.05)
     assert stated.unstated_push == {}
     assert "Guessed" not in stated.report()
+
+
+# --- what the box says ----------------------------------------------------------------------------------------------------
+
+
+def test_effects_are_in_the_order_of_what_is_printed():
+    """A stiffness near the longest length, which every input moves by some 10 %, up or down."""
+    height = np.array([25.0, 22.0, 20.0])
+    found = sp.fit(sp.Measurements(height, 0.3, [25.5, 22.4, 20.1], 0.15, provenance=("synthetic",) * 3), intervals="profile")
+    cells = [re.split(r" {2,}", row)[-1] for row in section(found.report(), "What else would move it")[1:]]
+    percent = [abs(float(cell[:-2])) for cell in cells if cell.endswith("%")]
+    assert len(percent) > 4
+    assert percent == sorted(percent, reverse=True)
+    assert not any(cell.endswith("%") for cell in cells[: len(cells) - len(percent)])
+
+
+def test_what_the_errors_come_from_is_said():
+    """Of the lengths alone; of stated errors; of an offset and a model factor; of readings; of priors."""
+    stated = sp.fit(two_specimens())
+    measured = sp.fit(lengths(provenance=("measured",) * 6))
+    known = sp.fit(lengths(), ["stiffness", sp.Parameter("poisson", prior=(0.3, 0.02))])
+    alone = sp.fit(lengths())
+    for result, said in (
+        (alone, "from the lengths alone"),
+        (stated, "from lengths and stated errors alone"),
+        (measured, "from lengths and errors of measuring alone"),
+        (known, "from lengths and priors alone"),
+    ):
+        assert f"  {said}  " in result.report()
+        assert said in result.methods()
+    assert "Fitted with it: offset = 0.0 ± 2.8 λc, model factor = 1.00 ± 0.10." in measured.methods()
+    assert "does not contain that of the model" not in measured.methods()
+    assert "The error does not contain that of the model." in alone.methods()
+
+
+@pytest.mark.parametrize("made", ["stated", "measured"])
+def test_the_deviance_is_that_of_residuals_and_inputs(made):
+    """Where inputs are fitted within their errors χ² is more than the residuals squared: the report says how much more."""
+    shorter = sp.Measurements(HEIGHT, 0.3, LENGTH * (HEIGHT / 500) ** 0.1, 0.01 * LENGTH, provenance=("measured",) * 6)
+    result = sp.fit(two_specimens((1.05, 0.9)) if made == "stated" else shorter)
+    inputs = result.deviance - (result.residuals**2).sum()
+    assert inputs > 0.05
+    text = unfolded(result.report())
+    is_ = "" if made == "stated" else "is "  # in the verdict of a rejected fit
+    assert f"chi-squared {is_}{result.deviance:.3g} ({inputs:.3g} of it from inputs fitted within their errors) for " in text
+    assert [one["residual"] for one in result.to_dict()["measurements"]] == pytest.approx(result.residuals.tolist())
+
+
+def test_one_of_two_values_that_fit_equally():
+    """Neither is the best; and methods give the interval."""
+    result = sp.fit(sp.Measurements(25.0, 0.3, [25.5], 0.15))
+    assert re.search(r"│ k/K  0\.0\d+ \(one of 2\)  +0\.02\d+ to 0\.03\d+ or 0\.06\d+ to 0\.08", result.report())
+    assert "(one of 2)" in result.report(verbose=True).split("Details")[1]
+    assert re.search(r"the 95 % interval is k/K = 0\.02\d+ to 0\.03\d+ or", result.methods())
+
+
+def test_counts_hold_or_are_off_by_contacts():
+    """A count has no σ to divide by."""
+    length = np.ceil(LENGTH)
+    holds = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.0, kind=["whole"] * 6))
+    rows = section(holds.report(), "no.")[1:]
+    assert all(row.endswith("  holds") and f"{int(n)} contacts" in row for row, n in zip(rows, length, strict=True))
+    length[0] += 30
+    odd = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.0, kind=["whole"] * 6))
+    assert "gives all counts; without measurement 0 the others agree" in unfolded(odd.report())
+    assert re.search(r"off by [+-]\d+\.\d\d λc", odd.report())
+
+
+def test_an_end_is_as_long_as_said_where_the_contacts_have_another_size():
+    """λc known to a factor only: a block that ends at 4/κ₂, where κ₂ is that of the fitted λc; as a fit of such a table."""
+    table = two_specimens(young_sigma_GPa=None, correlation_length_sigma_um=100.0).drop(columns="young_sigma_GPa")
+    table = table.assign(correlation_length_um=50.0, correlation_length_sigma_um=30.0)
+    found = sp.fit(table)
+    fitted = np.array([found.inputs[f"correlation_length[{name}, 5e-05]"] for name in table["specimen"]])
+    assert abs(np.log(fitted / 5e-5)).max() > 0.1
+    inputs = found.parameters.inputs_at(found.theta)
+    own = np.asarray(sp.Slider(np.exp(inputs.log_height), inputs.ratio, inputs.poisson).slow_decay_length) * fitted * 1e3
+    np.testing.assert_allclose(found.regime.slow_decay_length * 0.05, own, rtol=1e-12)  # in mm
+    ended = sp.fit(table.assign(block_length_mm=4 * np.maximum(own, table["length_mm"] / 4)))
+    moved = np.log(ended.values["areal_stiffness"] / found.values["areal_stiffness"])
+    assert found.unstated_ends["block_length"]["areal_stiffness"] == pytest.approx(moved, rel=0.05)
+
+
+def test_one_specimen_that_breaks_again_leaves_the_verdict_of_the_other():
+    """A's lengths are those of a soft interface; B's one length has a second, stiff value, where its edge breaks again."""
+    m = sp.Measurements([40, 60, 80, 100, 30], 0.3, [15.0, 25.0, 36.0, 47.5, 30.0], [0.3] * 4 + [0.5], specimen=list("AAAAB"))
+    found = sp.fit(m, EACH, intervals="profile").verdicts
+    assert found["stiffness[A]"].identifiability is Identifiability.IDENTIFIED
+    assert found["stiffness[B]"].identifiability is not Identifiability.IDENTIFIED
+
+
+def test_an_error_that_the_data_exclude_is_not_one_of_the_result():
+    """Counts with readings in mm determine λc: half of it fits nothing, and the total has its effect for a small change."""
+    result = sp.fit(two_specimens())
+    none = Moved(0.1, {"areal_stiffness": float("nan")}, {"areal_stiffness": -0.2})
+    assert none.by("areal_stiffness") == 0.2
+    assert total_interval(result, "areal_stiffness", {"young": none}).low < result.values["areal_stiffness"] * np.exp(-0.2)

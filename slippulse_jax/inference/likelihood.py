@@ -334,7 +334,7 @@ class Problem:
         Of values and priors it is χ², with a degree for each less one for each parameter. That holds beside counts and fronts
         without arrest too, if these cost nothing at the minimum. If some do, the degrees of freedom are an upper bound: none is
         subtracted for parameters, and one with an error adds two, since a datum of probability below P occurs with a
-        probability of at most P, so that −2 ln P is at most χ² of two degrees.
+        probability of at most P (2 P for counts, which are off either way), so that −2 ln P is at most χ² of two degrees.
         """
         if self.parameters.discrepancy is not None or self.loss.name != "normal":
             return None

@@ -34,6 +34,7 @@ from slippulse_jax.inference.verdict import (
     Identifiability,
     degrees_of_freedom,
     gravest,
+    of_inputs,
 )
 from slippulse_jax.shown import exponent_of, format_number, html
 from slippulse_jax.theory import rebreaking_b
@@ -490,7 +491,7 @@ def _quality(result: "FitResult") -> str:
         degrees = degrees_of_freedom(result.problem, result.testable_dof)
         bound = "at most " * degrees.startswith("at most")
         p = _probability(result.p_value).replace("= ", f"= {bound}").replace(" ", TIED)
-        tested = f"{name} {least}{_of_priors(result)} for {degrees} ({p})"
+        tested = f"{name} {least}{of_inputs(result.problem, result.theta)} for {degrees} ({p})"
     elif not result.problem.plain:
         return data  # counts and limits that hold cost nothing
     elif result.dof > 0:
@@ -502,13 +503,6 @@ def _quality(result: "FitResult") -> str:
     if (m.stated_sigma > 0).any():
         used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
     return f"{data}: {tested}{used}"
-
-
-def _of_priors(result: "FitResult") -> str:
-    """``, 1.02 of it from stated errors``: the part of χ² that no residual shows."""
-    problem = result.problem
-    part = float((problem.prior_weight * (result.theta - problem.prior_mean[0]) ** 2).sum())
-    return f" ({part:.3g} of it from inputs fitted within their errors)" if f"{part:.2f}" != "0.00" else ""
 
 
 def _regime(result: "FitResult") -> str:

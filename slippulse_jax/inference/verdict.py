@@ -162,7 +162,7 @@ def _misfit(j: int, e: Evidence) -> Verdict | None:
         at = f" (the best fit lies at its {end} end)" if end else ""
         return Verdict(
             Identifiability.POOR_FIT,
-            f"{e.problem.named_deviance} is {e.misfit:.3g} for {degrees_of_freedom(e.problem, e.dof)}: with the stated σ "
+            f"{e.problem.named_deviance} is {e.misfit:.3g}{of_inputs(e.problem, e.best)} for {degrees_of_freedom(e.problem, e.dof)}: with the stated σ "
             f"nothing in the range searched{at} gives these measurements, so no uncertainty is given",
         )
     return None
@@ -170,6 +170,12 @@ def _misfit(j: int, e: Evidence) -> Verdict | None:
 
 def _improbable(e: Evidence) -> bool:
     return e.dof is not None and float(chdtrc(e.dof, e.misfit)) < IMPROBABLE
+
+
+def of_inputs(problem: Problem, theta: np.ndarray) -> str:
+    """State the part of χ² that is no residual of a measurement, but of inputs fitted within their errors; empty if none."""
+    part = float((problem.prior_weight * (theta - problem.prior_mean[0]) ** 2).sum())
+    return f" ({part:.3g} of it from inputs fitted within their errors)" if f"{part:.2f}" != "0.00" else ""
 
 
 def degrees_of_freedom(problem: Problem, dof: int | None) -> str:
