@@ -37,7 +37,7 @@ def short(x: Any) -> str:
 
 def exponent_of(value: float) -> int:
     """Power of ten with which to write a value; 0 for everyday sizes."""
-    if value == 0:
+    if value == 0 or not np.isfinite(value):
         return 0
     exponent = int(np.floor(np.log10(abs(value))))
     return 0 if -2 <= exponent < 4 else exponent
@@ -46,7 +46,8 @@ def exponent_of(value: float) -> int:
 def format_number(value: float, digits: int = 4) -> str:
     """``1.955e10`` or ``0.03``: to four digits."""
     exponent = exponent_of(value)
-    return f"{value / 10.0**exponent:.{digits}g}e{exponent}" if exponent else f"{value:.{digits}g}"
+    text = f"{float(f'{value / 10.0**exponent:.{digits}g}'):g}"
+    return f"{text}e{exponent}" if exponent else text
 
 
 def in_a_line(made: Any, *names: str) -> str:

@@ -320,7 +320,7 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     (row,) = [
         row for row in rows if row.startswith("  a real block, pushed from 0.5, 0.25, 0.1 H up (column push_height fits one)")
     ]
-    assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none")
+    assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none fits")
     factor = f"{ratios[0]:.2g} to {ratios[1]:.2g} times this, or none fits, depending on where its side is pushed."
     assert f"For a real block the stiffness is {factor}" in unfolded(found.report())
     assert set(block.unstated_push) == {"0.1 H high"}  # no longer by where it is pushed

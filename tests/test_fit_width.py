@@ -33,7 +33,7 @@ def test_a_width_held_is_the_rule_the_lengths_are_computed_with():
     assert held.values["stiffness"] == pytest.approx(RATIO, rel=1e-6)
     np.testing.assert_allclose(held.fitted.length, m.length, rtol=1e-6)
     assert abs(hard.values["stiffness"] / RATIO - 1) > 0.05
-    assert "under the smooth break rule" in unfolded(held.report())
+    assert "and the smooth break rule" in unfolded(held.report())
     assert "exact length" in hard.report(verbose=True)
 
 

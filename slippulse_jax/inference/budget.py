@@ -43,8 +43,8 @@ USUAL = {
 }
 """By column: a gauge's reading, the scale of a camera, tables of a material. λc is rarely known to better than a factor 2."""
 
-SMALL = 1e-3
-"""Part of a usual error from which its effect is extrapolated where the data exclude all of it."""
+SMALL = 0.01
+"""Part of a usual error that is tried where the data exclude all of it."""
 
 SUPPOSED = {
     "block_length": ("a block that ends at 4/κ₂", 4.0),
@@ -75,7 +75,7 @@ class Moved(NamedTuple):
     change: dict[str, float]  # by parameter: of its logarithm where it is positive, else of the parameter itself
     """NaN where the data exclude such an error: they are rejected with it."""
     opposite: dict[str, float]
-    """The same by the opposite error; if not computed, minus the change, or minus that by a small error, extrapolated."""
+    """The same by the opposite error; if not computed, minus the change, or minus that by the error that the data allow."""
 
     def both(self, name: str) -> tuple[float, float]:
         """Changes of a parameter by the error and its opposite."""
@@ -112,13 +112,25 @@ def budget(result: "FitResult") -> dict[str, Moved]:
         change = _changes(result, _moved(m, name, error), name, error)
         opposite = {one: -by for one, by in change.items()}
         if np.isnan(list(change.values())).any():
-            small = _changes(result, _moved(m, name, SMALL * error), name, SMALL * error)
-            opposite = {one: -by / SMALL for one, by in small.items()}
+            allowed = _allowed(result, name, error)
+            opposite = {one: -float(allowed[result.parameters.index(one)]) for one in change}
         elif USUAL[name].both:
             other = _changes(result, _moved(m, name, -error), name, -error)
             opposite = {one: opposite[one] if np.isnan(by) else by for one, by in other.items()}
         found[name] = Moved(error, change, opposite)
     return found
+
+
+def _allowed(result: "FitResult", name: str, error: float) -> np.ndarray:
+    """Changes of θ by an input whose usual error the data exclude: by its error in a fit in which it is fitted too.
+
+    To first order, from refits with the input moved a little either way: as the deviance rises by (step/σ)², the data know the
+    input to σ, beside what is usual.
+    """
+    steps = SMALL * error * BOTH_WAYS
+    (low, below), (high, above) = (_refitted(result, _moved(result.measurements, name, by), name, by) for by in steps)
+    rise = max(below + above - 2 * result.deviance, 0.0) / 2 / SMALL**2
+    return (high - low) / 2 / SMALL / np.sqrt(1 + rise)
 
 
 def _changes(result: "FitResult", m: Measurements, name: str, by: float) -> dict[str, float]:

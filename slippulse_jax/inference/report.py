@@ -120,7 +120,8 @@ def methods(result: "FitResult") -> str:
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + _range(m.height * scale)
     held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
     shown, verdict = _shown(result), "; ".join(_verdicts(result))
-    ends = [f"{shown[name]} = {_ends(result, name)}" for name in result.names if any(result.intervals.get(name, {}).values())]
+    bounded = [q.named(name) for name in result.names if any(result.intervals.get(name, {}).values())]
+    ends = [f"{shown[one.label]} = {_ends(result, one.label)} {_in_its_unit(result, one)[1]}".rstrip() for one in bounded]
     obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {verdict}"
     if ends and not given:
         obtained = f"the 95 % interval is {', and '.join(ends)}, without a best value: {verdict}"
@@ -326,7 +327,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
     if push_is_unstated(result):
         found = [x for x in result.unstated_push.values() if not math.isnan(x)]
         none = ", or none fits" * (len(found) < len(result.unstated_push))
-        factor = f"{min(found):.2g} to {max(found):.2g} times this{none}" if found else "another"
+        factor = f"{format_number(min(found), 2)} to {format_number(max(found), 2)} times this{none}" if found else "another"
         yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
     if ratio is not None:
         suffix = f"_{unit}" * m.in_si
@@ -382,7 +383,7 @@ def _length(result: "FitResult") -> str:
 def _ratios(result: "FitResult") -> str:
     """State the range of k/K, and why it is not one number."""
     ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
-    low, high = f"{ratio.min():.4g}", f"{ratio.max():.4g}"
+    low, high = format_number(ratio.min()), format_number(ratio.max())
     differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
     why = "as λc and E differ between measurements" if differ else "one for each specimen"
     return low if low == high else f"{low} to {high}, {why}"
@@ -526,7 +527,7 @@ def _regime(result: "FitResult") -> str:
 
 def _range(x: np.ndarray) -> str:
     """``0.42 to 1.3``, or one number."""
-    low, high = (f"{float(f'{end:.2g}'):g}" for end in (np.nanmin(x), np.nanmax(x)))
+    low, high = (format_number(end, 2) for end in (np.nanmin(x), np.nanmax(x)))
     return low if low == high else f"{low} to {high}"
 
 
@@ -644,7 +645,7 @@ def _times(ratio: float) -> str:
     """``+5.0 %``, ``× 5.7``, or that nothing fits."""
     if math.isnan(ratio):
         return "none fits"
-    text = f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {ratio:.2g}"
+    text = f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {format_number(ratio, 2)}"
     return text[1:] if text[1:] == "0.0 %" else text
 
 
@@ -674,7 +675,7 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         if result.parameters.body == "slider":
             what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
-        factors = ", ".join("none" if math.isnan(ratio) else f"× {ratio:.2g}" for ratio in ratios)
+        factors = ", ".join("none fits" if math.isnan(ratio) else f"× {format_number(ratio, 2)}" for ratio in ratios)
         yield _Change(what, size, dict.fromkeys(stiff, factors))
     elif push_is_unstated(result) and stiff:
         what = f"a real block (column push_height{unit} fits one)"
