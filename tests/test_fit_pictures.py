@@ -1,6 +1,7 @@
 """Pictures of a fit say what was fitted, in the unit of the table, and by the name of the specimen."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.verdict import Identifiability
 
+EXAMPLES = Path(__file__).parents[1] / "fit_examples"
 HEIGHTS = (2.5, 5.0, 7.5)
 
 
@@ -96,6 +98,60 @@ def test_no_colour_stands_for_two_things(count):
     curve = next(line for line in ax.lines if line.get_label() == "best fit")
     colours = [curve.get_color(), *(points[0].get_color() for points in ax.containers)]
     assert len({*colours}) == len(colours) == count + 1
+
+
+def test_a_profile_has_the_colour_of_its_specimen_and_is_dashed_for_its_own_lengths():
+    height, poisson = np.repeat([[20.0, 60.0, 100.0]], 2, axis=0).ravel(), 0.3
+    length = lengths_of(height, np.repeat([0.006, 0.2], 3))
+    m = Measurements(height=height, poisson=poisson, length=length, length_sigma=0.3, specimen=[*"AAABBB"])
+    result = fit(m, [EACH])
+    assert result.verdicts["stiffness[B]"].identifiability is Identifiability.REBREAKS
+    assert result.verdicts["stiffness[A]"].identifiability is Identifiability.IDENTIFIED
+    first, second, *_ = plot.fit_profiles(result).axes
+    lengths_of_each = {
+        line.get_label()[0]: line.get_color() for line in plot.fit_lengths(result).lines if "best fit" in line.get_label()
+    }
+    for panel, name in ((first, "A"), (second, "B")):
+        assert {line.get_color() for line in panel.lines if line.get_label() == "profile"} == {lengths_of_each[name]}
+    assert "edge breaks again" not in texts(first)
+    assert "edge breaks again" in texts(second)
+
+
+def test_one_curve_per_condition_and_the_label_says_what_differs():
+    result = fit(EXAMPLES / "prestressed_slider/lengths.csv")
+    ax = plot.length_versus_stiffness(result)
+    assert texts(ax)[:5] == [rf"$\varphi$ = {share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4)]
+    assert len(ax.patches) == 5 + len(result.intervals["stiffness"][0.95])
+
+
+def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end():
+    result = fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
+    ax = plot.length_versus_stiffness(result)
+    m = result.measurements
+    bands = {(round(one.get_y(), 9), round(one.get_y() + one.get_height(), 9)) for one in ax.patches if one.get_width() == 1}
+    shown = [0, 1, 3, 4]  # six of eight conditions; the last two are limits
+    assert bands == {(round((m.length[i] - 1) / m.height[i], 9), round(m.length[i] / m.height[i], 9)) for i in shown}
+    limits = [line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == ":" and len({*line.get_ydata()}) == 1]
+    np.testing.assert_allclose(limits, [30 / 44, 30 / 56])
+    assert ax.get_legend().get_title().get_text() == "Bands: counted contacts; dotted: at least so long"
+    marked = {
+        line.get_marker(): len(line.get_xdata()) for line in plot.residuals(result).lines if len(line.get_xdata()) in (2, 6)
+    }
+    assert marked["^"] == 2
+
+
+def test_panels_are_lettered_down_the_left_first():
+    figure = plot.fit(fit(table("mm"), "areal_stiffness"))
+    above, right, below = figure.axes
+    assert [panel.texts[-1].get_text() for panel in (above, below, right)] == ["(a)", "(b)", "(c)"]
+
+
+def test_no_equation_of_the_title_is_broken(monkeypatch):
+    result = fit(table("mm"), "areal_stiffness")
+    for width in range(100, 141, 4):
+        monkeypatch.setattr(plot.fits, "TITLE", width)
+        title = plot.fit(result).get_suptitle()
+        assert all(equation in title for equation in ("E = 3 GPa", "ν = 0.3", "λc = 10 µm"))
 
 
 def test_the_title_says_what_was_fitted_beside():

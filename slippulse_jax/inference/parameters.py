@@ -288,6 +288,12 @@ class ParameterSet:
         """Upper limits of θ."""
         return np.array([one.high for one in self.free])
 
+    def rows_of(self, index: int) -> np.ndarray:
+        """Indices of the measurements whose inputs depend on a parameter; of all if none do."""
+        slopes = np.array([one.slope[:, index] for one in self.inputs if one is not None])
+        own = np.flatnonzero(slopes.any(axis=0))
+        return own if own.size else np.arange(slopes.shape[1])
+
     def inputs_at(self, theta: np.ndarray) -> Inputs:
         """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
         return at_theta(self.inputs, theta)

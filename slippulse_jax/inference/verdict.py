@@ -325,8 +325,7 @@ def _breaks_again(j: int, e: Evidence) -> Verdict | None:
         return None
     value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
     inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
-    own = np.any([one.slope[:, j] != 0 for one in q.inputs if one is not None], axis=0)  # rows that depend on the parameter
-    rows = np.flatnonzero(own) if own.any() else slice(None)
+    rows = q.rows_of(j)
     again = (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(len(value), -1)[:, rows].any(axis=1)
     if not again.any():
         return None

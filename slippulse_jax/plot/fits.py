@@ -1,6 +1,7 @@
 """Pictures of a fit."""
 
 import itertools
+import re
 import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -13,11 +14,12 @@ from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, recursion_status
 from slippulse_jax.inference.parameters import Inputs, at_theta
 from slippulse_jax.inference.profile import profile_2d
-from slippulse_jax.inference.report import folded, sentences, value_in_words, value_with_error
+from slippulse_jax.inference.report import TIED, folded, sentences, value_in_words, value_with_error
 from slippulse_jax.inference.verdict import GIVEN, LEVELS, Identifiability
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
+    COLUMN,
     PAGE,
     Colours,
     axes,
@@ -47,7 +49,8 @@ HELD_BY_PRIOR = 0.5
 """Standard error, over that of the prior, above which the prior determines a parameter."""
 WIDEST_LEGEND = 54
 """Most characters per line in a legend of two columns."""
-MARKERS = "osD^v<>P"
+MARKERS, BEYOND = "osDXv<>P", "^"
+"""Of specimens, and of fronts without arrest."""
 MOST_VALUES = 4
 """Most parameters in a title."""
 TITLE, LINE = 140, 0.13
@@ -84,7 +87,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
             length_versus_stiffness(result, ax=others[0])
         else:
             _profiles(result, list(zip(names, others, strict=True)))
-        letter_panels(above, *others, below)
+        letter_panels(above, below, *others)
     return figure
 
 
@@ -103,19 +106,29 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
     """Draw the profiles of some parameters one below the other, under one legend."""
     first, said = panels[0][1], set()
     for name, panel in panels:
-        profile(result, name, ax=panel)
+        profile(result, name, ax=panel, color=_of_specimen(result, name, colours(panel)))
         legend = panel.get_legend()
         assert legend is not None
-        new = {text.get_text() for text in legend.get_texts()} - said
-        said |= new
+        labels = [text.get_text() for text in legend.get_texts()]
+        new = [(one, label) for one, label in zip(legend.legend_handles, labels, strict=True) if label not in said]
+        said.update(labels)
         if not new:
             legend.remove()
+        elif len(new) < len(labels):
+            panel.legend(*zip(*new, strict=True), **ABOVE, fontsize="small")
     if len(panels) < len(result.names):
         every = result.measurements.option("--profiles FILE", "sp.plot.fit_profiles(result)")
         legend = first.get_legend()
         assert legend is not None
         legend.set_title(textwrap.fill(f"{len(panels)} of {len(result.names)} parameters; all by {every}", 48))
         legend.set_alignment("left")
+
+
+def _of_specimen(result: "FitResult", name: str, c: Colours) -> str:
+    """Colour of the specimen whose parameter this is, where the lengths have one curve for each; else that of any profile."""
+    groups, specimen = _groups(result), result.measurements.specimen
+    own = [number for number, rows in enumerate(groups) if specimen and f"[{specimen[rows[0]]}" in name]
+    return _of_curve(c, own[0], groups) if len(own) == 1 else c.blue
 
 
 def _title(result: "FitResult") -> Iterator[str]:
@@ -126,7 +139,8 @@ def _title(result: "FitResult") -> Iterator[str]:
     yield from (value_in_words(result, name) for name in given[:MOST_VALUES])
     if len(given) > MOST_VALUES:
         yield f"… and {len(given) - MOST_VALUES} more"
-    yield from folded(" ".join([*sentences(result), ", ".join(_constants(result))]), TITLE)
+    constants = ", ".join(text.replace(" ", TIED) for text in _constants(result))
+    yield from folded(" ".join([*sentences(result), constants]), TITLE)
 
 
 def _is_constant(one: "Free") -> bool:
@@ -169,7 +183,7 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     with new_figure(PAGE * max(columns, 2) / 3, 2.4 * rows, ax) as figure:
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False))
         for name, panel in zip(result.names, panels, strict=False):
-            profile(result, name, ax=panel)
+            profile(result, name, ax=panel, color=_of_specimen(result, name, colours(panel)))
         residuals(result, ax=panels[count - 1])
         for unused in panels[count:]:
             unused.set_visible(False)
@@ -193,7 +207,7 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Ax
         Axes of a grid whose place the panels take.
     """
     names = result.names
-    with new_figure(2.4 * len(names), 2.2 * len(names), ax) as figure:
+    with new_figure(max(2.4 * len(names), COLUMN), 2.2 * len(names), ax) as figure:
         panels = figure.subplots(len(names), len(names), squeeze=False)
         for row, vertical in enumerate(names):
             for column, horizontal in enumerate(names):
@@ -202,7 +216,7 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Ax
                     panel.set_visible(False)
                     continue
                 if column == row:
-                    profile(result, vertical, ax=panel)
+                    profile(result, vertical, ax=panel, color=_of_specimen(result, vertical, colours(panel)))
                 else:
                     confidence_region(result, horizontal, vertical, samples, nodes=nodes, ax=panel)
                     panel.set_title("")
@@ -226,8 +240,10 @@ def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     readings = _readings(result)
     names = [name for name in READINGS if readings.there(name).any()]
     with new_figure(PAGE * len(names) / 2, 2.8, ax) as figure:
-        for name, panel in zip(names, np.ravel(figure.subplots(1, len(names), squeeze=False)), strict=True):
+        panels = np.ravel(figure.subplots(1, len(names), squeeze=False))
+        for name, panel in zip(names, panels, strict=True):
             gauge_readings(result, name, ax=panel)
+        letter_panels(*panels)
     return figure
 
 
@@ -294,14 +310,14 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 def _columns(labels: list[str]) -> int:
     """Number of columns of a legend: two, or one if two would be so wide that panels shrink."""
-    seen = [len(text.replace("$", "").replace("\\", "")) for text in labels]
+    seen = [len(re.sub(r"\\[a-z]+", "x", text.replace("$", ""))) for text in labels]
     half = -(-len(seen) // 2)
     return 2 if max(seen[:half]) + max(seen[half:], default=0) <= WIDEST_LEGEND else 1
 
 
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
     m, kind = result.measurements, np.array(result.measurements.kind)
-    x, y = _apart(_abscissa(result)[1] * scale), m.length * scale
+    x, y = _apart(result), m.length * scale
     sigma = result.sigma * scale
     style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none"}
     labelled = set()
@@ -320,13 +336,13 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
             ends = y[whole] - half, half + sigma[whole]
             ax.errorbar(x[whole], *ends, fmt="none", elinewidth=3, color=color, label=label, **style)
         if beyond.any():
-            ax.plot(x[beyond], y[beyond], "^", color=color, ms=6, label=once("at least this long: no arrest seen"))
+            ax.plot(x[beyond], y[beyond], BEYOND, color=color, ms=6, label=once("at least this long: no arrest seen"))
 
 
 def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
     """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
     scale, at, c, groups = result.measurements.unit[0], _abscissa(result)[1], colours(ax), _groups(result)
-    x, label = _apart(at * scale), "fitted (own inputs)"
+    x, label = _apart(result), "fitted (own inputs)"
     for number, rows in enumerate(groups):
         fitted, curve = result.fitted.length[rows], _lengths_at(result, result.theta, rows, at[rows])
         off = rows[np.isfinite(fitted) & (np.abs(fitted - curve) * scale[rows] > visible)]
@@ -364,12 +380,15 @@ def _of_many(c: Colours, number: int, count: int) -> str:
     return to_hex(colormaps["viridis"](0.95 * number / (count - 1)))
 
 
-def _apart(x: np.ndarray) -> np.ndarray:
-    """Move apart places along an axis that coincide."""
-    value, which, count = np.unique(x, return_inverse=True, return_counts=True)
-    order = np.array([int((which[:i] == which[i]).sum()) for i in range(len(x))])
-    step = (np.ptp(value) or 0.3 * np.abs(value).max()) * np.minimum(0.012, 0.05 / np.maximum(count - 1, 1))
-    return x + (order - (count[which] - 1) / 2) * step[which]
+def _apart(result: "FitResult") -> np.ndarray:
+    """Places of the measurements along the axis, in the unit of the table; those that coincide on a curve a little apart."""
+    x = _abscissa(result)[1] * result.measurements.unit[0]
+    step = 0.012 * (np.ptp(x) or 0.3 * np.abs(x).max())
+    for rows in _groups(result):
+        value, which, count = np.unique(x[rows], return_inverse=True, return_counts=True)
+        order = np.array([int((which[:i] == which[i]).sum()) for i in range(len(rows))])
+        x[rows] = value[which] + step * (order - (count[which] - 1) / 2) * np.minimum(1, 4 / np.maximum(count - 1, 1))[which]
+    return x
 
 
 def _bands(result: "FitResult", rows: np.ndarray, height: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -406,19 +425,28 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     theta = np.linspace(q.low[0], q.high[0], 301)
     stiffness = np.exp(theta)
     along, at = _abscissa(result)
-    _, first = np.unique(at, return_index=True)
-    shown = first[np.unique(np.linspace(0, len(first) - 1, MOST_CURVES).round().astype(int))]
+    conditions = _conditions(result)
+    shown = [conditions[i] for i in np.unique(np.linspace(0, len(conditions) - 1, MOST_CURVES).round().astype(int))]
+    one = q.inputs_at(result.theta).take([rows[0] for rows in shown])
+    differ = _differing(one if along == "height" else one._replace(log_push=None), [np.full(len(shown), True)])
+    places = np.array([at[rows[0]] for rows in shown])
     largest, any_again = 0.0, False
     visible = []
-    for color, i in zip((*c.data[:-1], c.ink), shown, strict=False):  # the last two blues look alike
-        together = np.nonzero(at == at[i])[0]
-        name = equation(along, float(at[i] * scale[i]), unit)
+    palette = (*c.data[:-1], c.ink)  # the last two blues look alike
+    for number, (color, together) in enumerate(zip(palette, shown, strict=False)):
+        i = together[0]
+        place = [equation(along, float(at[i] * scale[i]), unit)] if np.ptp(places) > 0 or not differ else []
+        name = ", ".join([*place, *(f"{sign} = {x[number]:.3g}" for sign, x in differ)])
         name += f" ({len(together)}×)" if len(together) > 1 else ""
         share = _lengths_over(result, theta[:, None], i, at[i : i + 1])[:, 0] / m.height[i]
         again = _breaks_again(result, _inputs_at(result, theta[:, None], i, at[i : i + 1]))[:, 0]
         any_again |= bool(again.any())
         dashed_where(ax, stiffness, share, again, color=color, label=name)
-        ax.axhspan(*_measured_share(result, together), color=color, alpha=0.2, lw=0)
+        low, high = _measured_share(result, together)
+        if high < np.inf:
+            ax.axhspan(low, high, color=color, alpha=0.2, lw=0)
+        else:
+            ax.axhline(low, color=color, lw=1, ls=":")
         largest = max(largest, float(share.max()))
         visible.append(share)
     for n, piece in enumerate(result.intervals[result.names[0]][BAND_LEVEL]):
@@ -434,19 +462,35 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
     look: dict[str, Any] = ABOVE | {"columnspacing": 0.8, "handlelength": 1.2}
-    title = "Bands: measured ± σ"
+    kinds = np.array(m.kind)[np.concatenate(shown)]
+    said = {"length": "bands: measured ± σ", "whole": "bands: counted contacts", "at_least": "dotted: at least so long"}
+    title = "; ".join(text for kind, text in said.items() if (kinds == kind).any())
+    title = title[0].upper() + title[1:]
     ax.legend(handles=handles_of(ax, again=any_again), **look, ncols=3, fontsize="small", title=title, alignment="left")
     return ax
 
 
+def _conditions(result: "FitResult") -> list[np.ndarray]:
+    """Group the measurements whose inputs are all equal, in the order of the axis."""
+    inputs, at = result.parameters.inputs_at(result.theta), _abscissa(result)[1]
+    keys = np.column_stack([np.round(at, 9), np.round(inputs.table(), 9)])
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
+
+
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
-    """Range of ℓ/H measured at one height: mean of its measurements minus and plus a standard error."""
-    m = result.measurements
-    sigma = np.where(result.sigma[rows] > 0, result.sigma[rows], 0.5)
-    weight = 1 / sigma**2
-    middle = np.where(np.array(m.kind)[rows] == "whole", m.length[rows] - 0.5, m.length[rows])
-    mean, error = (weight * middle).sum() / weight.sum(), weight.sum() ** -0.5
-    return float((mean - error) / m.height[rows[0]]), float((mean + error) / m.height[rows[0]])
+    """Range of ℓ/H measured under one condition: mean ± standard error of lengths; all that counts hold; else no upper end."""
+    m, kind = result.measurements, np.array(result.measurements.kind)[rows]
+    measured, counted = rows[kind == "length"], rows[kind == "whole"]
+    if len(measured):
+        weight = 1 / result.sigma[measured] ** 2
+        mean, error = (weight * m.length[measured]).sum() / weight.sum(), weight.sum() ** -0.5
+        low, high = mean - error, mean + error
+    elif len(counted):
+        low, high = m.length[counted].min() - 1, m.length[counted].max()
+    else:
+        low, high = m.length[rows].max(), np.inf
+    return float(low / m.height[rows[0]]), float(high / m.height[rows[0]])
 
 
 @drawn
@@ -458,9 +502,10 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     along, at = _abscissa(result) if along_height else ("length", result.fitted.length)
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
-    x = _apart(at * scale) if along_height else at * scale
+    x, limit = _apart(result) if along_height else at * scale, np.array(result.measurements.kind) == "at_least"
     for marker, color, _, rows in _series(result, c):
-        ax.plot(x[rows], result.residuals[rows], marker, color=color)
+        ax.plot(x[rows & ~limit], result.residuals[rows & ~limit], marker, color=color)
+        ax.plot(x[rows & limit], result.residuals[rows & limit], BEYOND, color=color, ms=6)
     label = axis_label(along, unit)
     ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
     ax.set_ylabel("misfit/σ" if along_height else "(fitted − measured)/σ")
@@ -472,11 +517,12 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
 
 
 @drawn
-def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the profile of the deviance along one parameter.
+def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Axes | None" = None) -> "Axes":
+    """Draw the profile of the deviance along one parameter, blue unless a color is given.
 
     All others are fitted anew; lines mark the levels of its intervals, and how far these reach where they are those of
-    simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`.
+    simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`, for the lengths on which
+    the parameter acts.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -484,9 +530,9 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     one = result.parameters.named(name)
     limit = 2.2 * result.rise(BAND_LEVEL)
     rise = curve.deviance - result.deviance
-    again = np.any(_breaks_again(result, result.parameters.inputs_at(curve.theta)), axis=1)
-    assert isinstance(again, np.ndarray)
-    dashed_where(ax, one.value(curve.node), rise, again, color=c.blue, marker=".", ms=3, label="profile")
+    rows = result.parameters.rows_of(result.parameters.index(name))
+    again = np.asarray(_breaks_again(result, result.parameters.inputs_at(curve.theta))[:, rows].any(axis=1))
+    dashed_where(ax, one.value(curve.node), rise, again, color=color or c.blue, marker=".", ms=3, label="profile")
     covariance = result.covariance
     if covariance is not None:
         j = result.parameters.index(name)
@@ -514,7 +560,8 @@ def profile(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axe
     ax.set_ylabel("rise of the deviance")
     # among those shown
     seen = (one.value(curve.node) >= ax.get_xlim()[0]) & (one.value(curve.node) <= ax.get_xlim()[1]) & (rise < limit)
-    ax.legend(handles=handles_of(ax, again=bool(again[seen].any())), **ABOVE, ncols=2, fontsize="small")
+    handles = handles_of(ax, again=bool(again[seen].any()))
+    ax.legend(handles=handles, **ABOVE, ncols=2 if len(handles) == 2 else 1, fontsize="small")
     return ax
 
 
@@ -585,7 +632,7 @@ def _name(one: "Free", axis: "Axis") -> None:
     if axis.get_scale() == "linear" and not -2 <= power < 4:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
         unit = f"$10^{{{power}}}$ {printed(unit)}".rstrip()
-    specimen = f" {one.label[one.label.index('[') :]}" if "[" in one.label else ""
+    specimen = f"\n{one.label[one.label.index('[') :]}" if "[" in one.label else ""
     axis.set_label_text(axis_label(one.name, unit) + specimen)
 
 
@@ -658,16 +705,21 @@ def _group_names(result: "FitResult") -> list[str]:
     """Name the curves by specimen if each has one, and by what differs within a specimen."""
     groups = _groups(result)
     one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
-    numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
-    if one.log_push is not None:
-        numbers["$h/H$"] = np.exp(one.log_push)
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for rows in groups]
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
     names = [f"{min(owner)}: {_best(result)}" if alone else _best(result) for owner in owners]
     alike = [np.array(names) == name for name in set(names)]
-    differ = {name: x for name, x in numbers.items() if any(np.ptp(x[which]) > 1e-9 * np.abs(x).max() for which in alike)}
-    return [", ".join([name, *(f"{number} = {x[i]:.3g}" for number, x in differ.items())]) for i, name in enumerate(names)]
+    differ = _differing(one, alike)
+    return [", ".join([name, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, name in enumerate(names)]
+
+
+def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Symbol and values of the inputs that differ within one of several selections of rows."""
+    numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
+    if one.log_push is not None:
+        numbers["$h/H$"] = np.exp(one.log_push)
+    return [(sign, x) for sign, x in numbers.items() if any(np.ptp(x[which]) > 1e-9 * np.abs(x).max() for which in alike)]
 
 
 def _rejected(result: "FitResult") -> bool:

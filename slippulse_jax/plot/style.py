@@ -136,7 +136,7 @@ def letter_panels(*panels: "Axes") -> None:
     """Letter the panels of a figure (a), (b), (c) …, above the upper end of their vertical axes."""
     for number, ax in enumerate(panels):
         where: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "annotation_clip": False}
-        letter = ax.annotate(f"({chr(ord('a') + number)})", (0, 1), (-18, 3), fontweight="bold", ha="right", **where)
+        letter = ax.annotate(f"({chr(ord('a') + number)})", (0, 1), (-14, 3), fontweight="bold", ha="right", **where)
         letter.set_in_layout(False)  # it stands where labels of the axis have left room
 
 
