@@ -536,7 +536,7 @@ def test_errors_of_specimens_in_the_report():
         in said
     )
     assert "correlations above 0.5:\n    C(k/λc², E (B)) = +0." in said
-    assert "e-05, one for each specimen\n" in said
+    assert "e-5, one for each specimen\n" in said
     assert "(k/K up to 1)" in said
     assert "H/cm  measured/cm" in said
     assert {"height_cm", "length_fitted_cm"} <= set(result.to_dataframe())

@@ -76,7 +76,7 @@ def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
     path = tmp_path / "plateau.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,26.2,0.3\n40,0.3,30,0.3\n")
     done = CliRunner().invoke(command, [str(path)])
-    assert done.stderr.startswith("before fitting: 1 of 2 lengths lie within 3% of the longest attainable")
+    assert done.stderr.startswith("before fitting: 1 of 2 lengths lies within 3% of the longest attainable")
     assert run("--free", "stiffness", "--json").stderr == ""
 
 

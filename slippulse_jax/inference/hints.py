@@ -23,6 +23,7 @@ from slippulse_jax.inference.parameters import (
     stiffest,
 )
 from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, PLATEAU, SCATTERED, Identifiability
+from slippulse_jax.shown import format_number
 from slippulse_jax.theory import length_ceiling
 
 if TYPE_CHECKING:
@@ -70,9 +71,9 @@ def of_attainable(
         poisson = m.poisson[plateau][0]
         ceiling = float(length_ceiling(poisson))
         of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (body == "slider")
-        some, they = f"{int(plateau.sum())} of {len(m)} lengths lie", "they constrain"
-        if len(m) == 1:
-            some, they = "the length lies", "it constrains"
+        count = int(plateau.sum())
+        lie, they = ("lie", "they constrain") if count > 1 else ("lies", "it constrains")
+        some = f"{count} of {len(m)} lengths {lie}" if len(m) > 1 else "the length lies"
         yield f"{some} within {1 - PLATEAU:.0%} of the longest attainable, where {they} stiffness little{of_slider}"
 
 
@@ -234,4 +235,4 @@ def _offered(result: "FitResult", deviance: float, more_dof: int, text: str) -> 
     rejected = (result.p_value or 0.0) < IMPROBABLE
     accepted = chdtrc(dof, deviance) >= (IMPROBABLE if rejected else SCATTERED)
     if accepted or deviance / dof < MUCH * result.deviance / (result.testable_dof or 1):
-        yield deviance / dof, f"{text} (chi-squared {deviance:.3g} for {dof} degree{'s' * (dof > 1)} of freedom)"
+        yield deviance / dof, f"{text} (chi-squared {format_number(deviance, 3)} for {dof} degree{'s' * (dof > 1)} of freedom)"

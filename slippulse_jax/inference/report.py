@@ -134,7 +134,7 @@ def methods(result: "FitResult") -> str:
     if given and not shares_errors(result):
         errors.append("The error does not contain that of the model.")
     sign = "χ²" if result.problem.plain else "deviance"
-    tested = f" ({sign} = {result.misfit:.3g} for {degrees_of_freedom(result.problem, result.testable_dof)})"
+    tested = f" ({sign} = {format_number(result.misfit, 3)} for {degrees_of_freedom(result.problem, result.testable_dof)})"
     return " ".join(
         [
             f"From {_data(result)} of first precursors at {heights} "
@@ -487,7 +487,7 @@ def _quality(result: "FitResult") -> str:
         return f"{data}: the size of the errors is taken from the scatter ({_plural(result.dof, 'degree')} of freedom){size}"
     if result.identifiability is Identifiability.POOR_FIT:
         return data  # the verdict has the rest
-    tested, least = "", f"{round(result.misfit, 9):.3g}"  # no rounding errors
+    tested, least = "", format_number(round(result.misfit, 9), 3)  # no rounding errors
     if result.p_value is not None:
         degrees = degrees_of_freedom(result.problem, result.testable_dof)
         bound = "at most " * degrees.startswith("at most")
@@ -583,7 +583,7 @@ def _further(result: "FitResult") -> list[str]:
         worst = int(np.argmax(np.abs(one.residuals)))
         rows.append(
             f"  {one.observable:12s} {_plural(len(one.residuals), 'reading')}, "
-            f"chi-squared {(one.residuals**2).sum():.3g}; "
+            f"chi-squared {format_number((one.residuals**2).sum(), 3)}; "
             f"worst at {one.places[worst]}: (fit-meas)/σ = {one.residuals[worst]:+.2f}"
         )
     return rows
@@ -768,7 +768,7 @@ def interval(piece: Interval, near: float | None = None, width: float = 0.0) -> 
 
 
 def _probability(p_value: float) -> str:
-    return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
+    return f"p = {p_value:.2g}".replace("e-0", "e-") if p_value > 1e-300 else "p < 1e-300"
 
 
 def _details(result: "FitResult") -> list[str]:
@@ -904,8 +904,8 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         factor = np.sqrt(result.misfit / (result.testable_dof or 1))
         relative = result.measurements.option("--sigma relative", 'sigma="relative"')
         yield (
-            f"the scatter is larger than σ says (p = {result.p_value:.2g}): σ would have to be {factor:.2g} times as large; "
-            f"{relative} takes its size from the scatter"
+            f"the scatter is larger than σ says ({_probability(result.p_value)}): σ would have to be {factor:.2g} times as "
+            f"large; {relative} takes its size from the scatter"
         )
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ implies"

@@ -162,7 +162,7 @@ def _misfit(j: int, e: Evidence) -> Verdict | None:
         at = f" (the best fit lies at its {end} end)" if end else ""
         return Verdict(
             Identifiability.POOR_FIT,
-            f"{e.problem.named_deviance} is {e.misfit:.3g}{of_inputs(e.problem, e.best)} for "
+            f"{e.problem.named_deviance} is {format_number(e.misfit, 3)}{of_inputs(e.problem, e.best)} for "
             f"{degrees_of_freedom(e.problem, e.dof)}: with the stated σ nothing in the range searched{at} gives these "
             "measurements, so no uncertainty is given",
         )

@@ -72,7 +72,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """
     names = _determined(result)[:MOST_PROFILES]
     title = list(_title(result))
-    with new_figure(PAGE, max(3.9, 1.5 + 1.35 * len(names)) + LINE * len(title), ax) as figure:
+    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + LINE * len(title), ax) as figure:
         figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize="small")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
         above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
