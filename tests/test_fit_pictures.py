@@ -13,6 +13,7 @@ from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.verdict import Identifiability
 
 EXAMPLES = Path(__file__).parents[1] / "fit_examples"
+HEIGHT_OF_P = (40.0, 60.0, 80.0, 100.0)
 HEIGHTS = (2.5, 5.0, 7.5)
 
 
@@ -133,11 +134,84 @@ def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end():
     assert bands == {(round((m.length[i] - 1) / m.height[i], 9), round(m.length[i] / m.height[i], 9)) for i in shown}
     limits = [line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == ":" and len({*line.get_ydata()}) == 1]
     np.testing.assert_allclose(limits, [30 / 44, 30 / 56])
-    assert ax.get_legend().get_title().get_text() == "Bands: counted contacts; dotted: at least so long"
+    assert ax.get_legend().get_title().get_text() == "Bands: counted contacts\nDotted: at least this long"
     marked = {
         line.get_marker(): len(line.get_xdata()) for line in plot.residuals(result).lines if len(line.get_xdata()) in (2, 6)
     }
     assert marked["^"] == 2
+
+
+def test_a_measured_band_is_inside_the_axes_although_no_stiffness_reaches_it():
+    m = Measurements(height=[20.0, 40.0], poisson=0.3, length=[24.0, 46.0], length_sigma=0.5)
+    top = plot.length_versus_stiffness(fit(m)).get_ylim()[1]
+    assert top > 24.5 / 20
+
+
+def test_what_a_misfit_is_measured_in():
+    """Counts have no σ; theirs is in contacts."""
+    height = np.array([20.0, 30.0, 44.0])
+    length = lengths_of(height, 0.01)
+    exact = Measurements(height=height, poisson=0.3, length=np.ceil(length), length_sigma=0.0, kind=["whole"] * 3)
+    mixed = Measurements(
+        height=height,
+        poisson=0.3,
+        length=[*np.ceil(length[:2]), length[2]],
+        length_sigma=[0, 0, 0.5],
+        kind=["whole", "whole", "length"],
+    )
+    known = Measurements(height=height, poisson=0.3, length=length, length_sigma=0.5)
+    labels = [plot.residuals(fit(m)).get_ylabel() for m in (exact, mixed, known)]
+    per = [label.replace("(fitted − measured)/", "") for label in labels]
+    assert per == [r"$\lambda_c$", r"σ (counts: $\lambda_c$)", "σ"]
+
+
+def test_counts_of_several_specimens_are_named():
+    height = np.array([20.0, 30.0, 44.0, 60.0])
+    length = lengths_of(height, 0.01)
+    m = Measurements(
+        height, 0.3, [*np.ceil(length[:2]), *length[2:]], 0.5, kind=["whole"] * 2 + ["length"] * 2, specimen=[*"PPQQ"]
+    )
+    assert {"P, counted", "Q ± σ"} <= {*texts(plot.fit_lengths(fit(m)))}
+
+
+def test_each_curve_is_called_by_the_verdict_of_its_specimen():
+    """The one length of Q has a second value, at which the edge breaks again."""
+    height, specimen = [*HEIGHT_OF_P, 30.0], [*"PPPPQ"]
+    m = Measurements(height, 0.3, [*lengths_of(np.array(HEIGHT_OF_P), 0.003), 30.0], 0.3, specimen=specimen)
+    result = fit(m, [EACH], intervals="profile")
+    assert result.verdicts["stiffness[Q]"].identifiability is Identifiability.SEVERAL_ROOTS
+    assert {"P: best fit", "Q: one that fits"} <= {*texts(plot.fit_lengths(result))}
+
+
+def test_the_profile_of_a_rejected_fit_has_no_levels():
+    m = Measurements([20.0, 40.0, 80.0], 0.3, lengths_of(np.array([20.0, 40.0, 80.0]), [0.001, 0.005, 0.02]), 0.2)
+    result = fit(m)
+    assert result.identifiability is Identifiability.POOR_FIT
+    ax = plot.profile(result, "stiffness")
+    assert texts(ax) == ["profile (rejected)"]
+    assert [text.get_text() for text in ax.texts] == []
+
+
+@pytest.mark.parametrize("name", ["counts_and_run_throughs", "own_csv", "prestressed_slider"])
+def test_no_legend_reaches_beyond_the_figure(name):
+    figure = plot.fit(fit(EXAMPLES / name / "lengths.csv"))
+    figure.draw_without_rendering()
+    legends = [ax.get_legend() for ax in figure.axes if ax.get_legend()]
+    assert max(one.get_window_extent().x1 for one in legends) <= figure.bbox.x1
+
+
+def test_a_legend_of_many_inputs_stays_inside():
+    """Heights and prestress differ, so that labels are long; with counts and limits the title has two lines."""
+    height = np.array([20.0, 20.0, 35.0, 35.0, 50.0])
+    m = Measurements(
+        height, 0.3, 0.6 * height, 1.0, prestress=[0, 0.08, 0.15, -0.1, 0.05], kind=["length"] * 3 + ["whole", "at_least"]
+    )
+    figure = plot.fit(fit(m))
+    figure.draw_without_rendering()
+    legends = [ax.get_legend() for ax in figure.axes if ax.get_legend()]
+    assert max(one.get_window_extent().x1 for one in legends) <= figure.bbox.x1
+    widths = [ax.get_position().width for ax in figure.axes]
+    assert max(widths) < 1.2 * min(widths)
 
 
 def test_panels_are_lettered_down_the_left_first():

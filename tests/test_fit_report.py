@@ -57,17 +57,17 @@ def test_an_uneven_interval_is_the_one_to_publish():
         value, error = result.values["stiffness"], result.stderrs["stiffness"]
         sides = np.array([value - piece.low, piece.high - value]) / error
         assert (abs(sides - 1).max() > 0.2) == (deviation == 0.2)
-        said[deviation] = [note for note in result.notes if "publish the 68 % interval" in note]
+        said[deviation] = [note for note in result.notes if "is the 68 % interval" in note]
     assert said[0.05] == []
     assert len(said[0.2]) == 1
-    reach = rf"rather than ±: the likelihood is not parabolic.* {sides[0]:.2f} times ± below the value and {sides[1]:.2f} times"
+    reach = rf"not ±: the likelihood is not parabolic.* {sides[0]:.2f} times ± below the value and {sides[1]:.2f} times"
     assert re.search(reach, said[0.2][0])
 
 
 def test_a_size_of_errors_from_few_lengths_widens_the_interval():
     """By Student's t for two degrees of freedom, 1.32, which ± does not contain."""
     result = sp.fit(sp.Measurements(HEIGHT[:3], 0.3, LENGTH[:3] * (1 + 0.01 * NOISE[:3])))
-    (note,) = [note for note in result.notes if "publish the 68 % interval" in note]
+    (note,) = [note for note in result.notes if "is the 68 % interval" in note]
     assert "the size of σ is known from 2 degrees of freedom only" in note
     found = [float(x) for x in re.findall(r"([0-9.]+) times ±", note)]
     assert found == pytest.approx([1.32, 1.32], abs=0.06)
@@ -420,7 +420,8 @@ def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     assert np.isfinite(length).all()
     m = sp.Measurements(200.0, 0.3, length, 0.08 * length, push_height=200 * push)
     unstated = sp.fit(m, intervals="profile")
-    ((_, factor),) = unstated.unstated_push.items()
+    ((_, factors),) = unstated.unstated_push.items()
+    factor = factors["stiffness"]
     assert factor * unstated.values["stiffness"] == pytest.approx(k, rel=0.25)
     guess = "Guessed: the pusher covers all of the side above push_height, as no push_width is stated; if it is 0.1 H high, "
     assert f"{guess}the stiffness is about {factor:.2g} times as large." in unfolded(unstated.report())
@@ -525,3 +526,119 @@ def test_an_error_that_the_data_exclude_is_not_one_of_the_result():
     none = Moved(0.1, {"areal_stiffness": float("nan")}, {"areal_stiffness": -0.2})
     assert none.by("areal_stiffness") == 0.2
     assert total_interval(result, "areal_stiffness", {"young": none}).low < result.values["areal_stiffness"] * np.exp(-0.2)
+
+
+# --- what a reader would compute again ----------------------------------------------------------------------------------
+
+
+def in_mm(**columns):
+    """Six lengths in mm, of λc = 0.1 mm, with an offset of half a millimetre."""
+    length = 0.1 * np.asarray(sp.exact_lengths(sp.Slider(HEIGHT, 3e-4, 0.3))) + 0.5
+    table = {"height_mm": 0.1 * HEIGHT, "correlation_length_um": 100.0, "poisson": 0.3, "young_GPa": 3.0, "length_mm": length}
+    return pd.DataFrame(table | {"length_sigma_mm": 0.1} | columns)
+
+
+def test_an_offset_is_in_the_unit_of_the_table_wherever_it_is_printed():
+    result = sp.fit(in_mm(), ["stiffness", "offset"])
+    value, error = (1e3 * one["offset"] for one in (result.values, result.stderrs))
+    shown = value_with_error(value, error)
+    said = result.report(verbose=True)
+    assert f"offset = {shown} mm" in said
+    (low, high, *_), = result.intervals["offset"][LEVELS[0]]  # fmt: skip
+    ends = re.search(r"offset = .*\n +68% interval  (\S+) to (\S+)\n", said).groups()
+    np.testing.assert_allclose([float(end) for end in ends], [1e3 * low, 1e3 * high], rtol=0.02)
+    assert f"<td>{shown}</td>" in result._repr_html_()
+    assert "<td>mm</td>" in result._repr_html_()
+    assert "<td>m</td>" not in result._repr_html_()
+    (row,) = [line for line in section(said, "What else would move it") if line.startswith("  H larger by 1 %")]
+    by = 1e3 * result.budget["height"].change["offset"]
+    assert row.endswith(f"  {by:+.2g} mm")
+
+
+def test_changes_of_an_offset_are_in_order_too():
+    result = sp.fit(in_mm(length_sigma_mm=0.3), ["offset"], fixed={"areal_stiffness": 9e9})
+    rows = section(result.report(), "What else would move it")[1:]
+    moved = [abs(float(re.search(r"  ([+-][\d.e-]+|0)( mm)?$", row).group(1))) for row in rows]
+    assert len(moved) > 5
+    assert moved == sorted(moved, reverse=True)
+    assert "longest attainable" not in result.report()  # that is a matter of the stiffness, which is held
+
+
+MIXED = {"kind": ["whole", "whole", "length", "length", "at_least", "length"]}
+
+
+@pytest.mark.parametrize("made", ["counts and limits", "an offset"])
+def test_a_model_factor_moves_the_result_as_one_that_is_held(made):
+    if made == "an offset":
+        m, free = in_mm(), ["stiffness", "offset"]
+    else:
+        shorter = LENGTH * np.array([1, 1, 1.01, 0.99, 0.9, 1])
+        sigma = np.array([0.5, 0.5, 3, 3, 3, 3])
+        m, free = (
+            sp.Measurements(HEIGHT, 0.3, np.where(np.arange(6) < 2, np.ceil(LENGTH), shorter), sigma, **MIXED),
+            ["stiffness"],
+        )
+    result = sp.fit(m, free)
+    held = sp.fit(m, free, fixed={"model_factor": 1.1})
+    assert held.unstated_ends.keys() == {"block_length", "machine_stiffness"}  # a second factor is no question
+    for name, moved in result.unstated_ends["provenance"].items():
+        by = np.log(held.values[name] / result.values[name]) if name != "offset" else held.values[name] - result.values[name]
+        assert moved == pytest.approx(by, rel=1e-3)
+
+
+def test_fronts_without_arrest_alone_bound_the_stiffness_and_have_no_best_value():
+    m = sp.Measurements([200.0, 400.0], 0.3, [100.0, 250.0], 5.0, kind=["at_least"] * 2)
+    result = sp.fit(m)
+    assert result.identifiability is Identifiability.EQUAL
+    report = unfolded(result.report())
+    assert "any in the interval" in report
+    assert "attainable" not in report
+    (piece,) = result.intervals["stiffness"][LEVELS[1]]
+    assert f"{value_with_error(piece.low, None)[:3]}" in report  # not rounded away beside the upper end
+    lowest = np.asarray(sp.exact_lengths(sp.Slider([200.0, 400.0], piece.low, 0.3)))
+    assert (lowest / [100, 250]).min() == pytest.approx(1, abs=0.1)
+    assert "without a best value" in result.methods()
+
+
+def test_each_specimen_has_the_factor_of_a_block_of_its_own_lengths():
+    stiffness = np.repeat([3e-4, 1e-3], 6)
+    height = np.tile(HEIGHT, 2)
+    length = np.asarray(sp.exact_lengths(sp.Slider(height, stiffness, 0.3)))
+    m = sp.Measurements(height, 0.3, length, 0.01 * length, specimen=list("A" * 6 + "B" * 6))
+    both = sp.fit(m, EACH).unstated_push
+    for name, own in (("A", slice(0, 6)), ("B", slice(6, 12))):
+        alone = sp.fit(sp.Measurements(height[own], 0.3, length[own], 0.01 * length[own])).unstated_push
+        for at, factors in alone.items():
+            np.testing.assert_allclose(both[at][f"stiffness[{name}]"], factors["stiffness"], rtol=1e-6)
+    assert both["0.5"]["stiffness[A]"] != pytest.approx(both["0.5"]["stiffness[B]"], rel=0.05)
+
+
+def test_errors_of_measuring_are_those_of_what_was_measured():
+    provenance = ["measured", "measured", "", "", "", ""]
+    result = sp.fit(lengths(provenance=provenance))
+    q = result.parameters
+    assert q.offset.slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]
+    assert q.scales["length"].slope[:, q.index("model_factor")].tolist() == [1, 1, 0, 0, 0, 0]
+
+
+def test_no_size_of_errors_from_a_scatter_that_counts_do_not_have():
+    """`sigma="relative"` is not suggested where it would be refused."""
+    off = LENGTH + np.array([0, 9, -9, 9, -9, 9])
+    kind = ["whole", *["length"] * 5]
+    m = sp.Measurements(HEIGHT, 0.3, np.where(np.arange(6) < 1, np.ceil(off), off), 5.0, kind=kind)
+    result = sp.fit(m)
+    (note,) = [one for one in result.notes if one.startswith("the scatter is larger")]
+    assert "relative" not in note
+    with pytest.raises(ValueError, match="no scatter"):
+        sp.fit(m, sigma="relative")
+
+
+def test_a_narrow_pusher_is_judged_with_the_error_of_its_height():
+    """As a fit of the table with the width stated, and not as if the height were exact."""
+    table = {"height_cm": [1.2, 4.0], "correlation_length_um": 20, "poisson": 0.38, "young_MPa": 2400, "length_cm": [0.41, 2.1]}
+    table |= {"length_sigma_cm": [0.008, 0.042], "push_height_cm": [0.3, 1.0], "push_height_sigma_cm": 0.02}
+    wide = sp.fit(pd.DataFrame(table))
+    narrow = sp.fit(pd.DataFrame(table | {"push_width_cm": [0.12, 0.4]}))
+    ratio = narrow.values["areal_stiffness"] / wide.values["areal_stiffness"]
+    assert wide.unstated_push["0.1 H high"]["areal_stiffness"] == pytest.approx(ratio, rel=0.25)
+    assert "the stiffness is about" in unfolded(wide.report())

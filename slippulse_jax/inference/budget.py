@@ -14,7 +14,7 @@ from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import IN_LC, Measurements
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES, parameter_set
+from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES, Parameter, parameter_set
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, Identifiability
 
@@ -133,9 +133,9 @@ def _allowed(result: "FitResult", name: str, error: float) -> np.ndarray:
     return (high - low) / 2 / SMALL / np.sqrt(1 + rise)
 
 
-def _changes(result: "FitResult", m: Measurements, name: str, by: float) -> dict[str, float]:
+def _changes(result: "FitResult", m: Measurements, name: str, by: float, *held: Parameter) -> dict[str, float]:
     """Changes of the parameters that have a value, for other measurements; NaN where these are rejected or run through."""
-    (theta, deviance), q, dof = _refitted(result, m, name, by), result.parameters, result.testable_dof
+    (theta, deviance), q, dof = _refitted(result, m, name, by, *held), result.parameters, result.testable_dof
     rejected = dof is not None and chdtrc(dof, deviance - result.problem.perfect) < IMPROBABLE
     moved = theta - result.theta if np.isfinite(deviance) and not (rejected and name in USUAL) else np.full(len(theta), np.nan)
     return {one: float(moved[q.index(one)]) for one, verdict in result.verdicts.items() if verdict.identifiability in GIVEN}
@@ -158,33 +158,38 @@ def unstated_ends(result: "FitResult") -> dict[str, dict[str, float]]:
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
             continue
         found[name] = _changes(result, dataclasses.replace(m, **{name: SUPPOSED[name][1] * size}), name, 0.0)
-    if "length" in result.budget and not any(m.provenance):
-        shorter = -float(np.log(SUPPOSED["provenance"][1]))  # of lengths and their σ, which is the same
-        found["provenance"] = _changes(result, _moved(m, "length", shorter), "provenance", -shorter)
+    if "length" in result.budget and not any(m.provenance) and "model_factor" not in result.parameters.held:
+        found["provenance"] = _changes(result, m, "provenance", 0.0, Parameter("model_factor", value=SUPPOSED["provenance"][1]))
     return found
 
 
-def unstated_push(result: "FitResult") -> dict[str, float]:
-    """Factors on the stiffness by where the side is pushed, as far as the table does not say, for the same lengths.
+def unstated_push(result: "FitResult") -> dict[str, dict[str, float]]:
+    """Factors on each stiffness by where the side is pushed, as far as the table does not say, for the same lengths.
 
-    Of a slider, those of a block pushed from some heights over H up, for the measurement with the median length over H. Of a
-    block whose pusher has no stated height, that of a pusher `NARROW_PUSHER`. NaN where no stiffness gives the lengths. Only
-    for relaxed interfaces whose stiffness has a value. Empty where the lengths of a slider share an offset or a model factor,
-    which would take other values in a fit of a block.
+    By push, and by parameter. Of a slider, those of a block pushed from some heights over H up, for that measurement on which
+    the stiffness acts whose length over H is the median. Of a block whose pusher has no stated height, that of a pusher
+    `NARROW_PUSHER`. NaN where no stiffness gives the lengths. Only for relaxed interfaces whose stiffness has a value. Empty
+    where the lengths of a slider share an offset or a model factor, which would take other values in a fit of a block.
     """
     if width_is_unstated(result):
         return {NARROW_PUSHER: _narrower(result)}
     if not push_is_unstated(result) or shares_errors(result):
         return {}
     m = result.measurements
-    ratio = result.fitted.length / m.height
-    i = int(np.argsort(ratio)[len(m) // 2])
-    found = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
-    return {at: b / float(result.regime.b[i]) for at, b in found.items() if b is not None}
+    q, ratio = result.parameters, result.fitted.length / m.height
+    found: dict[str, dict[str, float]] = {}
+    for one in (one for one in q.free if one.name in STIFFNESSES):
+        rows = q.rows_of(q.index(one.label))
+        i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])
+        for at in PUSHES:
+            b = packaged_b(float(ratio[i]), float(m.poisson[i]), at)
+            if b is not None:
+                found.setdefault(f"{at:g}", {})[one.label] = b / float(result.regime.b[i])
+    return found
 
 
-def _narrower(result: "FitResult") -> float:
-    """Factor on the stiffnesses, their median, if the pusher is narrow; NaN where the lengths are then rejected.
+def _narrower(result: "FitResult") -> dict[str, float]:
+    """Factor on each stiffness if the pusher is narrow; NaN where the lengths are then rejected.
 
     From two fits within the packaged nodes, for which nothing is followed anew: of a tall block, as lengths over H hardly
     depend on λc/H, at ν = 0.3, and pushed from `NARROW` to `HIGHEST` H up.
@@ -196,15 +201,16 @@ def _narrower(result: "FitResult") -> float:
     if m.correlation_length is not None:
         changed["correlation_length"] = m.correlation_length / taller
     share = np.clip(m.push_height / m.height, NARROW, HIGHEST)
-    changed |= {"push_height": share * changed["height"], "push_height_sigma": None}
+    changed |= {"push_height": share * changed["height"]}
     changed |= {"poisson": np.full(len(m), 0.3), "poisson_sigma": None}
     wanted = [one for one in q.wanted if one.name not in ("push_height", "poisson")]
-    found, deviance = [], 0.0
+    found, deviance, labels = [], 0.0, []
     for width in (None, NARROW * changed["height"]):
         other = dataclasses.replace(m, **changed, push_width=width)
         every = parameter_set(other, wanted, q.event, q.body)
         problem = make_problem(other, every, result.problem.loss, result.sigma * taller)
         stiff = [j for j, one in enumerate(every.free) if one.name in STIFFNESSES]
+        labels = [every.free[j].label for j in stiff]
         known = dict(zip(q.names, result.theta, strict=True))
         start = np.clip([known.get(one.label, 0.0) for one in every.free], every.low, every.high)
         starts = np.repeat(start[None], STARTS, axis=0)
@@ -214,7 +220,8 @@ def _narrower(result: "FitResult") -> float:
         found.append(ends.theta[best][stiff])
         deviance = 2 * float(ends.value[best])
     rejected = result.testable_dof and chdtrc(result.testable_dof, deviance) < IMPROBABLE
-    return float("nan") if rejected or not np.isfinite(deviance) else float(np.median(np.exp(found[1] - found[0])))
+    factors = np.where(rejected or not np.isfinite(deviance), np.nan, np.exp(found[1] - found[0]))
+    return dict(zip(labels, map(float, factors), strict=True))
 
 
 def width_is_unstated(result: "FitResult") -> bool:
@@ -311,12 +318,12 @@ def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
     return {name: getattr(m, name) / factor for name in names if getattr(m, name) is not None}
 
 
-def _refitted(result: "FitResult", m: Measurements, name: str, by: float) -> tuple[np.ndarray, float]:
-    """θ of least deviance near the best fit, for other measurements, and that deviance."""
+def _refitted(result: "FitResult", m: Measurements, name: str, by: float, *held: Parameter) -> tuple[np.ndarray, float]:
+    """θ of least deviance near the best fit, for other measurements or with more parameters held, and that deviance."""
     sigma = result.problem.blocks[0].data.sigma
-    if name in ("correlation_length", "provenance"):
+    if name == "correlation_length":
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
-    q = parameter_set(m, result.parameters.wanted, result.parameters.event, result.parameters.body)
+    q = parameter_set(m, [*result.parameters.wanted, *held], result.parameters.event, result.parameters.body)
     problem = make_problem(m, q, result.problem.loss, sigma)
     found = minimise(problem, result.theta[None], q.low, q.high)
     return found.theta[0], 2 * float(found.value[0])

@@ -425,7 +425,9 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
     name = parameter.name
     specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
     groups = [(f"{name}[{one}]", np.array([s == one for s in m.specimen])) for one in specimens]
-    groups = groups or [(name, np.ones(len(m), dtype=bool))]
+    measured = np.array([one == "measured" for one in m.provenance], dtype=bool)
+    shared = parameter.nuisance and measured.any()  # an error of measuring, of those that were measured
+    groups = groups or [(name, measured if shared else np.ones(len(m), dtype=bool))]
     stated = PARAMETERS[name].stated
     if stated and name not in HEIGHTS and getattr(m, stated) is not None:
         for label, rows in groups:
@@ -788,7 +790,8 @@ def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
             raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
         _check_meaning(m, one, stiffness)
     if stiffness not in names:
-        raise ValueError(f"{stiffness} is neither fitted nor held: name it, or give Parameter({stiffness!r}, value=…)")
+        option = m.option(f"--free stiffness, or --fix {stiffness}=VALUE", f"fixed={{{stiffness!r}: …}}, or free with it")
+        raise ValueError(f"{stiffness} is neither fitted nor held: name it: {option}")
     if "strength" not in names and (carrier := _carries_strength(m)):
         asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
         both = dict.fromkeys([*asked, "strength"])

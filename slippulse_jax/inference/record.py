@@ -141,7 +141,7 @@ def changes_of_record(content: dict[str, Any]) -> dict[str, Any]:
             for name, one in content["budget"].items()
         },
         "unstated_ends": {name: numbers(moved) for name, moved in content["unstated_ends"].items()},
-        "unstated_push": numbers(content["unstated_push"]),
+        "unstated_push": {at: numbers(factors) for at, factors in content["unstated_push"].items()},
         "next_steps": content["next_steps"],
         "as_slider": other,
     }

@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +15,6 @@ from slippulse_jax.inference.budget import (
     SUPPOSED,
     USUAL,
     push_is_unstated,
-    shares_errors,
     total,
     total_interval,
     total_of_ratio,
@@ -120,18 +119,18 @@ def methods(result: "FitResult") -> str:
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + _range(m.height * scale)
     held = [f"{name} = {format_number(value)}" for name, value in q.held.items()]
     shown, verdict = _shown(result), "; ".join(_verdicts(result))
-    bounded = [q.named(name) for name in result.names if any(result.intervals.get(name, {}).values())]
-    ends = [f"{shown[one.label]} = {_ends(result, one.label)} {_in_its_unit(result, one)[1]}".rstrip() for one in bounded]
+    bounded = [name for name in result.names if any(result.intervals.get(name, {}).values())]
+    ends = [f"{shown[name]} = {_ends(result, name)} {_in_its_unit(result, name)[1]}".rstrip() for name in bounded]
     obtained = f"we obtain {', and '.join(values)}" if given else f"no number is obtained: {verdict}"
     if ends and not given:
-        obtained = f"the 95 % interval is {', and '.join(ends)}, without a best value: {verdict}"
+        obtained = f"the 95 % interval is {', and '.join(ends)}: {verdict}"
     errors = []
     if given and moved:
         usual = ", ".join(f"{USUAL[name].symbol} ({USUAL[name].in_words})" for name in moved)
         errors.append(f"The error contains usual errors of {usual}.")
     if given and (fitted := _priors(result)):
         errors.append(f"Fitted with it: {', '.join(fitted)}.")
-    if given and not shares_errors(result):
+    if given and not any(one.name == "model_factor" for one in q.free):
         errors.append("The error does not contain that of the model.")
     sign = "χ²" if result.problem.plain else "deviance"
     tested = f" ({sign} = {format_number(result.misfit, 3)} for {degrees_of_freedom(result.problem, result.testable_dof)})"
@@ -163,14 +162,16 @@ def _priors(result: "FitResult", *names: str) -> list[str]:
 
 def _prior(result: "FitResult", one: "Free") -> str:
     """``0 ± 0.5 mm``, a length in the unit of the table."""
-    size, unit = _in_its_unit(result, one)
+    size, unit = _in_its_unit(result, one.label)
     mean = one.value(one.prior_mean)
     return f"{value_with_error(mean * size, one.prior_sigma * size * (mean if one.log else 1))} {unit}".rstrip()
 
 
-def _in_its_unit(result: "FitResult", one: "Free") -> tuple[float, str]:
-    """Unit in which to show a parameter: that of the table for heights and an offset."""
-    m = result.measurements
+def _in_its_unit(result: "FitResult", name: str) -> tuple[float, str]:
+    """Unit in which to show a parameter, by its label: that of the table for heights and an offset; none for k/K beside."""
+    m, one = result.measurements, next((one for one in result.parameters.free if one.label == name), None)
+    if one is None:
+        return 1.0, ""
     if one.unit != "m" or one.name == "correlation_length" or m.correlation_length is None:
         return 1.0, one.unit
     return float(m.unit[0][0] / m.correlation_length[0]), m.unit[1]
@@ -179,7 +180,7 @@ def _in_its_unit(result: "FitResult", one: "Free") -> tuple[float, str]:
 def value_in_words(result: "FitResult", name: str) -> str:
     """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``: with usual errors of inputs first."""
     whole, own = _errors(result, name)
-    unit, alone = _in_its_unit(result, result.parameters.named(name))[1], f"; {own} {_alone(result)}" if whole else ""
+    unit, alone = _in_its_unit(result, name)[1], f"; {own} {_alone(result)}" if whole else ""
     return f"{_shown(result)[name]} = {whole or own} {unit}".rstrip() + alone
 
 
@@ -252,7 +253,7 @@ def _values(result: "FitResult") -> list[str]:
     moved, shown = result.budget, _shown(result)
     rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for name in result.names:
-        unit = _in_its_unit(result, result.parameters.named(name))[1]
+        unit = _in_its_unit(result, name)[1]
         rows.append([shown[name] + f" ({unit})" * bool(unit), *_errors(result, name), _ends(result, name)])
     for labels, ratio in _shown_ratios(result).items():
         own = value_with_error(ratio, result.stiffness_ratios[labels][1])
@@ -261,12 +262,12 @@ def _values(result: "FitResult") -> list[str]:
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
-def _ends(result: "FitResult", name: str) -> str:
-    """The 95 % interval of a parameter, in its pieces."""
-    size = _in_its_unit(result, result.parameters.named(name))[0]
+def _ends(result: "FitResult", name: str, level: float = LEVELS[-1]) -> str:
+    """The interval of a parameter, in its pieces."""
+    size = _in_its_unit(result, name)[0]
     by_level = {level: [_scaled(piece, size) for piece in own] for level, own in result.intervals.get(name, {}).items()}
     narrow, value = _narrowest(by_level), result.values[name] * size
-    return " or ".join(interval(piece, value, narrow) for piece in by_level.get(LEVELS[-1], [])) or "none"
+    return " or ".join(interval(piece, value, narrow) for piece in by_level.get(level, [])) or "none"
 
 
 def _scaled(piece: Interval, size: float) -> Interval:
@@ -275,7 +276,7 @@ def _scaled(piece: Interval, size: float) -> Interval:
 
 def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None, *, uneven: bool) -> str:
     """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
-    verdict, size = result.verdicts[name].identifiability, _in_its_unit(result, result.parameters.named(name))[0]
+    verdict, size = result.verdicts[name].identifiability, _in_its_unit(result, name)[0]
     value, error = result.values[name] * size, None if error is None else error * size
     piece = None if piece is None else _scaled(piece, size)
     if uneven and piece is not None and piece.encloses(value) and verdict in GIVEN:
@@ -286,6 +287,15 @@ def _with_error(result: "FitResult", name: str, error: float | None, piece: Inte
         return WITHOUT_VALUE[Identifiability.EQUAL]
     alike = sum(root.deviance < result.deviance + ALIKE for root in result.roots)
     return f"{value_with_error(value, error)} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
+
+
+def _with_error_of_derived(result: "FitResult", name: str) -> str:
+    """k/K beside an areal stiffness: with its error, by the 68 % interval where that is uneven."""
+    verdict = result.verdicts[gravest(result.verdicts)].identifiability
+    value, error, pieces = result.values[name], result.stderrs[name], result.intervals.get(name, {}).get(LEVELS[0], [])
+    if verdict in GIVEN and len(pieces) == 1 and pieces[0].encloses(value) and _uneven(result, name, error, pieces[0], UNEVEN):
+        return value_with_sides(value, value - pieces[0].low, pieces[0].high - value)
+    return WITHOUT_VALUE.get(verdict) or value_with_error(value, error)
 
 
 def _points(result: "FitResult") -> bool:
@@ -308,7 +318,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
     """State the kind of body that the result holds for, and what was guessed or held."""
     q, m = result.parameters, result.measurements
     scale, unit = m.unit
-    longest = float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}")
+    longest = format_number(float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}"))
     ended, machine = q.inputs.log_sites is not None, q.inputs.log_machine is not None
     if q.body == "block":
         body, still = "a block under two-dimensional elasticity", "the pusher" * ("force" not in m.push_control)
@@ -316,22 +326,24 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         stated = ["end"] * ended + ["machine"] * machine
         body = "the paper's slider" + f" with the stated {' and '.join(stated)}" * bool(stated)
         still = "the edge" * (not machine)
-    needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest:g} {unit}"] * (not ended)
+    needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest} {unit}"] * (not ended)
     needed += [f"{still} does not move during the event"] * bool(still)
     body += f", if {' and '.join(needed)}" * bool(needed)
     fronts = {"crack": "crack-like fronts", "full": "whole events" * (q.body == "slider")}
     with_ = fronts.get(q.event, "the smooth break rule" * q.smooth)
     tried = result.identifiability in NOTHING_HOLDS
     yield f"{'tried with' if tried else 'holds for'} {body}, with uniform thresholds" + f" and {with_}" * bool(with_)
-    ratio = result.unstated_push.get(NARROW_PUSHER)
+    ratios = [x for factors in result.unstated_push.values() for x in factors.values()]
+    found = [x for x in ratios if not math.isnan(x)]
     if push_is_unstated(result):
-        found = [x for x in result.unstated_push.values() if not math.isnan(x)]
-        none = ", or none fits" * (len(found) < len(result.unstated_push))
-        factor = f"{format_number(min(found), 2)} to {format_number(max(found), 2)} times this{none}" if found else "another"
+        none = ", or none fits" * (len(found) < len(ratios))
+        factor = f"{_span(found)} times this{none}" if found else "another"
         yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
-    if ratio is not None:
+    if NARROW_PUSHER in result.unstated_push:
         suffix = f"_{unit}" * m.in_si
-        would = "no stiffness fits these lengths" if math.isnan(ratio) else f"the stiffness is about {ratio:.2g} times as large"
+        would = "no stiffness fits these lengths"
+        if found:
+            would = f"the stiffness is about {_span(found)} times as large"
         yield (
             f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if it "
             f"is {NARROW_PUSHER}, {would}"
@@ -340,16 +352,20 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         yield "held: " + ", ".join(f"{name} = {format_number(value)}" for name, value in q.held.items())
 
 
+def _span(factors: Sequence[float]) -> str:
+    """``0.052 to 0.66``, or one number."""
+    return " to ".join(dict.fromkeys(format_number(x, 2) for x in (min(factors), max(factors))))
+
+
 def html_of(result: "FitResult") -> str:
     """Format the result as a table for a notebook: values with errors and intervals, the verdict, the data."""
-    shown = {one.label: (_symbol(one.label, one.symbol), one.unit) for one in result.parameters.free}
+    shown = {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
     rows = []
-    for name, value in result.values.items():
-        symbol, unit = shown.get(name, ("k/K", ""))
-        by_level = result.intervals.get(name, {})
-        ends = [" or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) for pieces in by_level.values()]
-        whole, own = _errors(result, name) if name in result.verdicts else ("", value_with_error(value, result.stderrs[name]))
-        rows.append((symbol, whole or own, own, *(ends or ["", ""]), unit))
+    for name in result.values:
+        symbol = shown.get(name, "k/K")
+        whole, own = _errors(result, name) if name in result.verdicts else ("", _with_error_of_derived(result, name))
+        ends = [_ends(result, name, level) if result.intervals.get(name) else "" for level in LEVELS]
+        rows.append((symbol, whole or own, own, *ends, _in_its_unit(result, name)[1]))
     heads = ("", "with usual errors of inputs", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
     m = result.measurements
     said = [result.reason, f"{_plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
@@ -384,9 +400,11 @@ def _ratios(result: "FitResult") -> str:
     """State the range of k/K, and why it is not one number."""
     ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
     low, high = format_number(ratio.min()), format_number(ratio.max())
-    differ = any(np.ptp(x) > 0 for x in (m.correlation_length, m.young) if x is not None)
-    why = "as λc and E differ between measurements" if differ else "one for each specimen"
-    return low if low == high else f"{low} to {high}, {why}"
+    several = sum(one.name in STIFFNESSES for one in result.parameters.free) > 1
+    differ = [sign for sign, x in (("λc", m.correlation_length), ("E", m.young)) if x is not None and np.ptp(x) > 0]
+    why = ["one for each specimen"] * (several or not differ)
+    why += [f"as {' and '.join(differ)} differ{'s' * (len(differ) == 1)} between measurements"] * bool(differ)
+    return low if low == high else f"{low} to {high}, {', '.join(why)}"
 
 
 def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
@@ -434,7 +452,7 @@ def _inputs(result: "FitResult") -> list[str]:
     each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
     rows, shown = [f"  also fitted, within their errors{each}:"], _shown(result)
     for one, t, pull in pulls:
-        fitted = format_number(one.value(t) * _in_its_unit(result, one)[0], 5)
+        fitted = format_number(one.value(t) * _in_its_unit(result, one.label)[0], 5)
         rows.append(
             f"    {shown[one.label]}: stated {_prior(result, one)}, fitted {fitted} ({pull:+.2f} σ)".replace("-0.00", "+0.00")
         )
@@ -490,8 +508,8 @@ def _quality(result: "FitResult") -> str:
     tested, least = "", format_number(round(result.misfit, 9), 3)  # no rounding errors
     if result.p_value is not None:
         degrees = degrees_of_freedom(result.problem, result.testable_dof)
-        bound = "at most " * degrees.startswith("at most")
-        p = _probability(result.p_value).replace("= ", f"= {bound}").replace(" ", TIED)
+        p = _probability(result.p_value)
+        p = (p.replace("= ", "at most ") if degrees.startswith("at most") else p).replace(" ", TIED)
         tested = f"{name} {least}{of_inputs(result.problem, result.theta)} for {degrees} ({p})"
     elif not result.problem.plain:
         return data  # counts and limits that hold cost nothing
@@ -632,7 +650,9 @@ def _effects(result: "FitResult", moved: dict[str, float], none: str) -> tuple[f
         elif result.parameters.named(name).log:
             words[name], size = _times(math.exp(by)), max(size, _size(math.exp(by)))
         else:
-            words[name] = f"{by:+.2g}" if abs(by) > NONE else "0"
+            scale, unit = _in_its_unit(result, name)
+            words[name] = f"{by * scale:+.2g} {unit}".rstrip() if abs(by) > NONE else "0"
+            size = max(size, abs(by / (result.values[name] or 1.0)))
     return size, words
 
 
@@ -653,7 +673,9 @@ def _of_inputs(result: "FitResult") -> Iterator[_Change]:
     """Usual errors of inputs taken as exact."""
     for name, one in result.budget.items():
         usual = USUAL[name]
-        what = f"{usual.symbol} {'smaller' if usual.smaller else 'larger'} by {usual.in_words}"
+        m = result.measurements
+        counted = " (counts stay as they are)" * (name == "correlation_length" and m.in_si and "whole" in m.kind)
+        what = f"{usual.symbol} {'smaller' if usual.smaller else 'larger'} by {usual.in_words}{counted}"
         yield _Change(what, *_effects(result, one.change, "none fits"))
 
 
@@ -670,13 +692,16 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
     """Another body or push for the same lengths, and thresholds that scatter."""
     stiff, unit = _stiff(result), f"_{result.measurements.unit[1]}" * result.measurements.in_si
     if result.unstated_push and stiff:
-        ratios = result.unstated_push.values()
-        size = max(math.inf if math.isnan(ratio) else _size(ratio) for ratio in ratios)
+        each = {name: [factors[name] for factors in result.unstated_push.values() if name in factors] for name in stiff}
+        size = max(math.inf if math.isnan(ratio) else _size(ratio) for ratios in each.values() for ratio in ratios)
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         if result.parameters.body == "slider":
             what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
-        factors = ", ".join("none fits" if math.isnan(ratio) else f"× {format_number(ratio, 2)}" for ratio in ratios)
-        yield _Change(what, size, dict.fromkeys(stiff, factors))
+
+        def in_words(ratio: float) -> str:
+            return "none fits" if math.isnan(ratio) else f"× {format_number(ratio, 2)}"
+
+        yield _Change(what, size, {name: ", ".join(map(in_words, ratios)) for name, ratios in each.items()})
     elif push_is_unstated(result) and stiff:
         what = f"a real block (column push_height{unit} fits one)"
         yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed"))
@@ -702,13 +727,13 @@ def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[f
 
 
 def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
-    unit = result.parameters.named(name).unit
-    return f"{interval(piece, result.values[name])} {unit}".rstrip()
+    size, unit = _in_its_unit(result, name)
+    return f"{interval(_scaled(piece, size), result.values[name] * size)} {unit}".rstrip()
 
 
 def _measured(m: Measurements, i: int, sigma: float) -> str:
     """``14.03 ± 0.5``, ``> 30``, or ``5 contacts``, in the unit of the table."""
-    error = f" ± {sigma:.2g}" if sigma > 0 else ""
+    error = f" ± {float(f'{sigma:.2g}'):g}" if sigma > 0 else ""
     length = f"{m.length[i] * m.unit[0][i]:.5g}{error}"
     if m.kind[i] == "whole":
         return f"{length} ({m.length[i]:g} contacts)" if m.in_si else f"{m.length[i]:g}{error} contacts"
@@ -762,6 +787,8 @@ def interval(piece: Interval, near: float | None = None, width: float = 0.0) -> 
     half = (width / 10.0**exponent or high - low) / 2
     digits = 1 - int(np.floor(np.log10(max(half, 1e-300))))
     digits = min(max(digits, 0), max(0, 5 - int(np.floor(np.log10(max(abs(low), abs(high), 1e-300))))))
+    if low and not round(low, digits):
+        return " to ".join(format_number(end, 3) for end in piece[:2])
     style = ".6g" if round(low, digits) == round(high, digits) else f".{digits}f"
     text = f"{low:{style}} to {high:{style}}"
     return f"({text})e{exponent}" if exponent else text
@@ -773,7 +800,7 @@ def _probability(p_value: float) -> str:
 
 def _details(result: "FitResult") -> list[str]:
     """Everything that the result rests on, and intervals at both levels."""
-    m, shown = result.measurements, {one.label: one for one in result.parameters.free}
+    m, shown = result.measurements, {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
     specimens = len(set(m.specimen))
     rows = [
         "Details",
@@ -784,18 +811,12 @@ def _details(result: "FitResult") -> list[str]:
         *_searched(result),
         "  result",
     ]
-    for name, value in result.values.items():
-        one, by_level = shown.get(name), result.intervals.get(name, {})
-        symbol, unit = (_symbol(name, one.symbol), one.unit) if one else ("k/K", "")
-        if name in result.verdicts:
-            text = f"{_errors(result, name)[1]} {unit}".rstrip()
-        else:
-            verdict = result.verdicts[gravest(result.verdicts)].identifiability
-            text = WITHOUT_VALUE.get(verdict) or value_with_error(value, result.stderrs[name])
-        rows.append(f"    {symbol} = {text}")
-        for level, pieces in by_level.items():
-            text = " or ".join(interval(piece, value, _narrowest(by_level)) for piece in pieces) or "none"
-            rows.append(f"      {level:.0%} interval{' (simulated)' * result.calibrated}  {text}")
+    for name in result.values:
+        unit = _in_its_unit(result, name)[1]
+        text = _errors(result, name)[1] if name in result.verdicts else _with_error_of_derived(result, name)
+        rows.append(f"    {shown.get(name, 'k/K')} = {text} {unit}".rstrip())
+        for level in result.intervals.get(name, {}):
+            rows.append(f"      {level:.0%} interval{' (simulated)' * result.calibrated}  {_ends(result, name, level)}")
     if "stiffness" not in result.values:
         rows.append(f"    k/K = {_ratios(result)}")
     rows += [*_inputs(result), *_correlations(result), f"  {_regime(result)}"]
@@ -838,7 +859,8 @@ def notes(result: "FitResult") -> Iterator[str]:
     yield from _of_pulls(result)
     yield from _of_shape(result)
     yield from _mistakes(result)
-    yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
+    if any(one.name in STIFFNESSES for one in result.parameters.free):
+        yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
     yield from _of_intervals(result)
     if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
@@ -903,10 +925,9 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
     if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
         factor = np.sqrt(result.misfit / (result.testable_dof or 1))
         relative = result.measurements.option("--sigma relative", 'sigma="relative"')
-        yield (
-            f"the scatter is larger than σ says ({_probability(result.p_value)}): σ would have to be {factor:.2g} times as "
-            f"large; {relative} takes its size from the scatter"
-        )
+        probability, taken = _probability(result.p_value), f"; {relative} takes its size from the scatter"
+        larger = f"σ would have to be {factor:.2g} times as large" + taken * result.problem.exact_values
+        yield f"the scatter is larger than σ says ({probability}): {larger}"
     if result.problem.loss.name != "normal":
         yield f"loss: {result.problem.loss.name}; outliers count less than their σ implies"
 
@@ -957,7 +978,7 @@ def _of_shape(result: "FitResult") -> Iterator[str]:
         one = result.parameters.named(name)
         ends = _shown_interval(result, name, pieces[0])
         yield (
-            f"{_symbol(name, one.symbol)}: publish the 68 % interval, {ends}, rather than ±: "
+            f"{_symbol(name, one.symbol)}: the error {_alone(result)} is the 68 % interval, {ends}, not ±: "
             f"{why}, and the interval reaches {by[0]:.2f} times ± below the value and {by[1]:.2f} times ± above it"
         )
 

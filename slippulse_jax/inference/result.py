@@ -276,8 +276,8 @@ class FitResult:
         return unstated_ends(self)
 
     @functools.cached_property
-    def unstated_push(self) -> dict[str, float]:
-        """Stiffness of a block pushed above some heights, over that of the slider, where the table states no push."""
+    def unstated_push(self) -> dict[str, dict[str, float]]:
+        """Stiffness of a block over that fitted, by what the table does not say of its push, and by parameter."""
         return unstated_push(self)
 
     @functools.cached_property

@@ -106,6 +106,7 @@ def judge(j: int, evidence: Evidence) -> Verdict:
         _nothing_responds,
         _misfit,
         _everything_allowed,
+        _only_limits,
         _at_an_end,
         _singular,
         _beyond_maximum,
@@ -118,7 +119,8 @@ def judge(j: int, evidence: Evidence) -> Verdict:
     )
     of_counts = evidence.at_odds is not None
     verdict = _counted(evidence) if of_counts else next(filter(None, (test(j, evidence) for test in tests)), SOUND)
-    if verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.EQUAL):
+    equal = of_counts and verdict.identifiability is Identifiability.EQUAL
+    if equal or verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
         return _breaks_again(j, evidence) or verdict
     return verdict
 
@@ -152,6 +154,17 @@ def _everything_allowed(j: int, e: Evidence) -> Verdict | None:
         why = f"; {told}" if told else ""
         return Verdict(Identifiability.UNINFORMATIVE, f"the data allow every value in the range searched{why}")
     return None
+
+
+def _only_limits(j: int, e: Evidence) -> Verdict | None:
+    """Fronts without arrest alone, all of them met: they have no best value."""
+    pieces, problem = e.profiled[j][LEVELS[-1]], e.problem
+    bound = problem.parameters.free[j].name in STIFFNESSES and not problem.gauged and set(e.measurements.kind) == {"at_least"}
+    if not bound or len(pieces) != 1 or (problem.predict(e.best)[0] < e.measurements.length).any():
+        return None
+    if pieces[0].open_low or pieces[0].open_high:
+        return Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
+    return Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
 
 
 def _misfit(j: int, e: Evidence) -> Verdict | None:
@@ -208,7 +221,9 @@ def _above_maximum(e: Evidence) -> bool:
     # interpolated lengths bend at their nodes too, so one of the lengths must be close to its longest
     if not e.roots or e.roots[0].share >= 0.5 or e.problem.gauged:
         return False
-    return bool((e.problem.predict(e.roots[0].theta)[0] > PLATEAU * e.attainable).any())
+    predicted, m = e.problem.predict(e.roots[0].theta)[0], e.measurements
+    met = (np.array(m.kind) == "at_least") & (predicted >= m.length)  # which says nothing of the longest
+    return bool((~met & (predicted > PLATEAU * e.attainable)).any())
 
 
 def _beyond_maximum(j: int, e: Evidence) -> Verdict | None:

@@ -47,8 +47,8 @@ MOST_PROFILES = 4
 """Most profiles next to the lengths; more would be too small to read."""
 HELD_BY_PRIOR = 0.5
 """Standard error, over that of the prior, above which the prior determines a parameter."""
-WIDEST_LEGEND = 54
-"""Most characters per line in a legend of two columns."""
+WIDEST_LEGEND, BESIDE = 60, 3
+"""Most characters per line of a legend, and those that a sample of the line takes up."""
 MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MOST_VALUES = 4
@@ -107,6 +107,8 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
     first, said = panels[0][1], set()
     for name, panel in panels:
         profile(result, name, ax=panel, color=_of_specimen(result, name, colours(panel)))
+        if len(panels) > 2:
+            panel.set_ylabel("rise of\nthe deviance")
         legend = panel.get_legend()
         assert legend is not None
         labels = [text.get_text() for text in legend.get_texts()]
@@ -300,7 +302,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.legend(
         handles=curves,
         **ABOVE,
-        ncols=_columns([str(one.get_label()) for one in curves]),
+        ncols=_columns([str(one.get_label()) for one in curves], most=2),
         fontsize="small",
         title="Lengths and fit",
         alignment="left",
@@ -308,11 +310,15 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     return ax
 
 
-def _columns(labels: list[str]) -> int:
-    """Number of columns of a legend: two, or one if two would be so wide that panels shrink."""
+def _columns(labels: list[str], most: int) -> int:
+    """Number of columns of a legend: as many as fit without pressing panels together."""
     seen = [len(re.sub(r"\\[a-z]+", "x", text.replace("$", ""))) for text in labels]
-    half = -(-len(seen) // 2)
-    return 2 if max(seen[:half]) + max(seen[half:], default=0) <= WIDEST_LEGEND else 1
+
+    def width(columns: int) -> int:
+        rows = -(-len(seen) // columns)
+        return sum(max(seen[i : i + rows]) for i in range(0, len(seen), rows)) + BESIDE * columns
+
+    return next((columns for columns in range(most, 1, -1) if width(columns) <= WIDEST_LEGEND), 1)
 
 
 def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
@@ -332,7 +338,8 @@ def _draw_data(result: "FitResult", ax: "Axes", scale: np.ndarray) -> None:
         if plain.any():
             ax.errorbar(x[plain], y[plain], sigma[plain], fmt=marker, color=color, label=once(f"{name} ± σ"), **style)
         if whole.any():
-            half, label = scale[whole] / 2, once("whole contacts")
+            several = len(set(result.measurements.specimen)) > 1
+            half, label = scale[whole] / 2, once(f"{name}, counted" if several else "whole contacts")
             ends = y[whole] - half, half + sigma[whole]
             ax.errorbar(x[whole], *ends, fmt="none", elinewidth=3, color=color, label=label, **style)
         if beyond.any():
@@ -430,7 +437,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     one = q.inputs_at(result.theta).take([rows[0] for rows in shown])
     differ = _differing(one if along == "height" else one._replace(log_push=None), [np.full(len(shown), True)])
     places = np.array([at[rows[0]] for rows in shown])
-    largest, any_again = 0.0, False
+    largest, highest, any_again = 0.0, 0.0, False
     visible = []
     palette = (*c.data[:-1], c.ink)  # the last two blues look alike
     for number, (color, together) in enumerate(zip(palette, shown, strict=False)):
@@ -447,7 +454,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
             ax.axhspan(low, high, color=color, alpha=0.2, lw=0)
         else:
             ax.axhline(low, color=color, lw=1, ls=":")
-        largest = max(largest, float(share.max()))
+        largest, highest = max(largest, float(share.max())), max(highest, high if high < np.inf else low)
         visible.append(share)
     for n, piece in enumerate(result.intervals[result.names[0]][BAND_LEVEL]):
         label = f"{BAND_LEVEL:.0%} interval" if n == 0 else None
@@ -458,15 +465,16 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     if largest > 0:
         # from where a precursor reaches a hundredth of the longest
         ax.set_xlim(stiffness[np.max(visible, axis=0) > 0.01 * largest][0], stiffness[-1])
-        ax.set_ylim(0, 1.1 * largest)
+        ax.set_ylim(0, 1.1 * max(largest, highest))
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
     look: dict[str, Any] = ABOVE | {"columnspacing": 0.8, "handlelength": 1.2}
     kinds = np.array(m.kind)[np.concatenate(shown)]
-    said = {"length": "bands: measured ± σ", "whole": "bands: counted contacts", "at_least": "dotted: at least so long"}
-    title = "; ".join(text for kind, text in said.items() if (kinds == kind).any())
-    title = title[0].upper() + title[1:]
-    ax.legend(handles=handles_of(ax, again=any_again), **look, ncols=3, fontsize="small", title=title, alignment="left")
+    bands = [text for kind, text in (("length", "measured ± σ"), ("whole", "counted contacts")) if (kinds == kind).any()]
+    said = [f"Bands: {' or '.join(bands)}"] * bool(bands) + ["Dotted: at least this long"] * ("at_least" in kinds)
+    handles = handles_of(ax, again=any_again)
+    columns = _columns([str(one.get_label()) for one in handles], most=3)
+    ax.legend(handles=handles, **look, ncols=columns, fontsize="small", title="\n".join(said), alignment="left")
     return ax
 
 
@@ -474,8 +482,9 @@ def _conditions(result: "FitResult") -> list[np.ndarray]:
     """Group the measurements whose inputs are all equal, in the order of the axis."""
     inputs, at = result.parameters.inputs_at(result.theta), _abscissa(result)[1]
     keys = np.column_stack([np.round(at, 9), np.round(inputs.table(), 9)])
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
+    return sorted(
+        _equal_rows(keys), key=lambda rows: (round(float(at[rows[0]]), 9), rows[0])
+    )  # as the curves, where heights are equal
 
 
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
@@ -508,7 +517,9 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
         ax.plot(x[rows & limit], result.residuals[rows & limit], BEYOND, color=color, ms=6)
     label = axis_label(along, unit)
     ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
-    ax.set_ylabel("misfit/σ" if along_height else "(fitted − measured)/σ")
+    unblurred = ~(result.sigma > 0)
+    per = "σ" if not unblurred.any() else r"$\lambda_c$" if unblurred.all() else r"σ (counts: $\lambda_c$)"
+    ax.set_ylabel(f"misfit/{per}" if along_height else f"(fitted − measured)/{per}")
     reach = max(3.0, 1.15 * float(np.abs(result.residuals).max()))
     ax.set_ylim(-reach, reach)
     if not along_height:
@@ -532,15 +543,16 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
     rise = curve.deviance - result.deviance
     rows = result.parameters.rows_of(result.parameters.index(name))
     again = np.asarray(_breaks_again(result, result.parameters.inputs_at(curve.theta))[:, rows].any(axis=1))
-    dashed_where(ax, one.value(curve.node), rise, again, color=color or c.blue, marker=".", ms=3, label="profile")
-    covariance = result.covariance
-    if covariance is not None:
+    label = "profile" + " (rejected)" * _rejected(result)
+    dashed_where(ax, one.value(curve.node), rise, again, color=color or c.blue, marker=".", ms=3, label=label)
+    covariance, judged = result.covariance, not _rejected(result)
+    if covariance is not None and judged:
         j = result.parameters.index(name)
         error = np.sqrt(covariance[j, j])
         theta = np.linspace(result.theta[j] - 3 * error, result.theta[j] + 3 * error, 101)
         parabola = result.rise(ONE_SIGMA) * ((theta - result.theta[j]) / error) ** 2
         ax.plot(one.value(theta), parabola, color=c.grey, ls="-.", lw=1, label="from covariance")
-    for level in LEVELS:
+    for level in LEVELS if judged else ():  # the rise of a rejected fit measures its misfit
         height = result.rise(level)
         if result.calibrated:
             for piece in result.intervals[name].get(level, []):
@@ -697,6 +709,11 @@ def _alike(result: "FitResult", theta: np.ndarray, along: str) -> list[np.ndarra
     del same[INPUTS[along]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
     keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
+    return _equal_rows(keys)
+
+
+def _equal_rows(keys: np.ndarray) -> list[np.ndarray]:
+    """Indices of the rows of each kind."""
     _, group = np.unique(keys, axis=0, return_inverse=True)
     return [np.nonzero(group.ravel() == g)[0] for g in range(group.max() + 1)]
 
@@ -708,7 +725,7 @@ def _group_names(result: "FitResult") -> list[str]:
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for rows in groups]
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
-    names = [f"{min(owner)}: {_best(result)}" if alone else _best(result) for owner in owners]
+    names = [f"{min(owner)}: {_best(result, min(owner))}" if alone else _best(result) for owner in owners]
     alike = [np.array(names) == name for name in set(names)]
     differ = _differing(one, alike)
     return [", ".join([name, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, name in enumerate(names)]
@@ -726,12 +743,13 @@ def _rejected(result: "FitResult") -> bool:
     return result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
 
 
-def _best(result: "FitResult") -> str:
+def _best(result: "FitResult", specimen: str = "") -> str:
     """Name the curve of least deviance: not a fit if the model is rejected, nor the best if others fit equally."""
     if _rejected(result):
         return "closest (rejected)"
-    alike = (Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE)
-    return "one that fits" if result.identifiability in alike else "best fit"
+    own = [one.identifiability for name, one in result.verdicts.items() if specimen and f"[{specimen}]" in name]
+    alike = {Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE}
+    return "one that fits" if alike & set(own or [result.identifiability]) else "best fit"
 
 
 def _longest(result: "FitResult", height: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def equation(name: str, value: float, unit: str = "") -> str:
     '$U/u_s$ = 2.5'
     """
     after = "" if unit in UNITS else f" {printed(unit)}".rstrip()
-    return f"{symbol(name, unit)} = {value:.4g}{after}"
+    return f"{symbol(name, unit)} = {float(f'{value:.4g}'):g}{after}"
 
 
 def in_unit(words: str, unit: str) -> str:
