@@ -280,3 +280,15 @@ def test_a_corner_plot_has_points_of_bootstrap_and_posterior():
         points = {line.get_label(): line for line in ax.lines if line.get_label() in drawn}
         assert {name: len(line.get_xdata()) for name, line in points.items()} == {"bootstrap": 20, "posterior": 50}
         assert points["bootstrap"].get_color() != points["posterior"].get_color()
+
+
+def test_a_narrow_region_is_drawn_in_one_piece():
+    """Of two parameters that trade off, the regions are thin beside the range of either."""
+    height = np.array([12.0, 24.0, 36.0, 48.0, 60.0, 72.0])
+    length = [6.29, 13.80, 23.63, 34.18, 46.09, 57.70]
+    known = {"poisson": 0.3, "correlation_length_um": 10.0, "young_GPa": 3.0, "length_sigma_mm": 0.3}
+    result = fit(pd.DataFrame({"height_mm": height, "length_mm": length} | known), ["areal_stiffness", "prestress"])
+    ax = plot.confidence_region(result, "areal_stiffness", "prestress")
+    inner, outer = ax.collections[0].get_paths()
+    assert len(inner.to_polygons()) == 1
+    assert len(outer.to_polygons()) == 2  # around and inside

@@ -14,7 +14,7 @@ from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import IN_LC, Measurements
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import MODEL_ERROR, STIFFNESSES, Parameter, parameter_set
+from slippulse_jax.inference.parameters import MODEL_ERROR, OF_MEASURING, STIFFNESSES, Parameter, parameter_set
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import GIVEN, IMPROBABLE, LEVELS, Identifiability
 
@@ -171,14 +171,15 @@ def unstated_push(result: "FitResult") -> dict[str, dict[str, float]]:
     `NARROW_PUSHER`. NaN where no stiffness gives the lengths. Only for relaxed interfaces whose stiffness has a value. Empty
     where the lengths of a slider share an offset or a model factor, which would take other values in a fit of a block.
     """
+    given = {name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN}
     if width_is_unstated(result):
-        return {NARROW_PUSHER: _narrower(result)}
+        return {NARROW_PUSHER: {name: factor for name, factor in _narrower(result).items() if name in given}}
     if not push_is_unstated(result) or shares_errors(result):
         return {}
     m = result.measurements
     q, ratio = result.parameters, result.fitted.length / m.height
     found: dict[str, dict[str, float]] = {}
-    for one in (one for one in q.free if one.name in STIFFNESSES):
+    for one in (one for one in q.free if one.name in STIFFNESSES and one.label in given):
         rows = q.rows_of(q.index(one.label))
         i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])
         for at in PUSHES:
@@ -242,7 +243,7 @@ def push_is_unstated(result: "FitResult") -> bool:
 def shares_errors(result: "FitResult") -> bool:
     """Whether an offset or a model factor of all lengths is fitted, or held at a value that changes them."""
     q = result.parameters
-    fitted = any(one.name in ("offset", "model_factor") for one in q.free)
+    fitted = any(one.name in OF_MEASURING for one in q.free)
     return fitted or q.held.get("offset", 0.0) != 0 or q.held.get("model_factor", 1.0) != 1
 
 

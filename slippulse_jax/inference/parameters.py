@@ -350,6 +350,8 @@ HEIGHTS = ("height", "push_height")
 NEEDS_SI = ("correlation_length", "young", "strength")
 NOT_OF_BLOCKS = ("displacement", "force", "gauges", "block_length", "machine_stiffness")
 """What measurements may state beside lengths, and a fit of a block cannot take."""
+OF_MEASURING = ("offset", "model_factor")
+"""What is fitted beside for lengths of provenance "measured", and acts on these."""
 MODEL_ERROR = 0.1
 """Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
 elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/validity.md."""
@@ -426,7 +428,7 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
     specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
     groups = [(f"{name}[{one}]", np.array([s == one for s in m.specimen])) for one in specimens]
     measured = np.array([one == "measured" for one in m.provenance], dtype=bool)
-    shared = parameter.nuisance and measured.any()  # an error of measuring, of those that were measured
+    shared = parameter.nuisance and name in OF_MEASURING and measured.any()
     groups = groups or [(name, measured if shared else np.ones(len(m), dtype=bool))]
     stated = PARAMETERS[name].stated
     if stated and name not in HEIGHTS and getattr(m, stated) is not None:

@@ -21,7 +21,7 @@ from slippulse_jax.inference.budget import (
 )
 from slippulse_jax.inference.hints import of_attainable
 from slippulse_jax.inference.measurements import READINGS, Measurements, likely_mistakes
-from slippulse_jax.inference.parameters import STIFFNESSES
+from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import (
@@ -190,8 +190,8 @@ def _alone(result: "FitResult") -> str:
     beside = {one.name for one in free if one.nuisance} - {"arrest"}
     other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in free if not one.nuisance)
-    other += ["stated errors"] * bool(beside - {"offset", "model_factor"})
-    other += ["errors of measuring"] * bool(beside & {"offset", "model_factor"})
+    other += ["stated errors"] * bool(beside - set(OF_MEASURING))
+    other += ["errors of measuring"] * bool(beside & set(OF_MEASURING))
     return f"from {_listed(['lengths', *other])} alone" if other else "from the lengths alone"
 
 
@@ -339,7 +339,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         none = ", or none fits" * (len(found) < len(ratios))
         factor = f"{_span(found)} times this{none}" if found else "another"
         yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
-    if NARROW_PUSHER in result.unstated_push:
+    if result.unstated_push.get(NARROW_PUSHER):
         suffix = f"_{unit}" * m.in_si
         would = "no stiffness fits these lengths"
         if found:
@@ -693,7 +693,8 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
     stiff, unit = _stiff(result), f"_{result.measurements.unit[1]}" * result.measurements.in_si
     if result.unstated_push and stiff:
         each = {name: [factors[name] for factors in result.unstated_push.values() if name in factors] for name in stiff}
-        size = max(math.inf if math.isnan(ratio) else _size(ratio) for ratios in each.values() for ratio in ratios)
+        every = [ratio for ratios in each.values() for ratio in ratios]
+        size = max((math.inf if math.isnan(ratio) else _size(ratio) for ratio in every), default=math.inf)
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         if result.parameters.body == "slider":
             what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
@@ -701,7 +702,7 @@ def _of_bodies(result: "FitResult") -> Iterator[_Change]:
         def in_words(ratio: float) -> str:
             return "none fits" if math.isnan(ratio) else f"× {format_number(ratio, 2)}"
 
-        yield _Change(what, size, {name: ", ".join(map(in_words, ratios)) for name, ratios in each.items()})
+        yield _Change(what, size, {name: ", ".join(map(in_words, ratios)) or "not computed" for name, ratios in each.items()})
     elif push_is_unstated(result) and stiff:
         what = f"a real block (column push_height{unit} fits one)"
         yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed"))

@@ -193,7 +193,7 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     return figure
 
 
-def corner(result: "FitResult", samples: Any = None, *, nodes: int = 31, ax: "Axes | None" = None) -> "Figure":
+def corner(result: "FitResult", samples: Any = None, *, nodes: int = 61, ax: "Axes | None" = None) -> "Figure":
     """Draw the confidence regions of every pair of fitted parameters.
 
     The regions are those of 68 % and 95 %.
@@ -584,7 +584,7 @@ def confidence_region(
     vertical: str,
     samples: Any = None,
     *,
-    nodes: int = 31,
+    nodes: int = 61,
     ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw the 68 % and 95 % confidence regions of two parameters.
