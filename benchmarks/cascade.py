@@ -3,7 +3,7 @@
 The numba loop breaks the most overloaded contact and adds its response to all stresses in O(N), by the same 2×2 propagators
 sent out from the broken site in both directions. It is given them and the stresses ready made, while the package's time
 includes its response (computed once where lanes share a chain), both equilibria and the record of the rupture. *Breaks alone* is
-the package's cascade given the same: the response and the stresses.
+the package's event given the same: the response and the stresses.
 
     python -m benchmarks cascade
 """
@@ -20,8 +20,8 @@ from benchmarks.timing import side_by_side
 from slippulse_jax.bulk.compiler import compile_loops_whole
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.lattice.chain import State, eliminate
-from slippulse_jax.lattice.response import propagators, shared_response
-from slippulse_jax.lattice.rupture import _broken
+from slippulse_jax.lattice.event import event
+from slippulse_jax.lattice.response import into_blocks, propagators, response
 from slippulse_jax.paper import FIG2
 
 compile_loops_whole()
@@ -59,8 +59,11 @@ def events(P, Q, source, contact, threshold, stress, max_breaks):
     return order[:breaks]
 
 
-def order_of_breaks(stress, response, chain):
-    return _broken((1000, 0), response, chain, stress, chain.threshold, jnp.int32(-1)).book.order
+def order_of_breaks(stress, resp, chain):
+    size = resp.push.shape[1]
+    log = jnp.full(1001, -1, jnp.int32), jnp.zeros(1001), 0
+    held, threshold = into_blocks(stress, size), into_blocks(chain.threshold, size, jnp.inf)
+    return event(resp, held, threshold, limit=1000, log=log).record.order[:-1]
 
 
 def ruptures(sizes=(300, 3000), lanes=(1, 64)):
@@ -68,11 +71,12 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
     for n in sizes:
         c = sp.chain(FIG2, sites=n)
         links = [np.asarray(x) for x in jax.jit(propagators)(c, jax.jit(eliminate)(c, c.contact))[:3]]
-        arrays, response = (*links, np.asarray(c.contact), np.asarray(c.threshold)), jax.jit(shared_response)(c)
+        arrays = *links, np.asarray(c.contact), np.asarray(c.threshold)
+        resp = jax.jit(lambda c: response(c, eliminate(c, c.contact)))(c)
         for count in lanes:
             loads = jnp.linspace(6.0, 8.0, count) if count > 1 else jnp.array([6.0])
             one = lambda load, c=c, n=n: sp.rupture(c, State(jnp.zeros(n), load), max_breaks=1000)  # noqa: E731
-            breaks = partial(order_of_breaks, response=response, chain=c)
+            breaks = partial(order_of_breaks, resp=resp, chain=c)
             run = jax.jit(one if count == 1 else jax.vmap(one))
             alone = jax.jit(breaks if count == 1 else jax.vmap(partial(lane_by_lane, breaks)))
             given = loads[0] if count == 1 else loads

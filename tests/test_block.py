@@ -13,9 +13,8 @@ from scipy.optimize import brentq
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
 from slippulse_jax.lattice.catalogue import SeriesStatus
-from slippulse_jax.lattice.front import event_length
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
-from slippulse_jax.lattice.series import Adiabatic, Shape, Spring, Steps, Stopping, _one_series, of_response
+from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, Stopping, of_contacts
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
@@ -50,7 +49,7 @@ def slider_as_a_waveguide(slider):
     """Its response at 80 contacts, its modes with the edge driven, and the first event."""
     found, modes = waveguide.response(slider_guide(slider), slider.stiffness, 80), lattice_modes(slider)
     driven = jax.vmap(modes.profile)(jnp.arange(80.0)) @ modes.drive / modes.load
-    return found, modes, driven, blocks.event(found, jnp.ones(80), jnp.zeros(80))
+    return found, modes, driven, blocks.first_event(found, jnp.ones(80), jnp.zeros(80))
 
 
 @pytest.mark.parametrize(
@@ -60,11 +59,13 @@ def slider_as_a_waveguide(slider):
 def test_the_slider_is_a_waveguide_of_two_freedoms(height, stiffness, count, length):
     slider = sp.Slider(float(height), stiffness, 0.3)
     found, modes, driven, (ended, first, load, _) = slider_as_a_waveguide(slider)
-    np.testing.assert_allclose(found.push, driven, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.push[0], driven, rtol=0, atol=1e-12)
     assert int(first) == 0
     assert float(load) == pytest.approx(float(modes.load), rel=1e-13)
-    assert int(ended.broken.sum()) == int(ended.breaks) == count
-    reached = count - 1 + ended.overload[count - 1] / (ended.overload[count - 1] - ended.stress[count] + 1)
+    assert int(ended.broken.sum()) == int(ended.record.breaks) == count
+    (stress, _, _, overload, _) = (x[0] for x in ended.contacts)
+    reached = count - 1 + overload[count - 1] / (overload[count - 1] - stress[count] + 1)
+    assert float(ended.length(stress, 79)) == pytest.approx(float(reached), rel=1e-14)
     assert float(reached) == pytest.approx(float(sp.precursor_length(slider)), abs=1e-9)
     assert float(reached) == pytest.approx(length, abs=6e-4)
 
@@ -98,8 +99,8 @@ def test_response_is_that_of_a_long_block(push):
     block = sp.Block(4.0, 0.08, 0.3, push)
     dense = whole(block, 160, reach=48)
     found = response(block, 48)
-    np.testing.assert_allclose(found.push, dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.matrix, dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.push[0], dense.push, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.near[0], dense.matrix, rtol=0, atol=1e-10)
     for event in KINDS:
         order, stress = break_all(dense.push, dense.matrix, once=event == "domino")
         record = sp.first_precursor(block, sites=48, event=event)
@@ -115,7 +116,8 @@ def test_twenty_random_blocks_break_in_the_same_order():
         push = [sp.Push(rng.uniform(0.1, 0.7)), sp.Push(rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.3))][rng.integers(2)]
         block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
         dense = whole(block, int(12 * height))
-        push, matrix = map(np.asarray, response(block, 64))
+        found = response(block, 64)
+        push, matrix = np.asarray(found.push[0]), np.asarray(found.near[0])
         for event in KINDS:
             once = event == "domino"
             order, _ = break_all(dense.push, dense.matrix, once)
@@ -142,7 +144,7 @@ def test_a_front_behind_which_a_contact_is_overloaded():
 def test_plane_strain_is_plane_stress_of_other_constants():
     strain = sp.Block(4.0, 0.08, 0.25, sp.Push(0.3), plane="strain")
     dense = whole(strain, 160, reach=48)
-    np.testing.assert_allclose(response(strain, 48).push, dense.push, atol=1e-10)
+    np.testing.assert_allclose(response(strain, 48).push[0], dense.push, atol=1e-10)
 
 
 @pytest.mark.parametrize(("push", "contacts"), [*((push, 160) for push in PUSHES), (PUSHES[1], 14)], ids=[*NAMES, "ends"])
@@ -152,8 +154,8 @@ def test_an_interface_that_gives_way_across(push, contacts):
     block = sp.Block(4.0, 0.08, 0.3, push, length=None if contacts == 160 else contacts, normal_stiffness=0.7, **more)
     dense, count = whole(block, contacts, reach=48), min(contacts, 48)
     found = response(block, 48)
-    np.testing.assert_allclose(found.push[:count], dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.matrix[:count, :count], dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.push[0][:count], dense.push, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.near[0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
 def test_a_stiff_interface_across_is_a_rigid_one():
@@ -185,7 +187,7 @@ def test_a_free_end_of_the_slider(contacts):
     modes = lattice_modes(slider, ends_of("free", float(contacts)))
     driven = jax.vmap(modes.profile)(jnp.arange(float(contacts))) @ modes.drive / modes.load
     found = waveguide.response(slider_guide(slider, jnp.int32(contacts)), slider.stiffness, 64)
-    np.testing.assert_allclose(found.push[:contacts], driven, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.push[0][:contacts], driven, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("push", PUSHES, ids=NAMES)
@@ -195,10 +197,10 @@ def test_a_block_with_a_free_end(push):
         block = sp.Block(4.0, 0.08, 0.3, push, length=contacts)
         dense = whole(block, contacts)
         found = response(block, 64)
-        np.testing.assert_allclose(found.push[:contacts], dense.push, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(found.matrix[:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
-        assert not found.push[contacts:].any()
-        assert not found.matrix[contacts:].any()
+        np.testing.assert_allclose(found.push[0][:contacts], dense.push, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found.near[0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
+        assert not found.push[0][contacts:].any()
+        assert not found.near[0][contacts:].any()
         for event in KINDS:
             order, stress = break_all(dense.push, dense.matrix, once=event == "domino")
             record = sp.first_precursor(block, event=event)
@@ -290,8 +292,8 @@ def test_slow_decay_is_that_of_an_edge_load(b):
 def test_far_from_the_edge_a_uniform_shift_is_followed():
     """R sums to one along a row."""
     found = response(at_b(5.0, 2.0, sp.Push(0.3)), 256)
-    np.testing.assert_allclose(found.matrix[128].sum(), 1, atol=1e-6)
-    np.testing.assert_allclose(found.matrix, found.matrix.T, atol=1e-13)
+    np.testing.assert_allclose(found.near[0][128].sum(), 1, atol=1e-6)
+    np.testing.assert_allclose(found.near[0], found.near[0].T, atol=1e-13)
 
 
 def test_forces_are_in_balance_and_a_break_loses_its_energy():
@@ -306,7 +308,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
             np.asarray(elements.loaded(block).displaced) > 0
         ].sum()
         found = response(block, 200)
-        stretch = load * found.push + found.matrix @ pinning - pinning
+        stretch = load * found.push[0] + found.near[0] @ pinning - pinning
         return float(force), np.asarray(stretch)
 
     def energy(pinning):
@@ -316,7 +318,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
 
     force, stretch = state(pinning)
     assert force == pytest.approx(k * stretch.sum(), rel=1e-9)
-    j, matrix = 5, np.asarray(response(block, 200).matrix)
+    j, matrix = 5, np.asarray(response(block, 200).near[0])
     lost = energy(pinning) - energy(pinning.at[j].add(stretch[j]))
     assert lost == pytest.approx(k * stretch[j] ** 2 * (1 + matrix[j, j]) / 2, rel=1e-8)
 
@@ -391,9 +393,8 @@ def test_lengths_on_finer_meshes():
     @functools.partial(jax.jit, static_argnums=1)
     def length(block, finer):
         found = waveguide.response(blocks.guide_of(block, finer), block.stiffness, 96)
-        ended, *_ = blocks.event(found, jnp.ones(96), jnp.zeros(96))
-        last = ended.broken.sum() - 1
-        return event_length(last, ended.overload[last], ended.stress[last + 1] - 1)
+        ended, *_ = blocks.first_event(found, jnp.ones(96), jnp.zeros(96))
+        return ended.length(ended.contacts.stress[0], 95)
 
     usual, twice, four = (float(length(block, finer)) for finer in (0, 1, 2))
     assert usual == pytest.approx(float(sp.precursor_length(block, sites=96)), rel=1e-12)
@@ -574,16 +575,10 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
 
     def as_waveguide(slider, protocol):
         guide, k = slider_guide(slider), jnp.asarray(slider.stiffness)
-        found, one = waveguide.response(guide, k, sites), jnp.ones(sites)
-        edge = waveguide.edge_stiffness(guide, k, found)
-        body = of_response(
-            blocks.BlockContacts(found, one, 0 * one, sites - 1, jnp.array(True)),
-            sites,
-            k,
-            edge,
-            getattr(protocol, "stiffness", None),
-        )
-        return _one_series(Shape(12, 0, 0, sites), body, protocol, None, Stopping(jnp.inf, jnp.array(True), jnp.int32(3000)))
+        one, spring = jnp.ones(sites), getattr(protocol, "stiffness", None)
+        contacts = blocks.BlockContacts(waveguide.response(guide, k, sites), one, 0 * one, sites - 1, jnp.array(True))
+        stopping = Stopping(jnp.inf, jnp.array(True), jnp.int32(3000))
+        return of_contacts((12, 0, 0, sites), contacts, k, spring, protocol, None, stopping)
 
     found = jax.jit(as_waveguide)(slider, protocol)
     assert int(found.number) == int(expected.number) == 12
@@ -652,13 +647,12 @@ def test_series_that_cannot_be(body, given, message):
 
 @pytest.mark.parametrize(("b", "again"), [(2.0, False), (10.0, True), (25.0, True)])
 def test_both_events_of_the_slider_as_a_waveguide(b, again):
-    """Contacts in one block of the cascade, against the recursion and the cascade of the chain."""
+    """Contacts in one block, against the recursion and the event of the chain."""
     slider = sp.Slider(50.0, b / 130, 0.3)
     for event in KINDS:
         found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
-        ended, *_ = blocks.event(found, jnp.ones(160), jnp.zeros(160), kind=event)
-        furthest = jnp.nonzero(ended.broken)[0].max()
-        reached = event_length(furthest, ended.overload[furthest], ended.stress[furthest + 1] - 1)
+        ended, *_ = blocks.first_event(found, jnp.ones(160), jnp.zeros(160), kind=event)
+        reached = ended.length(ended.contacts.stress[0], 159)
         assert float(reached) == pytest.approx(float(sp.precursor_length(slider, event=event)), abs=1e-8)
     front, whole = (float(sp.precursor_length(slider, event=event)) for event in KINDS)
     assert (whole > front) == again

@@ -31,8 +31,8 @@ Any chain: springs, contacts and thresholds may differ from site to site.
     `chain`             the chain, its state, and its O(N) elimination, site after site
     `equilibrium`       forces in balance, with derivatives
     `distribution`      contacts of many junctions, their force law and stability
-    `response`          the load that one break transfers to every other contact
-    `cascade`           break after break at a fixed load, stresses known block by block
+    `response`          what a push and a break do to every contact, of any body
+    `event`             break after break at a fixed load, of any body
     `rupture`           nucleation and one rupture, under the hard rule or a smooth one
     `events`            where the contact at the edge breaks again before the front stops; lengths of whole events
     `ageing`            thresholds that grow with age

@@ -1,6 +1,6 @@
 """First precursors of a block under two-dimensional elasticity: any contacts, in any order.
 
-The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.lattice.cascade`), with all
+The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.lattice.event`), with all
 contacts in one block. In the first front every contact breaks at most once, as on a slider. Every contact stays attached to the
 body, so a break costs one row of a matrix (`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks are
 those of the sums.
@@ -30,11 +30,11 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import NORMAL_STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
-from slippulse_jax.lattice.cascade import Moves, Stresses, run
-from slippulse_jax.lattice.front import EventKind, event_length, first_of, in_domain, length_or_reason
-from slippulse_jax.lattice.response import of_matrix
+from slippulse_jax.lattice.event import BREAKS_PER_SITE, Event, event
+from slippulse_jax.lattice.front import EventKind, first_of, in_domain, length_or_reason
+from slippulse_jax.lattice.response import Response
 from slippulse_jax.lattice.smooth import fade
-from slippulse_jax.lattice.waveguide import Guide, MatrixResponse
+from slippulse_jax.lattice.waveguide import Guide
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import NotConverged, Outcome
@@ -55,21 +55,9 @@ ALIKE = 0.1
 """Largest relative difference between the lengths on contacts of two sizes that are taken for the same event."""
 TOGETHER = 4
 """Blocks computed at once."""
-BREAKS = 64
-"""Breaks per contact after which an event is given up."""
 IN_DOUBLE = "a block needs double precision: work under jax.enable_x64(True)"
 NEGLIGIBLE = 1e-9
 """Broken fraction of a contact below which a smooth front has faded: farther contacts would only cost time."""
-
-
-class Event(NamedTuple):
-    """State of the contacts; stresses in σ_s."""
-
-    stress: Float[Array, " N"]
-    pinning: Float[Array, " N"]  # u_b, in u_s
-    overload: Float[Array, " N"]  # excess over the threshold of each as it first broke
-    broken: Bool[Array, " N"]
-    breaks: Int[Array, ""]
 
 
 class BlockPrecursor(eqx.Module):
@@ -152,8 +140,8 @@ def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress
     return first, needed[first]
 
 
-def event(
-    response: MatrixResponse,
+def first_event(
+    response: Response,
     threshold: Float[Array, " N"],
     prestress: Float[Array, " N"],
     last: Int[Array, ""] | int = -1,
@@ -165,43 +153,25 @@ def event(
     In the first front no contact breaks again. The event is given up after `limit` breaks, at least one. Returns too the
     contact that broke first, and the load and the stress at nucleation.
     """
-    push, matrix = response
-    sites = push.size
-    limit = BREAKS * sites if limit is None else limit
-    first, load = nucleated(push, threshold, prestress)
-    start = prestress + load * push
-
-    none = jnp.zeros_like(start)
-
-    def limits(_: Array, given: Array) -> tuple[Array, Array]:
-        if kind == "full":
-            return threshold, threshold
-        return jnp.where(given > 0, jnp.inf, threshold), jnp.full_like(threshold, jnp.inf)
-
-    def note(book: tuple[Array, Array], moves: Moves, released: Array, _: Array) -> tuple[Array, Array]:
-        (overload, broken), j = book, moves.sites[-1]
-        return overload.at[j].set(jnp.where(broken[j], overload[j], released - threshold[j])), broken.at[j].set(True)
-
-    ended = run(
-        limit,
-        0,
-        of_matrix(matrix),
-        Stresses(start[None], jnp.zeros((1, 4), start.dtype), (start - threshold).max()[None]),
-        none[None],
-        limits,
-        first.astype(jnp.int32),
-        (none, jnp.zeros(sites, bool)),
-        note,
-        lambda book: book[1][last],
+    sites = threshold.size
+    first, load = nucleated(response.push[0], threshold, prestress)
+    start = prestress + load * response.push[0]
+    found = event(
+        response,
+        start[None],
+        threshold[None],
+        limit=BREAKS_PER_SITE * sites if limit is None else limit,
+        renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.dtype),
+        trigger=first,
+        last=jnp.asarray(last) % sites,
     )
-    overload, broken = ended.book
-    return Event(ended.stresses.held[0], ended.given[0], overload, broken, ended.breaks), first, load, start
+    return found, first, load, start
 
 
 class BlockContacts(NamedTuple):
     """The contacts of a block, before it is pushed."""
 
-    response: MatrixResponse
+    response: Response
     threshold: Float[Array, " N"]
     prestress: Float[Array, " N"]
     last: Int[Array, ""] | int  # index of the last contact, or of the last one resolved
@@ -212,7 +182,7 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     """The first contacts of a block, and their response."""
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
-    threshold, prestress = jnp.ones_like(response.push), jnp.zeros_like(response.push)
+    threshold, prestress = jnp.ones_like(response.push[0]), jnp.zeros_like(response.push[0])
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
@@ -224,33 +194,31 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
 
 @in_full
 def _record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
-    site = jnp.arange(sites)
     response, threshold, prestress, last, valid = contacts_of(block, interface, sites)
-    ended, first, load, before = event(response, threshold, prestress, last, kind=kind)
-    furthest = jnp.max(jnp.where(ended.broken, site, -1))
-    excess = ended.stress - threshold
-    again = (excess >= 0) & ended.broken if kind == "domino" else jnp.zeros(sites, bool)
+    found, first, load, before = first_event(response, threshold, prestress, last, kind=kind)
+    stress, pinning = found.contacts.stress[0], found.contacts.released[0]
+    excess = stress - threshold
+    again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(sites, bool)
     endings = {
         Outcome.INVALID: ~(valid & jnp.isfinite(excess).all()),
-        Outcome.RAN_THROUGH: ended.broken[last],
+        Outcome.RAN_THROUGH: found.broken[last],
         Outcome.LIMIT: ((excess >= 0) & ~again).any(),
-        Outcome.NO_DOMINO: furthest == 0,
+        Outcome.NO_DOMINO: found.rightmost == 0,
         Outcome.REBREAK: again.any(),
     }
     status = first_of(endings)
-    length = event_length(furthest, ended.overload[furthest], excess[jnp.minimum(furthest + 1, sites - 1)])
     return BlockPrecursor(
         block=block,
         nucleation=first.astype(jnp.int32),
-        contacts_broken=ended.broken.sum().astype(jnp.int32),
-        breaks=ended.breaks,
-        length=length_or_reason(status, length),
+        contacts_broken=found.broken.sum().astype(jnp.int32),
+        breaks=found.record.breaks,
+        length=length_or_reason(status, found.length(stress, sites - 1)),
         load=load,
         status=status,
         stress_before=before,
-        stress=ended.stress,
-        slip=response.matrix @ ended.pinning,
-        pinning=ended.pinning,
+        stress=stress,
+        slip=response.near[0] @ pinning,
+        pinning=pinning,
         event=kind,
     )
 
@@ -271,12 +239,13 @@ class StressedFront(NamedTuple):
 def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     response, threshold, prestress, last, valid = contacts
-    first, load = nucleated(response.push, threshold, prestress)
+    push, near = response.push[0], response.near[0]
+    first, load = nucleated(push, threshold, prestress)
 
     def release(front: StressedFront, given: Array) -> StressedFront:
-        return StressedFront(front.stress + response.matrix[front.position] * given, front.position + 1)
+        return StressedFront(front.stress + near[front.position] * given, front.position + 1)
 
-    start = release(StressedFront(prestress + load * response.push, jnp.int32(0)), threshold[0])
+    start = release(StressedFront(prestress + load * push, jnp.int32(0)), threshold[0])
     end, through = fade(
         rule, start, lambda front: front.stress[front.position], lambda site: threshold[site], release, last, NEGLIGIBLE
     )
@@ -710,14 +679,14 @@ def _stages(
     block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"], kind: EventKind
 ) -> Stages:
     response, threshold, prestress, last, _ = contacts_of(block, interface, sites)
-    _, _, load, before = event(response, threshold, prestress, last, 1, kind)
+    _, _, load, before = first_event(response, threshold, prestress, last, 1, kind)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array]:
-        now = event(response, threshold, prestress, last, limit, kind)[0]
-        field = _fields_of(block, guide, load, jnp.where(limit > 0, now.pinning, 0))
+        now = first_event(response, threshold, prestress, last, limit, kind)[0].contacts
+        field = _fields_of(block, guide, load, jnp.where(limit > 0, now.released[0], 0))
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
-        return jnp.where(limit > 0, now.stress, before), shear
+        return jnp.where(limit > 0, now.stress[0], before), shear
 
     return Stages(elements.heights(block), *lax.map(at, breaks))

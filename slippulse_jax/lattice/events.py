@@ -18,8 +18,9 @@ from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.chain import chain
+from slippulse_jax.lattice.chain import chain, eliminate
 from slippulse_jax.lattice.crossing import system_of
+from slippulse_jax.lattice.event import BREAKS_PER_SITE
 from slippulse_jax.lattice.exact_lanes import CAREFULLY, EXACT_OUTCOMES, IN_BULK, exact_fronts
 from slippulse_jax.lattice.front import nucleation_load
 from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
@@ -32,8 +33,6 @@ ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
 FEW_SITES, MORE, MOST_SITES = 128, 4, 2**21
 """Smallest and largest number of sites, and the factor between two: each number is a program to compile."""
-BREAKS = 64
-"""Breaks per site after which an event is given up."""
 ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 """Each lane is a loop of its own."""
 ARREST_OUTCOMES = (*EXACT_OUTCOMES, Outcome.REBREAK)
@@ -164,6 +163,8 @@ def _kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
         whole = chain(slider, sites=sites, interface=interface, right=right)
         modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
         loaded = whole.relaxed(nucleation_load(modes, interface))
-        return one_rupture((BREAKS * sites, 0), response(whole, near=False), whole, loaded, jnp.int32(0)).length
+        beyond = eliminate(whole, whole.contact)
+        resp = response(whole, beyond, near=False)
+        return one_rupture((BREAKS_PER_SITE * sites, 0), resp, beyond, whole, loaded, jnp.int32(0)).length
 
     return lambda lanes: ((with_jacobian(length)(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)

@@ -167,23 +167,6 @@ def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
     return last + behind / (behind - ahead)
 
 
-def event_length(furthest: Any, overload: Any, ahead: Any) -> Any:
-    """ℓ of an event of any number of breaks, by the straight line from the rightmost contact that broke to the next.
-
-    Parameters
-    ----------
-    furthest : array
-        Index of the rightmost contact that broke.
-    overload : array
-        Its excess over the threshold as it broke for the *first* time: as the front passed. By that of a later break ℓ would
-        fall where the event becomes larger, because a contact that just breaks again has no overload.
-    ahead : array
-        Excess on the next contact when the event is over.
-    """
-    # rounding may leave a contact that was made to break just below its threshold
-    return straight_line(furthest.astype(ahead.dtype), jnp.maximum(overload, 0), jnp.minimum(ahead, 0))
-
-
 def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
     """The first `Outcome` whose condition holds; `ARRESTED` if none does."""
     return jnp.select(jnp.broadcast_arrays(*endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)

@@ -13,7 +13,7 @@ A break thus costs O(√N), or O(N) where every stress is wanted, and the chain 
 """
 
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,22 +27,21 @@ from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, besid
 
 
 class Response(NamedTuple):
-    """Response of B blocks of M sites.
+    """What a push and a break do to every contact, in B blocks of M contacts.
 
     The last block is padded with sites without contact.
     """
 
-    links: "Propagators"  # of every site, in blocks
-    contact: Float[Array, "B M"]  # q_i
-    near: Float[Array, "blocks M M"]  # q_i G_ij within a block, source j first; of no block where `within` is left to be called
+    push: Float[Array, "B M"]  # stress per load
+    soft: Float[Array, "B M"]  # k/k_i, how far a pinning point moves per stress released; 0 without a contact
+    near: Float[Array, "B M M"]  # q_i G_ij within a block, source j first; of no block where `within` is left to be called
     read: Float[Array, "B 4 M"]  # stress at i per u_t, u at the block's left edge and per u_t, u at its right edge
     leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress released at j
     pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: edge values per edge value of the neighbour
     reach: Float[Array, "B 4"]  # largest entries of `read` in each block
     spill: Float[Array, "B 4"]  # most that any contact of another block receives, per unit that leaves this block
-    at_load: Float[Array, "B 4"]  # received by a block per load: k⁻¹ (u_t, u) at its left edge, nothing at its right edge
-    edge_stiffness: Float[Array, ""]  # force on the left edge per load, in K
-    right: Elimination  # of the chain from its right end
+    edge_stiffness: Float[Array, ""]  # force on the pusher per load, in K
+    links: tuple[Array, Array, Array, Array] | None = None  # arguments of `within`, of all blocks
 
 
 class Propagators(NamedTuple):
@@ -120,51 +119,55 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain, *, near: bool = True) -> Response:
-    """Compute the response of a chain with linear contacts.
+def response(chain: Chain, right: Elimination, *, near: bool = True) -> Response:
+    """Compute the response of a chain with linear contacts, given its elimination from the right end.
 
     It does not depend on thresholds and prestress. Without `near`, the response inside a block is left to `within`.
     """
-    right = eliminate(chain, chain.contact)
     sites = propagators(chain, right)
     size = block_size(chain.sites)
-    links = sites._replace(**{name: into_blocks(getattr(sites, name), size) for name in ("right", "left", "source")})
     q = into_blocks(chain.contact, size)
-    read, leave, across = _through_blocks(links.right, links.source, reverse=False)
-    read_left, leave_left, across_left = _through_blocks(links.left, links.source, reverse=True)
-    read = jnp.concatenate([read, read_left], 1) * q[:, None, :]
+    P, Q, source = (into_blocks(x, size) for x in sites[:3])
+    read, leave, across = _through_blocks(P, source, reverse=False)
+    read_left, leave_left, across_left = _through_blocks(Q, source, reverse=True)
     pass_on = jnp.concatenate([_between_blocks(across), _between_blocks(across_left[::-1])[::-1, ::-1]], 2)
-    reach = read.max(-1)
 
     def load_step(here: Array, across_b: Array) -> tuple[Array, Array]:
         return (across_b * here[None]).sum(-1), here
 
-    start = jnp.stack([jnp.ones_like(links.follow), links.follow]) / chain.stiffness
+    start = jnp.stack([jnp.ones_like(sites.follow), sites.follow]) / chain.stiffness
     _, at_load = lax.scan(load_step, start, across)
+    push = (at_load[:, :, None] * read).sum(1) * q
+    read = jnp.concatenate([read, read_left], 1) * q[:, None, :]
+    reach = read.max(-1)
     felt = pass_on * reach[None, :, :, None]
+    links = P, Q, source, q
     return Response(
-        links=links,
-        contact=q,
-        near=jax.vmap(within)(links.right, links.left, links.source, q) if near else jnp.zeros((0, size, size), q.dtype),
+        push=push,
+        soft=chain.stiffness / jnp.where(q > 0, q, jnp.inf),
+        near=jax.vmap(within)(*links) if near else jnp.zeros((0, size, size), q.dtype),
         read=read,
         leave=jnp.concatenate([leave, leave_left], -1),
         pass_on=pass_on,
         reach=reach,
         spill=jnp.concatenate([felt[:, :, :2].sum(2), felt[:, :, 2:].sum(2)], -1).max(1),
-        at_load=jnp.concatenate([at_load, jnp.zeros_like(at_load)], -1),
-        edge_stiffness=links.edge_stiffness,
-        right=right,
+        edge_stiffness=sites.edge_stiffness,
+        links=links,
     )
 
 
-def shared_response(chain: Chain, *, near: bool = True) -> Response:
-    """Compute `response` once for lanes that share their springs.
+def shared_response(chain: Chain, *, near: bool = True) -> tuple[Elimination, Response]:
+    """Eliminate a chain and compute its response, once for lanes that share their springs.
 
     Such lanes differ in thresholds or prestress only.
     """
+
+    def of_springs(springs: Chain) -> tuple[Elimination, Response]:
+        right = eliminate(springs, springs.contact)
+        return right, response(springs, right, near=near)
+
     none = jnp.ones(chain.sites, chain.contact.dtype)
-    springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
-    return lane_by_lane(partial(response, near=near), springs)
+    return lane_by_lane(of_springs, eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none)))
 
 
 def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
@@ -232,33 +235,29 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
     return jnp.swapaxes(reached, 0, 1)
 
 
-def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"] | None = None, edge_stiffness: Any = 0.0) -> Response:
-    """Response of contacts in a single block, given the stress that each adds to each, source first; of no chain.
+def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"], edge_stiffness: Any = 0.0) -> Response:
+    """Response of equal contacts in a single block.
 
     Parameters
     ----------
-    transfer : array
-    push : array, optional
-        Stress per load; needed unless the load is fixed.
+    transfer : array, shape (M, M)
+        Stress that each contact adds to each per stress it releases, source first.
+    push : array, shape (M,)
+        Stress per load.
     edge_stiffness : array, shape ()
         Force on the pusher per load, in K.
     """
-    size, none, chain = transfer.shape[0], partial(jnp.zeros, dtype=transfer.dtype), cast(Any, None)
-    read, at_load = none((1, 4, size)), none((1, 4))
-    if push is not None:
-        read, at_load = read.at[0, 0].set(push), at_load.at[0, 0].set(1)
+    size, none = push.size, partial(jnp.zeros, dtype=transfer.dtype)
     return Response(
-        links=chain,
-        contact=none((1, size)),
+        push=push[None],
+        soft=jnp.ones_like(push)[None],
         near=transfer[None],
-        read=read,
+        read=none((1, 4, size)),
         leave=none((1, size, 4)),
         pass_on=none((1, 1, 4, 2)),
-        reach=read.max(-1),
+        reach=none((1, 4)),
         spill=none((1, 4)),
-        at_load=at_load,
         edge_stiffness=jnp.asarray(edge_stiffness, transfer.dtype),
-        right=chain,
     )
 
 

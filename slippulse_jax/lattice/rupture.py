@@ -1,7 +1,7 @@
 """One rupture of any chain, under the hard or a smooth rule.
 
 Under the hard rule the most overloaded contact breaks and repins, again and again, until none is overloaded
-(`slippulse_jax.lattice.cascade`). Under a smooth rule the front sweeps once from left to right. The stress released behind it
+(`slippulse_jax.lattice.event`). Under a smooth rule the front sweeps once from left to right. The stress released behind it
 reaches the next site as two displacements, u_t and u, carried from site to site by the 2×2 propagators of
 `slippulse_jax.lattice.response`.
 
@@ -26,8 +26,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.bulk.independence import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.lattice.cascade import Cascade, Moves, all_opened, most, run, whole
-from slippulse_jax.lattice.chain import Chain, State, check_linear, eliminate
+from slippulse_jax.lattice.chain import Chain, Elimination, State, check_linear, eliminate
 from slippulse_jax.lattice.equilibrium import (
     Equilibrium,
     EquilibriumStatus,
@@ -36,15 +35,14 @@ from slippulse_jax.lattice.equilibrium import (
     in_balance,
     or_harmless,
 )
-from slippulse_jax.lattice.front import event_length, first_of, length_or_reason
+from slippulse_jax.lattice.event import BREAKS_PER_SITE, event, most, stresses
+from slippulse_jax.lattice.front import first_of, length_or_reason
 from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
 
 CLOSEST, ROUNDING = -(2**31), 16
 """For a trigger: the contact closest to its threshold, where only rounding keeps it below; and the units of that rounding."""
-BREAKS_PER_SITE = 20
-"""Default limit on the breaks of a rupture, per site."""
 
 
 class Rupture(NamedTuple):
@@ -103,7 +101,7 @@ def rupture(
         default, where no contact is at its threshold, one that only rounding keeps below it; under a smooth rule none. The
         status is INVALID if that contact does not exist, is detached, or lies below its threshold by more than rounding.
     max_breaks : int, optional
-        Limit on the number of breaks, and length of their record; 20 N by default.
+        Limit on the number of breaks, and length of their record; 50 N by default.
     repin_delay : int
         Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
         it breaks, or when the rupture ends. For a front that breaks one contact after another this is the delay in sites of
@@ -124,7 +122,7 @@ def rupture(
     Notes
     -----
     Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
-    that of a first precursor to any event (`slippulse_jax.lattice.front.event_length`): it interpolates between the overload of
+    that of a first precursor to any event (`slippulse_jax.lattice.event.Event.length`): it interpolates between the overload of
     the rightmost broken contact when it first broke and the final overload of its right neighbour.
     """
     check_kind("chain", chain, Chain)
@@ -224,94 +222,79 @@ def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
 # --- the hard rule ---
 
 
-class Record(NamedTuple):
-    """Record of the breaks so far."""
+def one_rupture(
+    limits: tuple[int, int], resp: Response, right: Elimination, chain: Chain, state: State, trigger: Array
+) -> Rupture:
+    """Follow the rupture of one chain.
 
-    order: Int[Array, " L"]  # sites in order of breaking, −1 where none
-    released: Float[Array, " L"]  # stress each break released
-    broken: Float[Array, " N"]  # how often each contact broke
-    breaks: Int[Array, ""]
-    energy: Float[Array, ""]  # released, in K u_s²
-    furthest: Int[Array, ""]  # rightmost site broken so far
-    overload: Float[Array, ""]  # its overload when it first broke
-
-
-def _broken(limits: tuple[int, int], resp: Response, chain: Chain, stress: Array, threshold: Array, trigger: Array) -> Cascade:
-    """Run the cascade and record every break."""
+    Parameters
+    ----------
+    limits : tuple of int
+        Largest number of breaks, and the delay.
+    resp : Response
+        Of the chain.
+    right : Elimination
+        Of the chain from its right end.
+    chain, state, trigger
+        As for `rupture`.
+    """
     max_breaks, delay = limits
-    size = resp.contact.shape[1]
-    soft = chain.stiffness**2 / jnp.where(chain.contact > 0, 2 * chain.contact, jnp.inf)
-    none, zero = jnp.zeros((), stress.dtype), jnp.zeros((), jnp.int32)
-    empty = jnp.full(max_breaks, -1, jnp.int32), jnp.zeros(max_breaks, stress.dtype), jnp.zeros_like(stress)
-    start = Record(*empty, zero, none, zero - 1, none)
-
-    def note(record: Record, moves: Moves, t: Array, after: Array) -> Record:
-        site = moves.sites[-1]
-        return Record(
-            order=record.order.at[record.breaks].set(site),
-            released=record.released.at[record.breaks].set(t),
-            broken=record.broken.at[site].add(1),
-            breaks=record.breaks + 1,
-            energy=record.energy + t * (t + after) * soft[site],
-            furthest=jnp.maximum(site, record.furthest),
-            overload=jnp.where(site > record.furthest, t - threshold[site], record.overload),
-        )
-
-    limit, held = into_blocks(threshold, size, jnp.inf), into_blocks(stress, size)
-    begin = whole(held, limit), jnp.zeros_like(held)
-    return run(max_breaks, delay, resp, *begin, lambda block, _: (limit[block], limit[block]), trigger, start, note)
-
-
-def one_rupture(limits: tuple[int, int], resp: Response, chain: Chain, state: State, trigger: Array) -> Rupture:
-    """Follow the rupture of one chain whose response is known; `limits` are those on the breaks, and the delay."""
     valid = all_numbers(chain, state)
-    safe, state, right = or_harmless(valid, (chain, state, resp.right))
+    safe, state, right = or_harmless(valid, (chain, state, right))
     before = in_balance(valid, safe, state, right)
     trigger = _or_closest(safe, before.stress, trigger)
     meant = _can_break(safe, before.stress, trigger)
     good = (before.status == EquilibriumStatus.SOLVED) & meant
-    n = chain.sites
+    n, size = chain.sites, resp.push.shape[1]
     # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
-    done = _broken(limits, resp, safe, jnp.where(good, before.stress, 0), threshold, jnp.where(good, trigger, -1))
-    record, stress = done.book, all_opened(resp, done.stresses).reshape(-1)[:n]
-    slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact > 0, safe.contact, jnp.inf)
+    found = event(
+        resp,
+        into_blocks(jnp.where(good, before.stress, 0), size),
+        into_blocks(threshold, size, jnp.inf),
+        limit=max_breaks,
+        trigger=jnp.where(good, trigger, -1),
+        delay=delay,
+        log=(jnp.full(max_breaks + 1, -1, jnp.int32), jnp.zeros(max_breaks + 1, threshold.dtype), 0),
+    )
+    record, stress = found.record, stresses(resp, found)[:n]
+    slip = (found.contacts.released * resp.soft).reshape(-1)[:n]
     after_state = State(state.pinning + slip, state.load)
     finite = jnp.isfinite(slip).all()
     after = in_balance(finite, safe, or_harmless(finite, after_state), right)
-    ahead = jnp.minimum(record.furthest + 1, n - 1)
-    short_by = stress[ahead] - safe.threshold[ahead]
-    endings = {
-        Outcome.INVALID: _invalid(before, after) | ~meant,
-        Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
-        Outcome.NOT_CONVERGED: ~good,
-        Outcome.NOTHING_BROKE: record.breaks == 0,
-        Outcome.LIMIT: (stress >= threshold).any(),
-        Outcome.RAN_THROUGH: record.furthest == n - 1,
-    }
-    status = first_of(endings)
-    length = event_length(record.furthest, record.overload, short_by)
+    status = first_of(
+        {
+            Outcome.INVALID: _invalid(before, after) | ~meant,
+            Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
+            Outcome.NOT_CONVERGED: ~good,
+            Outcome.NOTHING_BROKE: record.breaks == 0,
+            Outcome.LIMIT: (stress >= threshold).any(),
+            Outcome.RAN_THROUGH: found.rightmost == n - 1,
+        }
+    )
+    assert record.order is not None
+    assert record.each is not None
     return Rupture(
         state=after_state,
         before=before,
         after=after,
-        order=record.order,
-        released=record.released,
+        order=record.order[:-1],
+        released=record.each[:-1],
         breaks=record.breaks,
-        broken=record.broken,
+        broken=found.contacts.times.reshape(-1)[:n].astype(stress.dtype),
         slip=slip,
         stress_drop=before.stress - after.stress,
-        energy=record.energy,
-        extent=record.furthest + 1,
-        length=length_or_reason(status, length),
+        energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
+        extent=found.rightmost + 1,
+        length=length_or_reason(status, found.length(stress, n - 1)),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
-    return lane_by_lane(partial(one_rupture, limits), resp, chain, state, trigger)
+    right, resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
+    return lane_by_lane(partial(one_rupture, limits), resp, right, chain, state, trigger)
 
 
 _undifferentiated = without_derivative(

@@ -23,6 +23,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.lattice.response import Response, of_matrix
 
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
@@ -62,13 +63,6 @@ class End(NamedTuple):
 
     column: Int[Array, ""]  # L, the last column, and the number of contacts
     back: Float[Array, "n n"]  # X (1 − G_L X)⁻¹, force on it per its displacement in the half-infinite guide
-
-
-class MatrixResponse(NamedTuple):
-    """Response to breaks of the first N contacts."""
-
-    push: Float[Array, " N"]  # t, stretch per unit of the load
-    matrix: Float[Array, "N N"]  # R
 
 
 @jax.custom_batching.sequential_vmap
@@ -215,7 +209,7 @@ def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tu
 
 
 @in_full
-def response(guide: Guide, contact: Array, sites: int) -> MatrixResponse:
+def response(guide: Guide, contact: Array, sites: int) -> Response:
     """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
     q = readings(guide, sites)
     behind, ahead = q[:-1], q[1:]
@@ -229,14 +223,13 @@ def response(guide: Guide, contact: Array, sites: int) -> MatrixResponse:
         there = jnp.arange(sites, dtype=guide.end.column.dtype) < guide.end.column
         t = jnp.where(there, t + reached @ guide.end.back @ pushed, 0)
         A = jnp.where(there[:, None] & there[None], A + reached @ guide.end.back @ reached.T, 0)
-    return MatrixResponse(t, contact * A)
+    return of_matrix(contact * A, t, _edge_stiffness(guide, contact, t))
 
 
-@in_full
-def edge_stiffness(guide: Guide, contact: Array, response: MatrixResponse) -> Float[Array, ""]:
+def _edge_stiffness(guide: Guide, contact: Array, push: Float[Array, " N"]) -> Float[Array, ""]:
     """Force on the pusher per load: that of all contacts, beyond those of the response too."""
     if guide.end is not None:
-        return contact * response.push.sum()
+        return contact * push.sum()
     slab, T = guide.slab, guide.transfer
     endless = inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T)
     return contact * ((slab.reading_left + slab.reading_right @ T) @ endless @ guide.pushed)

@@ -1,0 +1,310 @@
+"""One event of any body: contacts break one after another at a fixed load, the most overloaded first.
+
+A break changes every stress by a known amount (`slippulse_jax.lattice.response`). Within the block of the broken contact the
+stresses are updated at once. Every other block only adds up what arrives at its edges, and bounds its largest overload by
+
+    overload ≤ (largest overload when the block was last opened) + (arrived) · (largest reading of a contact).
+
+To open a block is to compute its current stresses. The most overloaded contact of the body is found by opening a few blocks.
+The contacts of one block then break one after another, in a *burst*, until another block might hold a more overloaded contact.
+The order of breaks is exactly the same as if all contacts were checked after every break; the cost is O(√N) per break or less.
+A body whose response is a matrix is a single block.
+
+A contact may repin some breaks after it broke. Until then it is detached and carries no stress: its pinning point follows the
+layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from slippulse_jax.lattice.response import Response, carried, within
+
+SLACK_DIGITS = 4096
+"""Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
+
+
+BREAKS_PER_SITE = 50
+"""Breaks per contact after which an event is given up."""
+
+
+class Contacts(NamedTuple):
+    """Contacts of B blocks, or of one; stresses in σ_s."""
+
+    stress: Float[Array, "*B M"]  # when their block was last opened
+    threshold: Float[Array, "*B M"]  # now; inf where there is no contact
+    released: Float[Array, "*B M"]  # stress released in the event: how far the pinning point moved, as a stress
+    overload: Float[Array, "*B M"]  # excess over the threshold as the contact first broke
+    times: Int[Array, "*B M"]  # how often it broke
+
+
+class Record(NamedTuple):
+    """Record of the breaks of an event."""
+
+    breaks: Int[Array, ""]
+    stretched: Float[Array, ""]  # Σ t² (k/k_i) over the breaks: twice the energy of the broken contacts' stretch over k
+    relaxed: Float[Array, ""]  # Σ t t' (k/k_i), with t' the stress on the contact after its break
+    ended: Bool[Array, ""]  # whether the contact broke that ends the event
+    order: Int[Array, " L+1"] | None  # sites in order of breaking, −1 where none; the last entry is scratch space
+    each: Float[Array, " L+1"] | None  # stress each break released
+
+
+class Event(NamedTuple):
+    """State of an event."""
+
+    contacts: Contacts
+    inbox: Float[Array, "B 4"]  # displacements that have arrived at each block's edges since it was opened
+    worst: Float[Array, " B"]  # largest overload of each block when it was last opened
+    record: Record
+
+    @property
+    def broken(self) -> Bool[Array, " N"]:
+        """Whether each contact broke."""
+        return self.contacts.times.reshape(-1) > 0
+
+    @property
+    def rightmost(self) -> Int[Array, ""]:
+        """Rightmost contact that broke; −1 if none did."""
+        return largest(jnp.where(self.contacts.times > 0, self._sites, -1)).max()
+
+    @property
+    def leftmost(self) -> Int[Array, ""]:
+        """Leftmost contact that broke; N if none did."""
+        return -largest(jnp.where(self.contacts.times > 0, -self._sites, -self._sites.size)).max()
+
+    @property
+    def _sites(self) -> Int[Array, "B M"]:
+        return jnp.arange(self.contacts.times.size, dtype=jnp.int32).reshape(self.contacts.times.shape)
+
+    def length(self, stress: Float[Array, " N"], last: int | Array) -> Float[Array, ""]:
+        """ℓ: where a straight line of the excess over the threshold, from the rightmost contact that broke, falls to zero.
+
+        Parameters
+        ----------
+        stress : array, shape (N,)
+            When the event is over.
+        last : int
+            Index of the last contact.
+
+        Notes
+        -----
+        The line begins with the overload of that contact as it broke for the *first* time, as the front passed. By that of a
+        later break ℓ would fall where the event becomes larger, because a contact that just breaks again has no overload.
+        """
+        at, ahead = jnp.maximum(self.rightmost, 0), jnp.minimum(self.rightmost + 1, last)
+        # rounding may leave a contact that was made to break just below its threshold
+        behind = jnp.maximum(self.contacts.overload.reshape(-1)[at], 0)
+        short_by = jnp.minimum(stress[ahead] - self.contacts.threshold.reshape(-1)[ahead], 0)
+        return at.astype(stress.dtype) + behind / (behind - short_by)
+
+
+class Turn(NamedTuple):
+    """An event between two bursts, or between two breaks where contacts repin after a delay."""
+
+    event: Event
+    detached: Int[Array, " n"]  # contacts that have not repinned yet, the last broken last; −1 for none
+    bound: Float[Array, " B"]  # largest overload that each block may hold
+    block: Int[Array, ""]  # the one to be opened next
+
+
+def event(
+    response: Response,
+    stress: Float[Array, "B M"],
+    threshold: Float[Array, "B M"],
+    *,
+    limit: int | Array,
+    renewed: Float[Array, "B M"] | None = None,
+    trigger: int | Array = -1,
+    last: int | Array = -1,
+    delay: int = 0,
+    log: tuple[Int[Array, " L+1"], Float[Array, " L+1"], int | Array] | None = None,
+) -> Event:
+    """Break contacts until none is at its threshold, `limit` have broken, or contact `last` has.
+
+    Parameters
+    ----------
+    response : Response
+    stress, threshold : array, shape (B, M)
+        In σ_s, before the event; the threshold is inf where there is no contact.
+    limit : int
+        Largest number of breaks.
+    renewed : array, shape (B, M), optional
+        Thresholds of contacts that have broken; as before by default.
+    trigger : int
+        Contact that breaks first, whatever its overload; −1 for none.
+    last : int
+        Contact whose break ends the event; −1 for none.
+    delay : int
+        Number of breaks for which a broken contact stays detached. With a delay every break updates all stresses, in O(N).
+    log : tuple, optional
+        Arrays of length L + 1 for the sites in order of breaking and what each released, and the place of the first break.
+    """
+    renewed = threshold if renewed is None else renewed
+    none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), stress.dtype)
+    order, each, logged = (None, None, 0) if log is None else log
+    record = Record(none, zero, zero, jnp.zeros((), bool), order, each)
+    empty = jnp.zeros_like(stress)
+    contacts = Contacts(stress, threshold, empty, empty, jnp.zeros(stress.shape, jnp.int32))
+    start = Event(contacts, jnp.zeros((stress.shape[0], 4), stress.dtype), largest(stress - threshold), record)
+    trigger, last = jnp.asarray(trigger, jnp.int32), jnp.asarray(last, jnp.int32)
+
+    def broken(contacts: Contacts, record: Record, place: Array, block: Array | int, t: Array, after: Array) -> tuple:
+        """Record the break of one contact of a block, which released t and now carries the stress `after`."""
+        site = block * contacts.times.size + place
+        over = jnp.where(contacts.times[place] == 0, t - contacts.threshold[place], contacts.overload[place])
+        if record.order is not None and record.each is not None:
+            row = jnp.minimum(logged + record.breaks, record.order.size - 1)
+            record = record._replace(order=record.order.at[row].set(site), each=record.each.at[row].set(t))
+        soft = response.soft.reshape(-1)[site] * t
+        return contacts._replace(
+            threshold=contacts.threshold.at[place].set(renewed.reshape(-1)[site]),
+            overload=contacts.overload.at[place].set(over),
+            times=contacts.times.at[place].add(1),
+        ), record._replace(
+            breaks=record.breaks + 1,
+            stretched=record.stretched + soft * t,
+            relaxed=record.relaxed + soft * after,
+            ended=site == last,
+        )
+
+    def next_turn(event: Event, detached: Array) -> Turn:
+        bound = event.worst + (event.inbox * response.reach).sum(-1) * _slack(stress)
+        block = jnp.where(forced(event.record), trigger // size, most(bound)[0])
+        return Turn(event, detached, bound, block)
+
+    def forced(record: Record) -> Array:
+        return (trigger >= 0) & (record.breaks == 0)
+
+    def going(turn: Turn) -> Array:
+        record = turn.event.record
+        return (forced(record) | (turn.bound.max() >= 0)) & (record.breaks < limit) & ~record.ended
+
+    def burst(response: Response, turn: Turn) -> Turn:
+        return next_turn(_burst(response, turn, trigger, limit, broken), turn.detached)
+
+    blocks, size = stress.shape
+    begin = next_turn(start, jnp.full(delay, -1, jnp.int32))
+    if delay:
+        return lax.while_loop(going, lambda turn: next_turn(*_one_break(response, turn, trigger, broken)), begin).event
+    if response.near.shape[0]:
+        return lax.while_loop(going, partial(burst, response), begin).event
+
+    def in_known_blocks(carry: tuple[Array, Array, Turn]) -> tuple[Array, Array, Turn]:
+        """Compute the response within the block to be opened, and go on until another one must be computed."""
+        near, known, turn = carry
+        assert response.links is not None
+        within_block = within(*(x[turn.block] for x in response.links))
+        near, known = near.at[turn.block].set(within_block), known.at[turn.block].set(True)
+        here = partial(burst, response._replace(near=near))
+        return near, known, lax.while_loop(lambda turn: going(turn) & known[turn.block], here, turn)
+
+    unknown = jnp.zeros((blocks, size, size), stress.dtype), jnp.zeros(blocks, bool)
+    return lax.while_loop(lambda carry: going(carry[2]), in_known_blocks, (*unknown, begin))[2].event
+
+
+def stresses(response: Response, event: Event) -> Float[Array, " N"]:
+    """Compute the current stresses of all blocks."""
+    read = sum(event.inbox[:, k, None] * response.read[:, k] for k in range(4))  # written out: arithmetic on rows
+    return (event.contacts.stress + read).reshape(-1)
+
+
+def most(x: Float[Array, "*B M"]) -> tuple[Array, Array]:
+    """Return site and value of the largest entry of one block, or of several; the first of equals."""
+    if x.ndim == 2:
+        block, value = most(largest(x))
+        return block * x.shape[1] + most(x[block])[0], value
+    value = x.max()
+    return jnp.argmax(x == value).astype(jnp.int32), value
+
+
+def largest(x: Array) -> Array:
+    """Largest entry of each block, by halves: unlike a plain reduction, this compiles to vector instructions."""
+    while x.shape[-1] > 1 and x.shape[-1] % 2 == 0:
+        half = x.shape[-1] // 2
+        x = jnp.maximum(x[..., :half], x[..., half:])
+    return x.max(-1)
+
+
+# --- bursts --------------------------------------------------------------------------------------------------------------
+
+Broken = Callable[[Contacts, Record, Array, Array | int, Array, Array], tuple[Contacts, Record]]
+
+
+def _slack(like: Array) -> float:
+    """Factor by which a bound is raised to cover rounding."""
+    return 1 + SLACK_DIGITS * float(jnp.finfo(like.dtype).eps)
+
+
+def _burst(response: Response, turn: Turn, trigger: Array, limit: int | Array, broken: Broken) -> Event:
+    """Open a block, and break its contacts until another block might hold a more overloaded one."""
+    event, _, bound, block = turn
+    near, size = response.near, event.contacts.times.shape[1]
+    others = jnp.where(jnp.arange(bound.size, dtype=jnp.int32) == block, -jnp.inf, bound).max()
+    spill = response.spill[block] * _slack(bound)
+    sites = jnp.arange(size, dtype=jnp.int32)
+    here = Contacts(*(x[block] for x in event.contacts))
+    here = here._replace(stress=here.stress + (event.inbox[block][:, None] * response.read[block]).sum(0))
+    forced = (trigger >= 0) & (event.record.breaks == 0)
+    site, overload = most(here.stress - here.threshold)
+
+    def going(carry: tuple) -> Array:
+        _, record, _, overload, left = carry
+        sure = (overload >= 0) & (overload >= others + (left * spill).sum())
+        return (sure | (forced & (record.breaks == 0))) & (record.breaks < limit) & ~record.ended
+
+    def step(carry: tuple) -> tuple:
+        here, record, site, _, left = carry
+        t = here.stress[site]
+        stress = jnp.where(sites == site, 0, here.stress) + near[block, site] * t
+        here = here._replace(stress=stress, released=here.released.at[site].add(t))
+        here, record = broken(here, record, site, block, t, stress[site])
+        return here, record, *most(here.stress - here.threshold), left + response.leave[block, site] * t
+
+    begin = here, event.record, jnp.where(forced, trigger % size, site), overload, jnp.zeros_like(spill)
+    here, record, _, overload, left = lax.while_loop(going, step, begin)
+    return Event(
+        contacts=Contacts(*(x.at[block].set(y) for x, y in zip(event.contacts, here, strict=True))),
+        inbox=event.inbox.at[block].set(0) + carried(response, block, left),
+        worst=event.worst.at[block].set(overload),
+        record=record,
+    )
+
+
+# --- with a delay --------------------------------------------------------------------------------------------------------
+
+
+def _one_break(response: Response, turn: Turn, trigger: Array, broken: Broken) -> tuple[Event, Int[Array, " n"]]:
+    """Break the most overloaded contact and move the pinning points of all detached ones, with every block open."""
+    event, detached, _, block = turn
+    blocks, size = event.contacts.times.shape
+    place = most(event.contacts.stress[block] - event.contacts.threshold[block])[0]
+    forced = (trigger >= 0) & (event.record.breaks == 0)
+    site = jnp.where(forced, trigger, block * size + place)
+    moving = jnp.append(detached, site)[1:]  # the contact detached longest repins, where it is
+    there = moving >= 0
+    contacts = jax.tree.map(lambda x: x.reshape(-1), event.contacts)
+    columns = jax.vmap(partial(column, response))(jnp.maximum(moving, 0))
+    green = jnp.where(there[:, None] & there[None], columns[:, jnp.maximum(moving, 0)], 0)
+    t = contacts.stress[site]
+    unit = jnp.eye(moving.size, dtype=t.dtype)
+    given = jnp.linalg.solve(unit - green.T, unit[-1] * t)  # what each releases, so that none carries any stress
+    stress, released = contacts.stress + given @ columns, contacts.released
+    for j in range(moving.size):
+        stress, released = stress.at[moving[j]].add(-given[j]), released.at[moving[j]].add(given[j])
+    # of the broken contact, the displacement of its site as a stress
+    contacts, record = broken(contacts._replace(stress=stress, released=released), event.record, site, 0, t, given[-1] - t)
+    contacts = jax.tree.map(lambda x: x.reshape(blocks, size), contacts)
+    return Event(contacts, event.inbox, largest(contacts.stress - contacts.threshold), record), moving
+
+
+def column(response: Response, site: Array) -> Float[Array, " N"]:
+    """Stress on every contact per stress released at one, its own pinning point apart."""
+    size = response.near.shape[1]
+    block, place = site // size, site % size
+    far = (carried(response, block, response.leave[block, place])[:, :, None] * response.read).sum(1)
+    return far.at[block].add(response.near[block, place]).reshape(-1)
