@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
+from scipy.optimize.elementwise import find_root
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
@@ -23,6 +24,9 @@ _DOMAIN = {
     "poisson": POISSON,
     "prestress": PRESTRESS,
 }
+
+NO_CHANGE = -1
+"""Status of `find_root` where both ends have the same sign."""
 
 EDGE_TERMS = 16
 """Terms of the edge stress: each is at most λ/2n ≤ 1/4n of the one before, and the first one left out below 1e-20."""
@@ -210,11 +214,7 @@ def rebreaking_b() -> float:
 
     The root of `macroscopic_edge_stress` = 1. `slippulse_jax.rebreaking_onset` gives it for any H/λc.
     """
-    low, high = 3.0, 3.2
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _edge_stress(middle) >= 1 else (middle, high)
-    return high
+    return float(find_root(lambda b: _edge_stress(b) - 1, (3.0, 3.2)).x)
 
 
 def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
@@ -223,14 +223,14 @@ def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, ".
     It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
     strip without normal displacement at its lower edge, free at its upper one. At least 1/π.
     """
-    b, poisson = np.broadcast_arrays(np.asarray(b, float), np.asarray(poisson, float))
-    low, high = np.zeros(b.shape), np.full(b.shape, np.pi)
-    for _ in range(60):
-        zeta = (low + high) / 2
-        held = 4 - (1 + poisson) ** 2 * zeta**2 - (3 - poisson) * (1 + poisson) * np.sin(zeta) ** 2
-        above = b * held > 4 * (1 + poisson) * zeta * (np.sin(zeta) * np.cos(zeta) + zeta)
-        low, high = np.where(above, zeta, low), np.where(above, high, zeta)
-    return 1 / high
+
+    def excess(zeta: np.ndarray, b: np.ndarray, nu: np.ndarray) -> np.ndarray:
+        sine = np.sin(zeta)
+        held = b * (4 - (1 + nu) ** 2 * zeta**2 - (3 - nu) * (1 + nu) * sine**2)
+        return held - 4 * (1 + nu) * zeta * (sine * np.cos(zeta) + zeta)
+
+    found = find_root(excess, (0.0, np.pi), args=(np.asarray(b, float), np.asarray(poisson, float)))
+    return 1 / np.where(found.status == NO_CHANGE, np.pi, found.x)
 
 
 @jax.jit
