@@ -3,7 +3,6 @@
 Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
 """
 
-import functools
 from typing import Any
 
 import jax
@@ -11,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
-from scipy.optimize.elementwise import find_root
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
@@ -198,23 +196,19 @@ def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
 
         E = 2λ M_1 = 2 Σ_n λ^{n+1} (2n + 2)/(2n + 1) / Π_{j≤n} (2j + 2 − λ),     λ = b/2(1 + b).
     """
-    return _edge_stress(jnp.asarray(b, dtype=float))
-
-
-def _edge_stress(b: Any) -> Any:
-    share, total = b / (2 * (1 + b)), 0.0
+    b = jnp.asarray(b, dtype=float)
+    share, total = b / (2 * (1 + b)), jnp.zeros_like(b)
     for n in range(EDGE_TERMS - 1, -1, -1):  # by Horner's rule
         total = share / (2 * n + 2 - share) * ((2 * n + 2) / (2 * n + 1) + total)
     return 2 * total
 
 
-@functools.cache
 def rebreaking_b() -> float:
     """b* = 3.0872…, beyond which contact 0 breaks again before the front stops, for λc → 0.
 
     The root of `macroscopic_edge_stress` = 1. `slippulse_jax.rebreaking_onset` gives it for any H/λc.
     """
-    return float(find_root(lambda b: _edge_stress(b) - 1, (3.0, 3.2)).x)
+    return 3.087225261382635  # a number, because each report of a fit names it; a test holds it to the last digits
 
 
 def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
@@ -223,6 +217,7 @@ def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, ".
     It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
     strip without normal displacement at its lower edge, free at its upper one. At least 1/π.
     """
+    from scipy.optimize.elementwise import find_root  # here, because it takes half a second, and most fits have no block
 
     def excess(zeta: np.ndarray, b: np.ndarray, nu: np.ndarray) -> np.ndarray:
         sine = np.sin(zeta)
