@@ -19,10 +19,10 @@ from slippulse_jax.interface import Profile as Profile
 from slippulse_jax.lattice.ageing import Ageing as Ageing
 from slippulse_jax.lattice.chain import chain as chain
 from slippulse_jax.lattice.equilibrium import equilibrium as equilibrium
-from slippulse_jax.lattice.events import rebreaking_onset as rebreaking_onset
 from slippulse_jax.lattice.exact import exact_front as exact_front
 from slippulse_jax.lattice.exact import exact_length as exact_length
 from slippulse_jax.lattice.exact_lanes import exact_lengths as exact_lengths
+from slippulse_jax.lattice.exact_lanes import rebreaking_onset as rebreaking_onset
 from slippulse_jax.lattice.inertia import simulate_inertial as simulate_inertial
 from slippulse_jax.lattice.lengths import precursor_lengths as precursor_lengths
 from slippulse_jax.lattice.precursor import first_precursor as first_precursor

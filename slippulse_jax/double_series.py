@@ -108,7 +108,7 @@ def system_of(
     reflected: Array,
     start: Array,
     prestress: Array | None = None,
-    response: Array | None = None,
+    runaway: Array | None = None,
 ) -> System:
     """Roots ρ_j of A, their distances, and the first step of the front.
 
@@ -120,24 +120,24 @@ def system_of(
         V(0).
     prestress : array, shape (*lanes), optional
         φ; without it the family of terms that it would add is left out.
-    response : array, shape (*lanes), optional
-        G_00 = Σ w_m. Without it, a line, whose static responses 2W_m/κ_m add up to 1.
+    runaway : array, shape (*lanes), optional
+        φ_c = (1 + G_00)/2, the run-away prestress. Without it, a line, whose φ_c is 1/2.
 
     Notes
     -----
-    The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 (1 + G_00)/2, and ρ_j − r_m as products of positive
+    The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 φ_c, and ρ_j − r_m as products of positive
     numbers from (r_1 − ρ_1)(r_1 − ρ_2) = −w_1 r_1 (r_1 − r_2) and the like at r_2.
     """
-    lattice = response is not None
+    lattice = runaway is not None
     diagonal = gap - coupling  # 1 − A_mm, at least half of 1 − r_m
     difference = diagonal[0] - diagonal[1]
     split = jnp.sqrt(difference**2 + 4 * coupling[0] * coupling[1])
     larger = (jnp.where(difference < 0, -difference, difference) + split) / 2
     smaller = coupling[0] * coupling[1] / larger
     up, down = jnp.where(difference < 0, smaller, larger), jnp.where(difference < 0, larger, smaller)
-    runaway = (1 + response) / 2 if response is not None else jnp.full_like(split, 0.5)
+    critical = jnp.full_like(split, 0.5) if runaway is None else runaway
     gap_1 = (diagonal[0] + diagonal[1] + split) / 2
-    gap_2 = gap[0] * gap[1] * runaway / gap_1
+    gap_2 = gap[0] * gap[1] * critical / gap_1
     apart, zero = gap[0] - gap[1], jnp.zeros_like(split)
     to_mode_1 = [coupling[0] * apart / (up + coupling[0]), up + coupling[0], gap[0]]
     to_mode_2 = [-coupling[1] * apart / (down + coupling[1]), down + coupling[1], gap[1]]
@@ -163,7 +163,7 @@ def system_of(
         at_edge=at_edge,
         first_step=(coupling.sum(0) + reflected.sum((0, 1))) * at_edge - (gap * start).sum(0),
         prestress=phi,
-        plateau=phi / runaway,
+        plateau=phi / critical,
         lattice=lattice,
     )
 

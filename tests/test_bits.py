@@ -5,7 +5,7 @@ from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import Layout, over_lanes
-from slippulse_jax.lattice import exact_lanes, lanes, lengths, long_fronts
+from slippulse_jax.lattice import exact_lanes, lanes, lengths
 from slippulse_jax.lattice.exact_lanes import exact_fronts
 
 
@@ -28,7 +28,7 @@ def test_lengths():
     rng = np.random.default_rng(5)
     short = np.stack([1 + 10 ** rng.uniform(-1, 3.3, 1000), 10 ** rng.uniform(-5, 0, 1000), rng.uniform(-0.9, 0.5, 1000)])
     long = np.stack([10 ** rng.uniform(2.7, 4.0, 120), 10 ** rng.uniform(-4, -0.5, 120), rng.uniform(0, 0.5, 120)])
-    assert 20 < len(long_fronts.which_are_long(long)) < 100
+    assert 20 < len(exact_lanes.which_are_long(long)) < 100
     alike(of_sliders, long)
     whole = alike(of_sliders, short)
     np.testing.assert_array_equal(of_sliders(short.reshape(3, 10, 100)).ravel(), whole)
@@ -51,5 +51,5 @@ def test_exact_lengths_far_from_the_edge():
     rng = np.random.default_rng(68)
     tall = np.stack([10 ** rng.uniform(2, 5, 200), 10 ** rng.uniform(-4, 0, 200), rng.uniform(-0.9, 0.5, 200)])
     five = np.concatenate([tall, np.zeros((2, 200))])
-    found = alike(lambda columns: over_lanes(exact_lanes._far, columns, long_fronts.FAR)[0][0], five)
+    found = alike(lambda columns: over_lanes(exact_lanes._far, columns, exact_lanes.FAR)[0][0], five)
     assert np.isfinite(found).mean() > 0.5

@@ -6,7 +6,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.bulk import chunks as batch
-from slippulse_jax.lattice import lanes, long_fronts
+from slippulse_jax.lattice import exact_lanes, lanes
 from slippulse_jax.lattice import lengths as bulk
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import ENDLESS
@@ -103,11 +103,11 @@ def test_long_fronts_by_the_series_equal_the_recursion():
     rng = np.random.default_rng(5)
     n = 120
     points = np.stack([10 ** rng.uniform(2.7, 4.0, n), 10 ** rng.uniform(-4, -0.5, n), rng.uniform(0, 0.5, n)])
-    long = long_fronts.which_are_long(points)
+    long = exact_lanes.which_are_long(points)
     assert 20 < len(long) < 100
     whole = sp.precursor_lengths(sp.Slider(*points))
     np.testing.assert_allclose(whole, by_recursion(points), rtol=1e-10)
-    assert (whole[long] > 0.9 * long_fronts.LONG).all()
+    assert (whole[long] > 0.9 * exact_lanes.LONG).all()
 
 
 def test_smooth_rule_in_bulk():

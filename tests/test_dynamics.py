@@ -8,7 +8,8 @@ from oracles import leapfrog
 from oracles.dense_chain import responses
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.inertia import _forces, quasi_static_break_time, stable_step
+from slippulse_jax.lattice.equilibrium import forces
+from slippulse_jax.lattice.inertia import quasi_static_break_time, stable_step
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.status import Outcome
 
@@ -49,7 +50,7 @@ def test_the_step_is_stable_on_any_chain():
     for right in ("free", "clamped", "semi-infinite"):
         for upper, layer in ((25.0, 1.0), (0.1, 0.004), (np.geomspace(0.1, 500, n - 1), np.geomspace(3, 0.01, n - 1))):
             chain = sp.chain(FIG2, sites=n, right=right, upper=upper, layer=layer)
-            stiffness = -jax.jacfwd(lambda x, c=chain: jnp.append(*_forces(c, (x[:n], x[n:]), np.zeros(n))))(np.zeros(2 * n))
+            stiffness = -jax.jacfwd(lambda x, c=chain: jnp.append(*forces(c, np.zeros(n), (x[:n], x[n:]))))(np.zeros(2 * n))
             root = np.sqrt(np.append(np.full(n, 25.0), np.ones(n)))
             fastest = np.sqrt(np.linalg.eigvalsh(np.asarray(stiffness)[1:, 1:] / np.outer(root, root)[1:, 1:])[-1])
             assert stable_step(chain, 1.0) <= 2 / fastest

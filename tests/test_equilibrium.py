@@ -11,7 +11,7 @@ from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
-from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, imbalance
+from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, forces, imbalance
 from slippulse_jax.lattice.modes import Ends, lattice_modes
 
 ENDS = ("semi-infinite", "free", "clamped")
@@ -66,9 +66,12 @@ def test_forces_are_slopes_of_the_energy(right):
     _, mine, state = random_case(rng, 12, right)
     x = tuple(jnp.asarray(one) for one in rng.normal(size=(2, 12)))
     (upper, layer), pinning = jax.jit(jax.grad(potential_energy, argnums=(1, 2)))(mine, x, state.pinning)
-    force = imbalance(mine, state, x)
-    np.testing.assert_allclose(upper[1:], -force[0][1:], rtol=1e-12, atol=1e-12)
+    force = forces(mine, state.pinning, x)
+    np.testing.assert_allclose(upper, -force[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(layer, -force[1], rtol=1e-12, atol=1e-12)
+    unheld = imbalance(mine, state, x)
+    assert unheld[0][0] == 0
+    np.testing.assert_array_equal(np.append(unheld[0][1:], unheld[1]), np.append(force[0][1:], force[1]))
     carried = mine.stiffness * mine.stress(x[1], state.pinning)
     np.testing.assert_allclose(pinning, -carried, rtol=1e-12, atol=1e-12)
     assert potential_energy(mine, (0 * x[0], 0 * x[1]), 0 * x[0]) == 0

@@ -7,9 +7,9 @@ from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax.bulk.chunks import over_lanes
-from slippulse_jax.lattice import exact_lanes, long_fronts
-from slippulse_jax.lattice.events import exact_arrests
+from slippulse_jax.lattice import exact_lanes
 from slippulse_jax.lattice.exact import exact_front, exact_length
+from slippulse_jax.lattice.exact_lanes import exact_arrests
 from slippulse_jax.lattice.lengths import arrests as arrests_of
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.status import Outcome
@@ -77,15 +77,15 @@ def test_what_the_far_series_settles_is_right():
     """Sliders of every height, those included whose front stops near the edge, or never starts: each right, or left to others."""
     rng, n = np.random.default_rng(68), 1500
     height, nu = 10 ** rng.uniform(0.3, 5.3, n), rng.uniform(-0.9, 0.5, n)
-    b = 10 ** rng.uniform(np.log10(long_fronts.LIFT), 3, n)
+    b = 10 ** rng.uniform(np.log10(exact_lanes.LIFT), 3, n)
     lanes = np.stack([height, np.minimum(b / (2 * (1 + nu) * height), 1), nu, 0 * nu, 0 * nu])
-    lanes = lanes[:, 2 * (1 + nu) * lanes[1] * height >= long_fronts.LIFT]
-    ((far, status),) = over_lanes(exact_lanes._far, lanes, long_fronts.FAR)
+    lanes = lanes[:, 2 * (1 + nu) * lanes[1] * height >= exact_lanes.LIFT]
+    ((far, status),) = over_lanes(exact_lanes._far, lanes, exact_lanes.FAR)
     ((regular, _),) = over_lanes(exact_lanes._careful, lanes, exact_lanes.CAREFULLY)
     settled = status == Outcome.ARRESTED
     assert set(status) == {Outcome.ARRESTED, Outcome.NOT_CONVERGED}
     np.testing.assert_allclose(far[settled], regular[settled], rtol=1e-11)
-    chosen = long_fronts.which_are_far(lanes)
+    chosen = exact_lanes.which_are_far(lanes)
     assert settled[chosen].mean() > 0.95
     assert chosen[settled].mean() > 0.9
 

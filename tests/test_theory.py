@@ -315,7 +315,7 @@ def test_values_derivatives_and_batches(name):
 def test_asymptote():
     # label cra44
     tall = sp.Slider(1e5, 1e-3, 0.3)
-    np.testing.assert_allclose(theory.slow_decay_length(tall), 1 / tall.kappa_2, rtol=1e-4)
+    np.testing.assert_allclose(theory.asymptotic_decay_length(tall), 1 / tall.kappa_2, rtol=1e-4)
 
 
 def test_refused_values():

@@ -24,7 +24,7 @@ from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.blocks import BlockNumbers, tall_lengths
-from slippulse_jax.lattice.events import NEVER
+from slippulse_jax.lattice.exact_lanes import NEVER
 from slippulse_jax.lattice.lengths import lengths
 from slippulse_jax.slider import Slider
 

@@ -24,8 +24,8 @@ The same front in closed form (the series itself is `slippulse_jax.double_series
 Many sliders at once. A *lane* is one slider of a batch; its result depends on it alone. How lanes are cut, padded and spread
 over cores is a matter of `slippulse_jax.bulk`.
     `lanes`             the front for lanes: chunks that advance in step
-    `long_fronts`       lengths ℓ of long fronts by that closed form
-    `lengths`, `exact_lanes`                what users call: ℓ and ℓ* by the million
+    `lengths`           what users call: ℓ by the million
+    `exact_lanes`       the closed form by the million: ℓ*, ℓ of long fronts, and where the contact at the edge breaks again
 
 Any chain: springs, contacts and thresholds may differ from site to site.
     `chain`             the chain, its state, and its O(N) elimination, site after site
@@ -34,7 +34,7 @@ Any chain: springs, contacts and thresholds may differ from site to site.
     `response`          what a push and a break do to every contact, of any body
     `event`             break after break at a fixed load, of any body
     `rupture`           nucleation and one rupture, under the hard rule or a smooth one
-    `events`            where the contact at the edge breaks again before the front stops; lengths of whole events
+    `events`            lengths of whole events, in which contacts break again
     `ageing`            thresholds that grow with age
     `catalogue`         the record of the events, and its files
     `series`            one event after another, as the load grows

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from slippulse_jax import double_series as series
 from slippulse_jax.double_series import FarSeries, Lanes, Series, System
+from slippulse_jax.lattice.front import runaway_prestress
 from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -47,7 +48,7 @@ def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
     phi = theta[3] if prestressed else None
     start = modes.drive if phi is None else (1 - phi)[None] * modes.drive
     coupling, reflected = modes.ratio * modes.weight, modes.ratio[:, None] * modes.reflection
-    return series.system_of(modes.gap, coupling, reflected, start, phi, modes.weight.sum(0))
+    return series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
 
 
 def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -> tuple[Lanes, Lanes]:

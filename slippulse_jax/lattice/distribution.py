@@ -24,6 +24,7 @@ from jax import lax
 from jax.scipy.special import gamma, ndtr
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
+from scipy.optimize.elementwise import find_root
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import Domain, check_choice
@@ -35,6 +36,9 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.units import quantity_field
 
 Kind = Literal["normal", "uniform", "weibull"]
+
+LEAST_WIDTH = 1e-3
+"""Smallest width searched for smooth sliding."""
 
 
 class ThresholdDistribution(eqx.Module):
@@ -263,8 +267,6 @@ def smooth_width(slider: Slider, kind: Kind, *, points: int = 801) -> float:
     best = max(widths, key=lambda width: float(margin(jnp.asarray(width))))
     if margin(jnp.asarray(best)) <= 0:
         return float("inf")
-    low, high = 1e-3, best
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if margin(jnp.asarray(middle)) <= 0 else (low, middle)
-    return float(high)
+    if margin(jnp.asarray(LEAST_WIDTH)) > 0:
+        return LEAST_WIDTH
+    return float(find_root(np.vectorize(lambda width: float(margin(jnp.asarray(width)))), (LEAST_WIDTH, best)).x)

@@ -1,34 +1,62 @@
-"""Exact lengths by the million, with derivatives.
+"""The exact solution by the million: ℓ* with derivatives, ℓ of long fronts, and where the edge breaks again.
 
 NumPy in and out, double precision, every lane by itself.
+
+**Long fronts.** The recursion costs a nanosecond or two per lane and contact; the series (`slippulse_jax.double_series`), a
+microsecond or a few per lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the
+two contacts around ℓ*. Where a front crosses so far from the edge that only one family and one column of the series matter, a
+step of Newton's method costs next to nothing, and a lane little more than its table.
+
+**Breaking again.** Contact 0 repins as the front starts, and every later break adds to the stress that it carries. Beyond an
+onset of the areal stiffness it is back at its threshold before the front stops.
 """
 
 import functools
 import warnings
-from typing import Literal, overload
+from functools import partial
+from typing import Any, Literal, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax import double_series as series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
-from slippulse_jax.domains import check_kind
+from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import long_fronts
 from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, excess, system_of
 from slippulse_jax.lattice.exact import uniform
-from slippulse_jax.lattice.front import LengthDerivatives
+from slippulse_jax.lattice.front import LengthDerivatives, straight_line
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
 """Possible outcomes of an exact front."""
 
+ARREST_OUTCOMES = (*EXACT_OUTCOMES, Outcome.REBREAK)
+"""Possible outcomes of an exact front, with the stress on the edge behind it."""
+
 IN_BULK, CAREFULLY = Layout(chunk=128, fusion_emitters=False), Layout(chunk=32, fusion_emitters=False)
 """Lanes per chunk for which a plain table fits into the second-level cache; and a regular one, with or without derivatives."""
+
+FAR = Layout(chunk=240)
+"""Lanes per chunk for which the rows of a narrow table do."""
+
+LONG = 2000.0
+"""Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
+
+NEGLIGIBLE, LIFT = 35, 0.01
+"""Expected decay exponent at the crossing, and b, from which the far series is tried. A front is 5 to 11 % longer than
+expected; the series holds from the exponent `slippulse_jax.double_series.FAR` on, and loses the digits of b."""
+
+NEVER = 3.0
+"""b below which contact 0 of a relaxed interface on level thresholds never breaks again: the onset falls towards 3.0872
+(`slippulse_jax.theory.rebreaking_b`) as H/λc grows, and never below."""
+
+
+# --- ℓ* and its derivatives ---------------------------------------------------------------------------------------------
 
 
 @overload
@@ -112,9 +140,9 @@ def exact_fronts(
     """
     found = np.full((2, lanes.shape[1]), float(Outcome.NOT_CONVERGED))
     prestressed = lanes[3] != 0
-    far = ~prestressed & (lanes[4] == 0) & (not one_program) & long_fronts.which_are_far(lanes)
+    far = ~prestressed & (lanes[4] == 0) & (not one_program) & which_are_far(lanes)
     for kernel, layout, rank, wanted in (
-        (_far, long_fronts.FAR, None, far),
+        (_far, FAR, None, far),
         (_relaxed, IN_BULK, _effort, ~prestressed),
         (_prestressed, IN_BULK, _effort, prestressed),
         (_careful, CAREFULLY, None, True),
@@ -131,13 +159,15 @@ def _far(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
 
 
 def _relaxed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = series.solve(system_of(theta, prestressed=False), regular=False)
-    return (jnp.stack(crossing_in_bulk(found, theta)),)
+    return (jnp.stack(crossing_in_bulk(_plain(theta, False), theta)),)
 
 
 def _prestressed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = series.solve(system_of(theta, prestressed=True), regular=False)
-    return (jnp.stack(crossing_in_bulk(found, theta)),)
+    return (jnp.stack(crossing_in_bulk(_plain(theta, True), theta)),)
+
+
+def _plain(theta: Float[Array, "n lanes"], prestressed: bool) -> series.Series:
+    return series.solve(system_of(theta, prestressed=prestressed), regular=False)
 
 
 def _careful(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
@@ -181,9 +211,151 @@ def _effort(lanes: Lanes) -> np.ndarray:
     b determines the number of Newton steps of soft lanes (b < 1/2), κ the number of rows of stiff ones. A prestress above 1/2
     may exceed that of run-away, where the search is a different one.
     """
-    height, stiffness, poisson, prestress = (np.asarray(x, np.float32) for x in lanes[:4])
+    height, stiffness, poisson, *more = (np.asarray(x, np.float32) for x in lanes[:4])
     with np.errstate(all="ignore"):
         transverse = 1 / (2 * (1 + poisson) * height)
         b = stiffness / transverse
-        rank = np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 256 + 16384 + 32768 * (prestress > 0.5)
+        rank = (
+            np.log2(np.where(b < 0.5, b, 2**40 * (stiffness + transverse))) * 256
+            + 16384
+            + 32768 * (more[0] > 0.5 if more else 0)
+        )
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
+
+
+# --- ℓ of long fronts ---------------------------------------------------------------------------------------------------
+
+
+def which_are_long(lanes: Lanes) -> Int[np.ndarray, " m"]:
+    """Lanes for which the series is used."""
+    # no front is expected to be longer than √3 · ⅔ = 1.155 times the height
+    tall = np.flatnonzero(lanes[0] >= LONG / 1.2)
+    return tall[_expected([field[tall] for field in lanes[:3]])[0] >= LONG] if len(tall) else tall
+
+
+def which_are_far(lanes: Lanes) -> Bool[np.ndarray, " n"]:
+    """Relaxed lanes that are expected to cross where the far series holds."""
+    return _expected(lanes)[1] >= NEGLIGIBLE
+
+
+def _expected(lanes: Lanes) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Length in λc, and −ln of what is left of ρ_1^s there; 0 for the latter where b is too small for the far series.
+
+    By a lane's own numbers and correctly rounded operations alone, which round the same way everywhere. The length is the
+    leading term of Eq. (25), ln[2/(1+β)]/κ_2, with ln(1 + x) ≈ 2x/(2 + x); −ln ρ_1 is about κ_1 [1 − b/(2 + 2b)] for tall
+    sliders.
+    """
+    height, stiffness, poisson = lanes[:3]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        shape = 2 * (1 + poisson)
+        b = shape * stiffness * height
+        x = b / (2 + b)
+        expected = 2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b))
+        exponents = expected * np.sqrt((1 + b) / (shape * height)) * (2 + b) / (2 + 2 * b)
+    return expected, np.where(b >= LIFT, exponents, 0)
+
+
+def long_lengths(lanes: Lanes, max_contacts: int) -> Float[np.ndarray, " n"]:
+    """ℓ of relaxed lanes; NaN where the search did not settle, which the recursion then has to decide."""
+    found = np.full(len(lanes[0]), np.nan)
+    for far, layout, rank, tried in ((True, FAR, None, which_are_far(lanes)), (False, IN_BULK, _effort, True)):
+        left = np.flatnonzero(np.isnan(found) & tried)
+        if len(left):
+            (found[left],) = over_lanes(_long(far, max_contacts), [x[left] for x in lanes], layout, rank)
+    return found
+
+
+@functools.cache
+def _long(far: bool, max_contacts: int) -> Kernel:
+    """ℓ from ℓ* and the stresses on the contacts around it."""
+
+    def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array]:
+        if far:
+            beyond = series.solve_far(system_of(parameters, prestressed=False))
+            rise, (exact, status) = partial(series.rise_far, beyond), crossing_far(beyond, parameters)
+        else:
+            found = _plain(parameters, False)
+            relaxed = jnp.concatenate([parameters, jnp.zeros((2, parameters.shape[1]))])
+            rise, (exact, status) = partial(series.rise, found), crossing_in_bulk(found, relaxed)
+        last = jnp.floor(exact)  # the last contact that breaks
+        length = straight_line(last, rise(last)[0], rise(last + 1)[0])
+        return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
+
+    return lengths
+
+
+# --- where contact 0 breaks again ---------------------------------------------------------------------------------------
+
+
+def exact_arrests(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """As `exact_fronts`, with `REBREAK` among the outcomes."""
+    length, status, edge = _with_edge(lanes)
+    return length, np.where(edge >= 1, np.int32(Outcome.REBREAK), status)
+
+
+def _with_edge(
+    lanes: Float[np.ndarray, "5 n"],
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """As `exact_fronts`, with the stress on contact 0 behind the front; NaN where it cannot reach its threshold."""
+    length, status = exact_fronts(lanes)
+    edge = np.full(length.shape, np.nan)
+    b = 2 * (1 + lanes[2]) * lanes[1] * lanes[0]
+    may = (status == Outcome.ARRESTED) & ((b >= NEVER) | (lanes[3:] != 0).any(0))
+    for kernel, layout in ((_edge, IN_BULK), (_careful_edge, CAREFULLY)):
+        left = may & np.isnan(edge)
+        if left.any():
+            behind = np.vstack([lanes[:, left], np.maximum(np.ceil(length[left]), 1)])
+            (edge[left],) = over_lanes(kernel, behind, layout)
+    return length, status, edge
+
+
+def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[np.ndarray, "..."]:
+    """Smallest b at which contact 0 breaks again before the front stops.
+
+    b is the areal shear stiffness of the interface times H over the shear modulus (`Slider.b`). Beyond the onset the event is
+    no longer one front, and goes farther than it: the status is `REBREAK`.
+
+    Parameters
+    ----------
+    height, poisson, prestress : array_like
+        H/λc, ν and φ, which broadcast.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64; inf where contact 0 never breaks again, as in sliders of H/λc < 7. It tends to
+        `slippulse_jax.theory.rebreaking_b` = 3.0872 for tall sliders, about as 5.5 (H/λc)^{−1/2}.
+
+    Notes
+    -----
+    The first change of status on a grid of b, refined. In short sliders contact 0 holds again where b is large, because
+    the front is shorter there.
+    """
+    from scipy.optimize.elementwise import find_root  # here, because it adds a third to the import of all that ℓ needs
+
+    for name, domain, value in (("height", HEIGHT, height), ("poisson", POISSON, poisson), ("prestress", PRESTRESS, prestress)):
+        domain.check(f"rebreaking_onset: {name}", value)
+    height, poisson, prestress = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (height, poisson, prestress)))
+
+    def overload(b: Float[np.ndarray, "*n"], *given: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Excess on contact 0 behind the front, in σ_s; −1 where it cannot break again."""
+        b, H, nu, phi = np.broadcast_arrays(b, *given)
+        lanes = np.stack([x.ravel() for x in (H, b / (2 * (1 + nu) * H), nu, phi, np.zeros(b.shape))])
+        return np.nan_to_num(_with_edge(lanes)[2] - 1, nan=-1).reshape(b.shape)
+
+    every = [x.ravel() for x in (height, poisson, prestress)]
+    grid = np.geomspace(NEVER, 100 * NEVER, 128)
+    again = overload(grid, *(x[:, None] for x in every)) >= 0
+    first, onset = again.argmax(1), np.full(height.size, np.inf)
+    some = again.any(1)
+    bracket = [grid[np.maximum(first[some] - before, 0)] for before in (1, 0)]
+    onset[some] = find_root(overload, bracket, args=tuple(x[some] for x in every), tolerances={"xrtol": 1e-12}).bracket[1]
+    return onset.reshape(height.shape)
+
+
+def _edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
+    return (series.edge_stress(_plain(lanes[:5], True), lanes[5]),)
+
+
+def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
+    return (series.edge_stress(series.solve(system_of(lanes[:5], prestressed=True)), lanes[5]),)

@@ -27,7 +27,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_domain
 from slippulse_jax.lattice.chain import Chain, State, check_linear, potential_energy
-from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium
+from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, forces
 from slippulse_jax.lattice.front import first_of
 from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
@@ -59,39 +59,6 @@ class Motion(NamedTuple):
     rubbed: Float[Array, ""]  # work of friction on sliding contacts
     imbalance: Float[Array, ""]  # largest error of the energy balance over all steps
     status: Int[Array, ""]
-
-
-class Asked(NamedTuple):
-    """Arguments of a simulation, except for its initial state."""
-
-    chain: Chain
-    rule: SelfHealing | CrackLike
-    duration: Any
-    damping: Any
-    velocity: Any
-    safety: Any
-    rest: Any
-    trigger: Any
-
-
-def domains(asked: Asked) -> dict[str, tuple[Any, Callable[[Any], Any], str]]:
-    """Value, domain and requirement of every number among the arguments."""
-    always: dict[str, tuple[Any, Callable[[Any], Any], str]] = {
-        "duration": (asked.duration, lambda x: x > 0, "must be positive, in √(m/K)"),
-        "damping": (asked.damping, lambda x: x >= 0, "must be 0 or more, per √(m/K)"),
-        "velocity": (asked.velocity, jnp.isfinite, "must be finite, in u_s per √(m/K)"),
-        "safety": (asked.safety, lambda x: (x > 0) & (x < 1), "must lie between 0 and 1"),
-        "rest": (asked.rest, lambda x: x >= 0, "must be 0 or more, in K u_s²"),
-        "trigger": (asked.trigger, lambda x: (x >= -1) & (x < asked.chain.sites), f"must be −1 … {asked.chain.sites - 1}"),
-    }
-    if isinstance(asked.rule, CrackLike):
-        least = jnp.where(asked.chain.contact > 0, asked.chain.threshold, jnp.inf).min()
-        below = "must be 0 or more and below every threshold, in σ_s"
-        return {**always, "CrackLike.friction": (asked.rule.friction, lambda x: (x >= 0) & (x < least), below)}
-    return {
-        **always,
-        "SelfHealing.break_time": (asked.rule.break_time, lambda x: x >= 0, "must be 0 or more, in √(m/K)"),
-    }
 
 
 class _Now(NamedTuple):
@@ -173,45 +140,45 @@ def simulate_inertial(
     check_linear(chain, "the inertial chain")
     if not isinstance(rule, SelfHealing | CrackLike):
         raise TypeError(f"rule = {rule!r}: must be SelfHealing(break_time) or CrackLike(friction)")
+    least = jnp.where(chain.contact > 0, chain.threshold, jnp.inf).min()
+
+    def given(name: str, value: Any, inside: Callable[[Any], Any], requirement: str) -> Array:
+        """Check a number; one that is traced and lies outside its domain becomes NaN."""
+        if not isinstance(inside(value), Tracer):
+            check_domain(name, value, inside, requirement)
+        number = jnp.asarray(value, chain.contact.dtype)
+        return jnp.where(inside(number), number, jnp.nan)
+
+    numbers = (
+        given("duration", duration, lambda x: x > 0, "must be positive, in √(m/K)"),
+        given("damping", damping, lambda x: x >= 0, "must be 0 or more, per √(m/K)"),
+        given("velocity", velocity, jnp.isfinite, "must be finite, in u_s per √(m/K)"),
+        given("safety", safety, lambda x: (x > 0) & (x < 1), "must lie between 0 and 1"),
+        given("rest", rest, lambda x: x >= 0, "must be 0 or more, in K u_s²"),
+    )
+    sites = chain.sites
     first = -1 if trigger is None else trigger
-    asked = Asked(chain, rule, duration, damping, velocity, safety, rest, first)
-    for name, (value, holds, requirement) in domains(asked).items():
-        if not any(isinstance(x, Tracer) for x in (value, holds(value))):
-            check_domain(name, value, holds, requirement)
+    given("trigger", first, lambda x: (x >= -1) & (x < sites), f"must be −1 … {sites - 1}")
+    if isinstance(rule, CrackLike):
+        below = "must be 0 or more and below every threshold, in σ_s"
+        of_rule = given("CrackLike.friction", rule.friction, lambda x: (x >= 0) & (x < least), below)
+    else:
+        of_rule = given("SelfHealing.break_time", rule.break_time, lambda x: x >= 0, "must be 0 or more, in √(m/K)")
     if state is None:
         state, found = nucleate(chain)
         first = found if trigger is None else trigger
-    dtype = chain.contact.dtype
-    numbers = {name: jnp.asarray(getattr(asked, name), dtype) for name in ("duration", "damping", "velocity", "safety", "rest")}
-    rule = jax.tree.map(lambda x: jnp.asarray(x, dtype), rule)
-    return _undifferentiated(asked._replace(rule=rule, trigger=jnp.asarray(first, jnp.int32), **numbers), state)
+    return _undifferentiated(chain, state, jax.tree.map(lambda _: of_rule, rule), numbers, jnp.asarray(first, jnp.int32))
 
 
-def _forces(chain: Chain, x: tuple[Array, Array], pinning: Array) -> tuple[Array, Array]:
-    """Sum the forces of springs and contacts on every block.
-
-    In K u_s, without the prestress.
-    """
-    upper, layer = x
-    bond_upper, bond_layer = chain.upper * jnp.diff(upper), chain.layer * jnp.diff(layer)
-    across = chain.across * (upper - layer)
-    zero = jnp.zeros(1, upper.dtype)
-
-    def ends(bond: Array) -> Array:
-        return jnp.concatenate([bond, zero]) - jnp.concatenate([zero, bond])
-
-    last = chain.end.across * (upper[-1] - layer[-1])
-    on_upper = (ends(bond_upper) - across).at[-1].add(-chain.end.upper * upper[-1] - last)
-    on_layer = (ends(bond_layer) + across).at[-1].add(-chain.end.layer * layer[-1] + last)
-    return on_upper, on_layer - chain.contact * (layer - pinning)
-
-
-def _simulate(asked: Asked, state: State) -> Motion:
-    chain, rule, duration, damping, velocity, safety, rest, trigger = asked
+def _simulate(
+    chain: Chain, state: State, rule: SelfHealing | CrackLike, numbers: tuple[Array, ...], trigger: Int[Array, ""]
+) -> Motion:
+    duration, damping, velocity, safety, rest = numbers
     start = equilibrium(chain, state)
     dt = stable_step(chain, safety)
     number = jnp.ceil(duration / dt)
-    valid = (number < 2.0**31) & jnp.stack([holds(x) & jnp.isfinite(x) for x, holds, _ in domains(asked).values()]).all()
+    known = jnp.isfinite(jnp.stack([*numbers, *jax.tree.leaves(rule)])).all()
+    valid = known & (number < 2.0**31) & (trigger >= -1) & (trigger < chain.sites)
     steps = jnp.where(valid, number, 0).astype(jnp.int32)
     mass = (chain.height, jnp.ones_like(dt))
     keep = jnp.exp(-damping * dt / 2)
@@ -240,7 +207,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
         # the pinning point of a sliding contact moves with the layer, so that the contact always carries the friction
         moved = jnp.where(now.sliding, x[1] - now.x[1], 0)
         pinning = now.pinning + moved
-        pull = _forces(chain, x, pinning)
+        pull = forces(chain, pinning, x)
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
         work, broken, damped, rubbed = now.books
@@ -299,7 +266,7 @@ def _simulate(asked: Asked, state: State) -> Motion:
     now = _Now(
         x=x,
         v=v,
-        pull=_forces(chain, x, state.pinning),
+        pull=forces(chain, state.pinning, x),
         pinning=state.pinning,
         sliding=jnp.zeros(chain.sites, bool),
         first_break=jnp.full_like(start.upper, jnp.inf),
@@ -351,7 +318,7 @@ def quasi_static_break_time(chain: Chain, damping: float) -> float:
     It is computed from the dense spectrum, O(N³), for checks on short chains.
     """
     n = chain.sites
-    flat = jax.jacfwd(lambda x: jnp.concatenate(_forces(chain, (x[:n], x[n:]), jnp.zeros(n))))(jnp.zeros(2 * n))
+    flat = jax.jacfwd(lambda x: jnp.concatenate(forces(chain, jnp.zeros(n), (x[:n], x[n:]))))(jnp.zeros(2 * n))
     root = np.sqrt(np.append(np.full(n, float(chain.height)), np.ones(n)))
     squares = np.linalg.eigvalsh(-np.asarray(flat)[1:, 1:] / np.outer(root[1:], root[1:]))
     slowest = squares.min()

@@ -16,7 +16,7 @@ from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.lattice import lanes, long_fronts
+from slippulse_jax.lattice import exact_lanes, lanes
 from slippulse_jax.lattice.events import event_lengths
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
@@ -141,10 +141,10 @@ def lengths(
         kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
     else:
         kernel, layout = lanes.length_kernel(max_contacts), LENGTHS
-        long = long_fronts.which_are_long(columns) if len(columns) == 3 and max_contacts > long_fronts.LONG else ()
+        long = exact_lanes.which_are_long(columns) if len(columns) == 3 and max_contacts > exact_lanes.LONG else ()
         if len(long):  # relaxed fronts of which some are expected to be long: those by the series, where it settles
             found = np.full(len(columns[0]), np.nan)
-            found[long] = long_fronts.long_lengths([x[long] for x in columns], max_contacts)
+            found[long] = exact_lanes.long_lengths([x[long] for x in columns], max_contacts)
             rest = np.isnan(found)
             (found[rest],) = over_lanes(kernel, [x[rest] for x in columns], layout, length_rank)
             return found.reshape(shape)

@@ -13,7 +13,7 @@ from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice import blocks
 from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.events import ARREST_OUTCOMES, exact_arrests
+from slippulse_jax.lattice.exact_lanes import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.lattice.front import FRONT_OUTCOMES
 from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.rules import SmoothBreak

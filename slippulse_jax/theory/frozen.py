@@ -44,12 +44,12 @@ def psi6(slider: Slider, s: Array, *, printed: bool = False) -> Array:
     """Ψ_6(s), label cra54.
 
     Erratum: the coefficient of e^{−(κ+κ_2)s} in the bracket is wrong. Eliminating A_1 and A_2 from cra48–cra50 gives
-    ½κ(1−λcκ)/(κ+κ_2)·(1/Ψ_2 − 1); `printed` restores −κ(λcκ²+κ_2)/(κ²−κ_2²).
+    ½κ(1−λcκ)/(κ+κ_2)·(1/Ψ_2 − 1); `printed` restores −κ(λcκ²+κ_2)/(κ²−κ_2²), the constant term.
     """
     k, k2 = slider.kappa, slider.kappa_2
-    wrong = -k * (k**2 + k2) / (k**2 - k2**2)
-    echo = wrong if printed else _echo(slider)
-    return k * (1 + k) / (2 * (k - k2)) * jnp.exp((k - k2) * s) + wrong + echo * jnp.exp(-(k + k2) * s)
+    constant = -k * (k**2 + k2) / (k**2 - k2**2)
+    echo = constant if printed else _echo(slider)
+    return k * (1 + k) / (2 * (k - k2)) * jnp.exp((k - k2) * s) + constant + echo * jnp.exp(-(k + k2) * s)
 
 
 def _echo(slider: Slider) -> Array:
@@ -193,8 +193,8 @@ def length_eq25(slider: Slider) -> Float[Array, "..."]:
 
 
 @jax.jit
-def slow_decay_length(slider: Slider) -> Float[Array, "..."]:
-    """κ_2⁻¹ ≈ [2(1+ν) + h/q]^{1/2}/h in λc, label cra44, for h, q ≪ 1; `Slider.kappa_2` is exact."""
+def asymptotic_decay_length(slider: Slider) -> Float[Array, "..."]:
+    """κ_2⁻¹ ≈ [2(1+ν) + h/q]^{1/2}/h in λc, label cra44, for h, q ≪ 1; `Slider.slow_decay_length` is exact."""
 
     def one(slider: Slider) -> Array:
         H = jnp.asarray(slider.height)

@@ -3,7 +3,6 @@
 Derivations in ``docs/macroscopic.md``. Lengths in λc unless said otherwise.
 """
 
-import functools
 from typing import Any
 
 import jax
@@ -23,6 +22,9 @@ _DOMAIN = {
     "poisson": POISSON,
     "prestress": PRESTRESS,
 }
+
+NO_CHANGE = -1
+"""Status of `find_root` where both ends have the same sign."""
 
 EDGE_TERMS = 16
 """Terms of the edge stress: each is at most λ/2n ≤ 1/4n of the one before, and the first one left out below 1e-20."""
@@ -194,27 +196,19 @@ def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
 
         E = 2λ M_1 = 2 Σ_n λ^{n+1} (2n + 2)/(2n + 1) / Π_{j≤n} (2j + 2 − λ),     λ = b/2(1 + b).
     """
-    return _edge_stress(jnp.asarray(b, dtype=float))
-
-
-def _edge_stress(b: Any) -> Any:
-    share, total = b / (2 * (1 + b)), 0.0
+    b = jnp.asarray(b, dtype=float)
+    share, total = b / (2 * (1 + b)), jnp.zeros_like(b)
     for n in range(EDGE_TERMS - 1, -1, -1):  # by Horner's rule
         total = share / (2 * n + 2 - share) * ((2 * n + 2) / (2 * n + 1) + total)
     return 2 * total
 
 
-@functools.cache
 def rebreaking_b() -> float:
     """b* = 3.0872…, beyond which contact 0 breaks again before the front stops, for λc → 0.
 
     The root of `macroscopic_edge_stress` = 1. `slippulse_jax.rebreaking_onset` gives it for any H/λc.
     """
-    low, high = 3.0, 3.2
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _edge_stress(middle) >= 1 else (middle, high)
-    return high
+    return 3.087225261382635  # a number, because each report of a fit names it; a test holds it to the last digits
 
 
 def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
@@ -223,14 +217,15 @@ def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, ".
     It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
     strip without normal displacement at its lower edge, free at its upper one. At least 1/π.
     """
-    b, poisson = np.broadcast_arrays(np.asarray(b, float), np.asarray(poisson, float))
-    low, high = np.zeros(b.shape), np.full(b.shape, np.pi)
-    for _ in range(60):
-        zeta = (low + high) / 2
-        held = 4 - (1 + poisson) ** 2 * zeta**2 - (3 - poisson) * (1 + poisson) * np.sin(zeta) ** 2
-        above = b * held > 4 * (1 + poisson) * zeta * (np.sin(zeta) * np.cos(zeta) + zeta)
-        low, high = np.where(above, zeta, low), np.where(above, high, zeta)
-    return 1 / high
+    from scipy.optimize.elementwise import find_root  # here, because it takes half a second, and most fits have no block
+
+    def excess(zeta: np.ndarray, b: np.ndarray, nu: np.ndarray) -> np.ndarray:
+        sine = np.sin(zeta)
+        held = b * (4 - (1 + nu) ** 2 * zeta**2 - (3 - nu) * (1 + nu) * sine**2)
+        return held - 4 * (1 + nu) * zeta * (sine * np.cos(zeta) + zeta)
+
+    found = find_root(excess, (0.0, np.pi), args=(np.asarray(b, float), np.asarray(poisson, float)))
+    return 1 / np.where(found.status == NO_CHANGE, np.pi, found.x)
 
 
 @jax.jit
