@@ -22,7 +22,7 @@ import functools
 import mmap
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -31,11 +31,10 @@ import jax.numpy as jnp
 import jaxlib.version
 import numpy as np
 from jax import lax
+from jax.custom_batching import custom_vmap
 from jax.extend.core import jaxpr_as_fun
 from jax.stages import Compiled
 from jaxtyping import Array
-
-from slippulse_jax.bulk.threads import local_devices, platform
 
 F = TypeVar("F", bound=Callable)
 
@@ -50,6 +49,26 @@ OPTIONS: dict[str, Any] = {
 Whatever the process was given in ``XLA_FLAGS``, they are fully optimised and their loops are never compiled whole, which is
 slower over long arrays: the last digit would depend on either.
 """
+
+
+def local_devices(*, cpu: bool = False) -> Sequence[Any]:
+    """Devices to work on: the one chosen by ``jax.default_device``, or all; with `cpu` those of the CPU, if JAX may use it."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen is None:
+        devices = jax.local_devices()
+    else:
+        devices = jax.local_devices(backend=chosen)[:1] if isinstance(chosen, str) else [chosen]
+    if not cpu or devices[0].platform == "cpu":
+        return devices
+    try:
+        return jax.local_devices(backend="cpu")
+    except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
+        return devices
+
+
+def platform() -> str:
+    """Platform on which an operation runs by default."""
+    return local_devices()[0].platform
 
 
 @functools.cache
@@ -191,3 +210,23 @@ def _traced(f: Callable, tree: Any, types: tuple) -> tuple[Callable, Any]:
     numbers = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct((), x) for x in types])
     traced, results = jax.make_jaxpr(f, return_shape=True)(*numbers)
     return jaxpr_as_fun(traced), jax.tree.structure(results)
+
+
+def lane_by_lane(f: Callable, *given: Any) -> Any:
+    """Evaluate f(*given) lane by lane under ``jax.vmap``, as ``jax.lax.map`` does: a finished lane costs nothing.
+
+    On a CPU; an accelerator runs the lanes in step.
+    """
+    one = custom_vmap(f)
+
+    @one.def_vmap
+    def _rule(size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
+        def lane(i: Array) -> Any:
+            return one(*jax.tree.map(lambda x, batched: x[i] if batched else x, list(args), list(in_batched)))
+
+        # XLA would unroll a loop over a single lane, which might then round differently: run at least two
+        found = lax.map(lane, jnp.arange(max(size, 2)) % size)
+        found = jax.tree.map(lambda x: x[:size], found)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return lax.platform_dependent(*given, cpu=one, default=f)
