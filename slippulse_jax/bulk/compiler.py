@@ -105,23 +105,17 @@ def in_full(f: F) -> F:
 
 
 def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Compiled:
-    """Compile `f` for one device in double precision, on a CPU with those of `OPTIONS` that this jaxlib knows."""
+    """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them."""
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
-    options = {}
-    if device.platform == "cpu":
-        options = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}
-    while options:
-        try:
-            return lowered.compile(compiler_options=options)
-        except jax.errors.JaxRuntimeError as error:
-            known = {name: value for name, value in options.items() if f"'{name}'" not in str(error)}
-            if known == options:
-                usual = lowered.compile()  # raises again if the options are not the reason
-                _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
-                return usual
-            options = known
-    return lowered.compile()
+    if device.platform != "cpu":
+        return lowered.compile()
+    try:
+        return lowered.compile(compiler_options=OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters})
+    except jax.errors.JaxRuntimeError as error:
+        usual = lowered.compile()  # raises again if the options are not the reason
+        _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
+        return usual
 
 
 LOOP_BYTES = 10_000_000
@@ -143,15 +137,6 @@ def compile_loops_whole() -> None:
         )
     elif options not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{options}={threshold}={LOOP_BYTES}".strip()
-
-
-def loops_are_whole() -> bool:
-    """Whether XLA compiles loops that touch more than a kilobyte a turn as one function in this process."""
-
-    def loop(x: Array) -> Array:
-        return lax.while_loop(lambda x: x.sum() < 1, lambda x: x + 1, x)
-
-    return "xla_cpu_small_call" in str(jax.jit(loop).lower(jnp.zeros(1000)).compile().as_text())
 
 
 def in_one_loop(f: Callable, *given: Any) -> Any:
