@@ -61,7 +61,7 @@ DEFAULT_LAYOUT = Layout()
 PIECE = 32
 """Largest number of chunks per call."""
 WIDE, NARROW = 512, 32
-"""Chunks in the wide one of an accelerator, and in that for few lanes; its temporary arrays take a few megabytes at most."""
+"""Chunks of a CPU that make one chunk of an accelerator: for many lanes, and for few, whose arrays take some megabytes."""
 
 _compiling = threading.RLock()
 

@@ -32,7 +32,6 @@ import jaxlib.version
 import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jax.extend.core import jaxpr_as_fun
 from jax.stages import Compiled
 from jaxtyping import Array
 
@@ -178,23 +177,19 @@ def reduces_in_one_loop() -> bool:
 
 def _reduced(f: Callable, *given: Any) -> Any:
     arrays, tree = jax.tree.flatten(given)
-    once, results = _traced(f, tree, tuple(x.dtype for x in arrays))
+
+    def once(row: Sequence[Any]) -> Any:
+        return f(*jax.tree.unflatten(tree, row[: len(arrays)]))
+
+    results = jax.tree.structure(jax.eval_shape(once, [jax.ShapeDtypeStruct((), x.dtype) for x in arrays]))
     spare = results.num_leaves - len(arrays)
     if spare < 0:
         raise ValueError(f"{len(arrays)} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
     one = arrays[0]
     rows = tuple(jnp.broadcast_to(x, (2, *one.shape)) for x in [*arrays, *[jnp.zeros_like(one)] * spare])
     zeros = tuple(jnp.zeros((), x.dtype) for x in rows)
-    found = lax.reduce(rows, zeros, lambda _, row: tuple(once(*row[: len(arrays)])), (0,))
+    found = lax.reduce(rows, zeros, lambda _, row: tuple(jax.tree.leaves(once(row))), (0,))
     return jax.tree.unflatten(results, found)
-
-
-@functools.lru_cache(maxsize=64)
-def _traced(f: Callable, tree: Any, types: tuple) -> tuple[Callable, Any]:
-    """Trace f of single numbers, once for all loops of it; and the structure of its results."""
-    numbers = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct((), x) for x in types])
-    traced, results = jax.make_jaxpr(f, return_shape=True)(*numbers)
-    return jaxpr_as_fun(traced), jax.tree.structure(results)
 
 
 def lane_by_lane(f: Callable, *given: Any) -> Any:

@@ -44,6 +44,9 @@ TASKS, LEAST = 256, 1 << 12
 RETRIES = 2
 """Retries of a failed Dask task."""
 
+Done = tuple[Columns | None, set[str]]
+"""Values of a chunk, unless they went to a store, and what to warn of."""
+
 
 def sweep(
     *,
@@ -220,11 +223,8 @@ def _run(
             bar.update(math.prod(shape_of(region)))
 
 
-def _compute(region: Region, work: Request | Store) -> tuple[Columns | None, set[str]]:
-    """Compute a chunk: return the values of a request; write those of a store, unless they are there and intact.
-
-    The second result is what to warn of.
-    """
+def _compute(region: Region, work: Request | Store) -> Done:
+    """Compute a chunk: return the values of a request; write those of a store, unless they are there and intact."""
     if isinstance(work, Request):
         return evaluate(work, region), set()
     missing, damage = work.is_missing(region)
@@ -234,15 +234,13 @@ def _compute(region: Region, work: Request | Store) -> tuple[Columns | None, set
     return None, {damage, work.begun_elsewhere()}
 
 
-def _alone(region: Region, work: Request | Store) -> tuple[Columns | None, set[str]]:
+def _alone(region: Region, work: Request | Store) -> Done:
     """Compute a chunk in this thread, beside other threads of a worker."""
     with in_this_thread():
         return _compute(region, work)
 
 
-def _on_workers(
-    client: "Client", work: Request | Store, chunks: list[Region]
-) -> Iterator[tuple[Region, tuple[Columns | None, set[str]]]]:
+def _on_workers(client: "Client", work: Request | Store, chunks: list[Region]) -> Iterator[tuple[Region, Done]]:
     """Compute chunks on the workers of a cluster, each on one thread, in the order in which they are done."""
     from distributed import as_completed
 

@@ -50,12 +50,16 @@ class Store:
     def __init__(self, url: str, request: Request, chunk: int, about: dict[str, Any]) -> None:
         self.url, self.request, self.chunk, self.about = url, request, chunk, about
         self.files, self.root, self.zarr = _locate(url)
-        self.regions = regions(request.shape, chunk)
+        self.chunk_shape = chunk_shape(request.shape, chunk)
+
+    @property
+    def regions(self) -> list[Region]:
+        """The part of the result that each chunk holds."""
+        return regions(self.request.shape, self.chunk)
 
     def _paths(self, region: Region) -> list[str]:
         """Path of a chunk for each output."""
-        steps = chunk_shape(self.request.shape, self.chunk)
-        index = [str(part.start // step) for part, step in zip(region, steps, strict=True)]
+        index = [str(part.start // step) for part, step in zip(region, self.chunk_shape, strict=True)]
         return ["/".join((self.root, name, "c", *index)) for name in self.request.outputs]
 
     @functools.cached_property
