@@ -201,11 +201,14 @@ def lane_by_lane(f: Callable, *given: Any) -> Any:
 
     @one.def_vmap
     def _rule(size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
-        def lane(i: Array) -> Any:
-            return one(*jax.tree.map(lambda x, batched: x[i] if batched else x, list(args), list(in_batched)))
+        given, batched = list(args), list(in_batched)
+        if size == 1:  # XLA would unroll a loop over a single lane, which might then round differently
+            given = jax.tree.map(lambda x, several: jnp.concatenate([x, x]) if several else x, given, batched)
 
-        # XLA would unroll a loop over a single lane, which might then round differently: run at least two
-        found = lax.map(lane, jnp.arange(max(size, 2)) % size)
+        def lane(i: Array) -> Any:
+            return one(*jax.tree.map(lambda x, several: x[i] if several else x, given, batched))
+
+        found = lax.map(lane, jnp.arange(max(size, 2)))
         found = jax.tree.map(lambda x: x[:size], found)
         return found, jax.tree.map(lambda _: True, found)
 
