@@ -17,8 +17,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
-from slippulse_jax.bulk.compiler import compile_loops_whole
-from slippulse_jax.bulk.independence import lane_by_lane
+from slippulse_jax.bulk.compiler import compile_loops_whole, lane_by_lane
 from slippulse_jax.lattice.chain import State, eliminate
 from slippulse_jax.lattice.event import event
 from slippulse_jax.lattice.response import into_blocks, propagators, response

@@ -8,7 +8,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax import theory
 from slippulse_jax.bulk import chunks
-from slippulse_jax.bulk.threads import local_devices, platform
+from slippulse_jax.bulk.compiler import local_devices, platform
 from slippulse_jax.lattice import crack, exact, lengths, readings
 
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
@@ -82,7 +82,8 @@ def test_one_chunk_per_call(count, monkeypatch):
     """As an accelerator takes lanes: a narrow chunk, a wide one, several."""
     slider = sp.Slider(np.linspace(10, 50, count), np.geomspace(1e-3, 0.03, count), 0.3)
     expected = sp.precursor_lengths(slider)
-    monkeypatch.setattr(chunks, "_in_turn", chunks._in_step)
+    plan = chunks._plan
+    monkeypatch.setattr(chunks, "_plan", lambda count, layout, in_step, devices: plan(count, layout, True, devices))
     monkeypatch.setattr(lengths, "LENGTHS", chunks.Layout(chunk=4))
     np.testing.assert_allclose(sp.precursor_lengths(slider), expected, rtol=1e-13)
 

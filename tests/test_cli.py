@@ -332,17 +332,10 @@ def test_atomic_writing_keeps_links_masks_and_names(tmp_path, monkeypatch):
     (tmp_path / "there").mkdir()
     (tmp_path / "link.png").symlink_to(tmp_path / "there" / "real.png")
     monkeypatch.setattr(os, "umask", lambda _: pytest.fail("the umask belongs to the whole process"))
-    folders = []
-    fsync = os.fsync
-    monkeypatch.setattr(
-        os, "fsync", lambda handle: (folders.append(os.path.isdir(f"/proc/self/fd/{handle}")), fsync(handle))[1]
-    )
     write_atomically(tmp_path / "link.png", b"drawn")
     assert (tmp_path / "link.png").is_symlink()
     assert (tmp_path / "there" / "real.png").read_bytes() == b"drawn"
     assert [p.name for p in (tmp_path / "there").iterdir()] == ["real.png"]
-    if Path("/proc/self/fd").exists():
-        assert folders == [False, True], "the file, then its folder"
     plain = tmp_path / "made.png"
     plain.touch()
     assert (tmp_path / "there" / "real.png").stat().st_mode == plain.stat().st_mode

@@ -313,11 +313,11 @@ def test_long_delays_in_bulk_end():
     """Once such a program waited for its own threads for ever: in a process of its own, under a time limit."""
     code = (
         "import numpy as np, slippulse_jax as sp\n"
-        "from slippulse_jax.bulk import threads\n"
+        "from slippulse_jax.bulk import chunks\n"
         "slider = sp.Slider(np.linspace(20.0, 30.0, 600), 0.03, 0.3)\n"
         "one = sp.precursor_length(sp.Slider(20.0, 0.03, 0.3), sp.Interface(repin_delay=25))\n"
         "for count in (1, 2, 4):\n"
-        "    threads.workers = lambda: count\n"
+        "    chunks.workers = lambda: count\n"
         "    found = sp.precursor_lengths(slider, sp.Interface(repin_delay=25))\n"
         "    assert abs(found[0] - one) < 1e-3, (found[0], one)\n"
     )

@@ -1,5 +1,6 @@
 """What XLA is asked for on a CPU: a loop as one function, and several results from one loop over the elements."""
 
+import inspect
 import os
 import subprocess
 import sys
@@ -41,10 +42,20 @@ def run(code, **environment):
     return done.stdout.strip()
 
 
+def loops_are_whole():
+    """Whether XLA compiles loops that touch more than a kilobyte per turn as one function in this process."""
+
+    def loop(x):
+        return lax.while_loop(lambda x: x.sum() < 1, lambda x: x + 1, x)
+
+    return "xla_cpu_small_call" in str(jax.jit(loop).lower(jnp.zeros(1000)).compile().as_text())
+
+
 WHOLE = """
-import numpy as np, jax
+import numpy as np, jax, jax.numpy as jnp
+from jax import lax
 import slippulse_jax as sp
-from slippulse_jax.bulk.compiler import compile_loops_whole, loops_are_whole
+from slippulse_jax.bulk.compiler import compile_loops_whole
 compile_loops_whole()
 jax.config.update("jax_enable_x64", True)
 chain = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=80)
@@ -58,9 +69,9 @@ print(loops_are_whole(), int(constant), *np.asarray(found), *lengths)
 
 def test_whole_loops_give_the_same(breaks):
     """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
-    whole, constant, *found = run(WHOLE, XLA_FLAGS="").split()
+    whole, constant, *found = run(inspect.getsource(loops_are_whole) + WHOLE, XLA_FLAGS="").split()
     assert whole == "True", "of this release of jaxlib too: else series take four times as long"
-    assert not kernel.loops_are_whole()
+    assert not loops_are_whole()
     assert int(constant) == breaks
     assert breaks > 10
     expected = [*sp.series(CHAIN, events=9).breaks]
@@ -95,6 +106,22 @@ def test_known_options_are_those_that_xla_takes():
         )  # fmt: skip
         assert kernel.knows(name) == (f"Unknown flag in XLA_FLAGS: --{name}=1" not in done.stderr)
         assert kernel.knows(name) == (done.returncode == 0)
+
+
+def test_options_that_xla_does_not_know_are_left_out(monkeypatch):
+    """Programs are slower then, and the same; it is said once."""
+    kernel._say_once.cache_clear()
+    monkeypatch.setattr(kernel, "OPTIONS", {"xla_no_such_option": 1})
+
+    def added(more):
+        number = jax.ShapeDtypeStruct((), np.float64)
+        program = kernel.compiled(lambda x: x + more, number, device=jax.devices("cpu")[0], fusion_emitters=True)
+        with jax.enable_x64(True):
+            return program(np.float64(0.1))
+
+    with pytest.warns(RuntimeWarning, match="compiled without the options slippulse_jax asks for, .*xla_no_such_option"):
+        assert added(1.0) == 1.1
+    assert added(2.0) == 2.1
 
 
 def test_any_release_of_jaxlib_that_does_it_is_used_in_silence(monkeypatch):

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
-from slippulse_jax.sweeps import compute
+from slippulse_jax.sweeps import run
 from slippulse_jax.sweeps.outputs import OUTPUTS, SETS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -87,27 +87,19 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact)
 
 
-def test_other_digits_are_one_line_on_stderr(tmp_path, monkeypatch):
+def test_another_processor_is_one_line_on_stderr(tmp_path):
     """The sweep is done all the same."""
-    evaluate = compute.evaluate
-    monkeypatch.setattr(compute, "evaluate", lambda *a: {name: v * (1 + 1e-14) for name, v in evaluate(*a).items()})
-    sp.sweep(**SAME, outputs="length", store=tmp_path / "s", chunk=4, share=(0, 2))
-    command = [
-        sys.executable,
-        "-m",
-        "slippulse_jax.cli.main",
-        "sweep",
-        *GRID,
-        "--outputs",
-        "length",
-        "--store",
-        str(tmp_path / "s"),
-    ]
+    store = tmp_path / "s"
+    sp.sweep(**SAME, outputs="length", store=store, chunk=4, share=(0, 2))
+    about = json.loads((store / "zarr.json").read_bytes())
+    about["attributes"]["processor"] = "abacus"
+    (store / "zarr.json").write_text(json.dumps(about))
+    command = [sys.executable, "-m", "slippulse_jax.cli.main", "sweep", *GRID, "--outputs", "length", "--store", str(store)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0
     warnings = [line for line in done.stderr.splitlines() if "sweep: " not in line]  # of tqdm
     assert len(warnings) == 1
-    assert re.match(rf"Warning: digits differ from those in {tmp_path}/s, computed on .*: length by up to 1e-14", warnings[0])
+    assert warnings[0].startswith(f"Warning: {store}: begun on abacus, ")
 
 
 def test_full_disk_is_incomplete(tmp_path, full_disk):
@@ -124,8 +116,8 @@ def test_full_disk_is_incomplete(tmp_path, full_disk):
 
 
 def test_store_that_vanishes(tmp_path, monkeypatch):
-    evaluate = compute.evaluate
-    monkeypatch.setattr(compute, "evaluate", lambda *a: (shutil.rmtree(tmp_path / "s", ignore_errors=True), evaluate(*a))[1])
+    evaluate = run.evaluate
+    monkeypatch.setattr(run, "evaluate", lambda *a: (shutil.rmtree(tmp_path / "s", ignore_errors=True), evaluate(*a))[1])
     done = invoke(*GRID, "--store", str(tmp_path / "s"), "--chunk", "4")
     assert done.exit_code == 2
     assert done.stderr == f"Error: {tmp_path}/s: the store was removed while the sweep ran\n"

@@ -12,16 +12,15 @@ import time
 from pathlib import Path
 
 import fsspec
-import jax
 import numpy as np
 import pytest
 import xarray as xr
 from stores import contents, reference_of, written
 
 import slippulse_jax as sp
-from slippulse_jax.sweeps import compute
+from slippulse_jax.sweeps import dataset, run
 from slippulse_jax.sweeps import store as stores
-from slippulse_jax.sweeps.request import chunk_shape, regions
+from slippulse_jax.sweeps.request import chunk_shape, make_request, regions
 from slippulse_jax.sweeps.store import StoreError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -151,7 +150,7 @@ def test_memory_does_not_grow_with_the_sweep(tmp_path, monkeypatch):
     import weakref
 
     alive, most = set(), 0
-    evaluate = compute.evaluate
+    evaluate = run.evaluate
 
     def watched(*arguments):
         nonlocal most
@@ -162,7 +161,7 @@ def test_memory_does_not_grow_with_the_sweep(tmp_path, monkeypatch):
         most = max(most, len(alive))
         return columns
 
-    monkeypatch.setattr(compute, "evaluate", watched)
+    monkeypatch.setattr(run, "evaluate", watched)
     sp.sweep(**REQUEST, store=tmp_path / "s", chunk=40)
     assert most <= 3
 
@@ -209,25 +208,25 @@ def test_killed_and_resumed_is_the_same_to_the_last_bit(reference, tmp_path, kil
 
 def test_interrupted_and_resumed(reference, tmp_path, monkeypatch):
     """Ctrl-C in any place leaves whole chunks; resuming computes the others and none of these."""
-    evaluate, calls = compute.evaluate, iter(range(100))
+    evaluate, calls = run.evaluate, iter(range(100))
 
     def interrupted(*arguments):
         if next(calls) == 30:
             raise KeyboardInterrupt
         return evaluate(*arguments)
 
-    monkeypatch.setattr(compute, "evaluate", interrupted)
+    monkeypatch.setattr(run, "evaluate", interrupted)
     with pytest.raises(KeyboardInterrupt):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
     part = sp.open_sweep(tmp_path / "s")
     assert part.attrs["complete"] == 0
     computed = []
-    monkeypatch.setattr(compute, "evaluate", lambda request, region: (computed.append(region), evaluate(request, region))[1])
+    monkeypatch.setattr(run, "evaluate", lambda request, region: (computed.append(region), evaluate(request, region))[1])
     assert np.isfinite(part.length.values[:3]).all()
     assert np.isnan(part.length.values[3:]).all(), "what is not computed is not a number"
     sp.sweep(**REQUEST, store=tmp_path / "s")
     assert contents(tmp_path / "s") == contents(reference)
-    assert len(computed) == CHUNKS - 30 + 1, "the first chunk is computed again to compare its digits"
+    assert len(computed) == CHUNKS - 30
 
 
 def test_full_disk_and_resumed(reference, tmp_path, full_disk):
@@ -252,14 +251,14 @@ def test_no_store_where_nothing_can_be_written():
 
 
 def test_folder_that_vanishes(tmp_path, monkeypatch):
-    evaluate, calls = compute.evaluate, iter(range(1000))
+    evaluate, calls = run.evaluate, iter(range(1000))
 
     def removing(*arguments):
         if next(calls) == 30:
             (tmp_path / "s").rename(tmp_path / "elsewhere")
         return evaluate(*arguments)
 
-    monkeypatch.setattr(compute, "evaluate", removing)
+    monkeypatch.setattr(run, "evaluate", removing)
     with pytest.raises(StoreError, match="the store was removed while the sweep ran"):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
     assert not (tmp_path / "s" / "zarr.json").exists()
@@ -327,17 +326,34 @@ def rewrite(store, change):
     (store / "zarr.json").write_text(json.dumps(content))
 
 
-def test_other_versions_and_processors_resume_what_they_reproduce(reference, tmp_path):
-    """To the bit here, so nothing is said; the attributes keep what began the store."""
+def test_another_processor_or_release_resumes_with_one_warning(reference, tmp_path):
+    """It names both. The attributes keep what began the store; where nothing is left to compute, nothing is said."""
     store = Path(shutil.copytree(reference, tmp_path / "s"))
-    rewrite(store, lambda about: about.update(jax="0.1", slippulse_jax="0.1", processor="abacus"))
-    (store / "length/c/7/0/0").unlink()
+    rewrite(store, lambda about: about.update(jaxlib="0.1", slippulse_jax="0.1", processor="abacus"))
     assert sp.sweep(**REQUEST, store=store).attrs["complete"] == 1
+    for chunk in ("7/0/0", "7/1/0"):
+        (store / "length/c" / chunk).unlink()
+    said = rf"{store}: begun on abacus, slippulse_jax 0.1, jax .*, jaxlib 0.1, and resumed on "
+    with pytest.warns(RuntimeWarning, match=said) as caught:
+        assert sp.sweep(**REQUEST, store=store).attrs["complete"] == 1
+    assert len(caught) == 1
+    assert f"resumed on {dataset.computed_by()}; the last digits may differ" in str(caught[0].message)
     after = contents(store)
     assert after.pop("zarr.json") != (before := contents(reference)).pop("zarr.json")
     assert after == before
     found = sp.open_sweep(store).attrs
-    assert (found["jax"], found["slippulse_jax"], found["processor"]) == ("0.1", "0.1", "abacus")
+    assert (found["jaxlib"], found["slippulse_jax"], found["processor"]) == ("0.1", "0.1", "abacus")
+
+
+def test_stores_written_before_can_be_resumed():
+    """The digest of a request of format 2 stays: the numbers, in this order and these types."""
+    options = {"right": "semi-infinite", "sites": None, "max_contacts": 100}
+    fronts = {"height": np.array([10.0, 25, 50]), "stiffness": 0.03, "poisson": 0.3, "prestress": [0, 0.1], "repin_delay": 2}
+    found = make_request(fronts, False, ("length", "status"), push_control="displacement", **options)
+    assert found.digest == "92ca1c3fe9b2ff3da8403d29877a8ee08c00c2748e0198740659fbaaad80c471"
+    block = {"height": 60.0, "stiffness": 4e-3, "poisson": 0.3, "push_height": np.array([0.25, 0.5])}
+    found = make_request(block, False, ("block_precursor_length",), push_control="force", **options)
+    assert found.digest == "ca82df03893576f670f6bf52794a4a0ef0ff7cb950bd8682743718e2cab0b443"
 
 
 def test_a_later_format_is_refused(reference, tmp_path):
@@ -345,85 +361,6 @@ def test_a_later_format_is_refused(reference, tmp_path):
     rewrite(store, lambda about: about.update(store_format=3))
     with pytest.raises(StoreError, match="one of format 3; this version reads format 2"):
         sp.open_sweep(store)
-
-
-def test_machine_that_rounds_differently_is_reported(reference, tmp_path, monkeypatch):
-    """Once, by how much, and what computed either; then the sweep goes on."""
-    store = Path(shutil.copytree(reference, tmp_path / "s"))
-    rewrite(store, lambda about: about.update(jax="0.1", processor="abacus"))
-    for chunk in ("7/0/0", "7/1/0"):
-        (store / "length/c" / chunk).unlink()
-    evaluate = compute.evaluate
-    monkeypatch.setattr(compute, "evaluate", lambda *a: {name: np.nextafter(v, 99) for name, v in evaluate(*a).items()})
-    said = rf"digits differ from those in {store}, computed on abacus, .*jax 0.1, .*: length by up to [12]e-16 of the value, "
-    with pytest.warns(RuntimeWarning, match=rf"{said}now computed on .*jax {jax.__version__}") as caught:
-        found = sp.sweep(**REQUEST, store=store)
-    assert len(caught) == 1
-    assert found.attrs["complete"] == 1
-    xr.testing.assert_allclose(found.length.load(), sp.open_sweep(reference).length.load(), rtol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "now"), [(lambda v: v * (1 - 2e-9), r"\d\S+"), (lambda v: v * np.where(np.arange(2) == 1, np.nan, 1), "nan")]
-)
-def test_machine_that_computes_other_numbers_is_refused(reference, monkeypatch, spoil, now):
-    """Naming the output, both values, and where they differ most."""
-    before, evaluate = contents(reference), compute.evaluate
-    monkeypatch.setattr(compute, "evaluate", lambda *a: {name: spoil(v) for name, v in evaluate(*a).items()})
-    point = r"height = 10.0, stiffness = 0.00\d+, poisson = 0.[23]"
-    message = rf"length differs by more than rounding from those in .*: it was \d\S+ at {point}, and is {now} computed on"
-    with pytest.raises(StoreError, match=message):
-        sp.sweep(**REQUEST, store=reference)
-    assert contents(reference) == before
-
-
-def test_a_value_near_zero_is_compared_at_the_scale_of_the_others(tmp_path, monkeypatch):
-    """As of a stress or a derivative that changes its sign."""
-    evaluate, near_zero = compute.evaluate, [0.0, 1e-15, 1e-9]
-
-    def crossing(*arguments):
-        columns = evaluate(*arguments)
-        columns["length"][0, 0, 0] = near_zero[0]
-        return columns
-
-    monkeypatch.setattr(compute, "evaluate", crossing)
-    sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK, share=(0, 60))
-    near_zero.pop(0)
-    with pytest.warns(RuntimeWarning, match=r"digits differ from those in .*: length by up to .e-13 of the value"):
-        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
-    near_zero.pop(0)
-    with pytest.raises(
-        StoreError, match=r"length differs by more than rounding .*: it was 0.0 at .*, and is 1e-09 computed on"
-    ):
-        sp.sweep(**REQUEST, store=tmp_path / "s", share=(0, 60))
-
-
-@pytest.mark.parametrize(("points", "differ", "refused"), [(99, 1, True), (100, 1, False), (100, 2, True)])
-def test_one_point_at_a_jump(tmp_path, monkeypatch, points, differ, refused):
-    """Whole numbers differ by one or not at all, so one of many points may: a rounding decides where a front just stops."""
-    given = {
-        "height": 25.0,
-        "stiffness": np.geomspace(1e-3, 0.1, points),
-        "poisson": 0.3,
-        "outputs": ("length", "contacts_broken"),
-    }
-    sp.sweep(**given, store=tmp_path / "s")
-    evaluate = compute.evaluate
-
-    def jumping(*arguments):
-        columns = evaluate(*arguments)
-        columns["contacts_broken"][40 : 40 + differ] += 1
-        return columns
-
-    monkeypatch.setattr(compute, "evaluate", jumping)
-    if refused:
-        with pytest.raises(
-            StoreError, match=r"contacts_broken differs .*: it was (\d+) at stiffness = 0.006\d+, and is \d+ comp"
-        ):
-            sp.sweep(**given, store=tmp_path / "s")
-    else:
-        with pytest.warns(RuntimeWarning, match=r"contacts_broken by up to 0.\d+ of the value"):
-            sp.sweep(**given, store=tmp_path / "s")
 
 
 def test_any_damage_to_the_manifest_is_a_store_error(reference, tmp_path):
@@ -534,9 +471,9 @@ def test_two_writers_of_one_store(reference, tmp_path):
     store = tmp_path / "s"
     sp.sweep(**REQUEST, store=store, chunk=CHUNK, share=(0, CHUNKS))  # made
     report = (
-        "from slippulse_jax.sweeps import compute\n"
-        "evaluate, calls = compute.evaluate, []\n"
-        "compute.evaluate = lambda *a: (calls.append(a), __import__('time').sleep(0.005), evaluate(*a))[2]\n"
+        "from slippulse_jax.sweeps import run\n"
+        "evaluate, calls = run.evaluate, []\n"
+        "run.evaluate = lambda *a: (calls.append(a), __import__('time').sleep(0.005), evaluate(*a))[2]\n"
     )
     writers = [child(store, before=report, after="print(len(calls))\n") for _ in range(2)]
     counts = []
@@ -545,4 +482,4 @@ def test_two_writers_of_one_store(reference, tmp_path):
         assert writer.returncode == 0, err
         counts.append(int(out))
     assert contents(store) == contents(reference)
-    assert CHUNKS - 1 <= sum(counts) - 2 <= 1.15 * CHUNKS, counts
+    assert CHUNKS - 1 <= sum(counts) <= 1.15 * CHUNKS, counts

@@ -1,1 +1,1 @@
-"""Chunks, threads, devices and compiler settings, with no friction in them."""
+"""How many lanes are computed at once: chunks, threads, devices, compiler options. No physics here."""

@@ -1,11 +1,10 @@
 """Run a function of many lanes at full speed.
 
-Lanes are cut into chunks, padded to a fixed shape, and run on every core.
-
-A lane is one column of numbers, such as one slider. A lane that waits for a slower one wastes time, so lanes are ordered by a
-rank of their expected cost, which the caller supplies. A call of the compiled program takes many chunks one after another: a
-chunk stays in the cache, and the cost of a call is shared. Each thread ranks, gathers, computes and scatters its own piece of
-the input, so that no part of the work is left to one core.
+A lane is one column of numbers, such as one slider. Lanes are cut into chunks, padded to a fixed shape, and run on every core.
+A lane that waits for a slower one wastes time, so lanes are ordered by a rank of their expected cost, which the caller
+supplies. A call of the compiled program takes many chunks one after another: a chunk stays in the cache, and the cost of a
+call is shared. Each thread ranks, gathers, computes and scatters its own piece of the input, so that no part of the work is
+left to one core.
 
 An accelerator runs all lanes of a chunk in step and needs many at once: there a call takes one wide chunk, and lanes are not
 ordered.
@@ -13,8 +12,11 @@ ordered.
 
 import functools
 import itertools
+import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
@@ -24,8 +26,7 @@ from jax import lax
 from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.compiler import compiled
-from slippulse_jax.bulk.threads import default_device, local_devices, spread, workers
+from slippulse_jax.bulk.compiler import compiled, local_devices
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Results of a chunk of lanes, each with the lanes last. No lane may depend on another.
@@ -41,7 +42,7 @@ Rank = Callable[[Lanes], np.ndarray]
 
 
 class Layout(NamedTuple):
-    """How lanes are laid out for a kernel, and its program compiled. Costs depend on it; results only on `fusion_emitters`."""
+    """Chunk size and compiler option for a kernel. They change the speed; `fusion_emitters` also changes the last digit."""
 
     chunk: int = 1000
     """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache. With one lane per
@@ -52,7 +53,7 @@ class Layout(NamedTuple):
     """Chunks below which a second thread costs more than it saves: the interpreter lock changes hands, and a core wakes up."""
     fusion_emitters: bool = True
     """Whether XLA's newer code generator writes the program. The older one takes half the time to compile wide formulas, which
-    then run as fast or faster; the last digit differs. Programs that promise each other's bits need the same."""
+    then run as fast or faster."""
 
 
 DEFAULT_LAYOUT = Layout()
@@ -60,7 +61,7 @@ DEFAULT_LAYOUT = Layout()
 PIECE = 32
 """Largest number of chunks per call."""
 WIDE, NARROW = 512, 32
-"""Chunks in the wide one of an accelerator, and in that for few lanes; its temporary arrays take a few megabytes at most."""
+"""Chunks of a CPU that make one chunk of an accelerator: for many lanes, and for few, whose arrays take some megabytes."""
 
 _compiling = threading.RLock()
 
@@ -81,7 +82,8 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     Returns
     -------
     list of numpy.ndarray
-        The kernel's results, lanes last, in the order given: the same bits in any batch, chunk, order or device.
+        The kernel's results, lanes last, in the order given. They do not depend on batch, chunk, order or device: each call
+        runs whole on one device, by a program compiled for one.
 
     Notes
     -----
@@ -91,89 +93,57 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     count, fields = len(lanes[0]), len(lanes)
     devices = local_devices(cpu=layout.chunk == 1)
     in_step = devices[0].platform != "cpu" and layout.chunk > 1
-    pieces, program, width = _in_step(count, layout) if in_step else _in_turn(count, layout)
-    devices, rank = devices[: max(len(pieces), 1)], None if in_step else rank  # the shapes are needed even without lanes
+    width, most, hands = _plan(count, layout, in_step, len(devices))
+    # every hand takes as many strided slices, of lanes that are neighbours in the batch
+    rounds = -(-count // (width * most * hands))
+    ends = [k * count // max(rounds, 1) for k in range(rounds + 1)]
+    pieces = [slice(start + hand, stop, hands) for start, stop in itertools.pairwise(ends) for hand in range(hands)]
+    devices = devices[: max(len(pieces), 1)]  # the shapes are needed even without lanes
     with _compiling:  # of threads that need the same program one compiles it
-        ready = {device: program(kernel, fields, width, device, layout.fusion_emitters) for device in devices}
-    results = [np.empty((*x.shape[:-1], count), x.dtype) for x in next(iter(ready.values())).out_info]
+        programs = [_program(kernel, fields, width, most, device, layout.fusion_emitters) for device in devices]
+    results = [np.empty((*x.shape[:-1], count), x.dtype) for x in programs[0].out_info]
 
-    def run(where: slice) -> None:
+    def run(number: int) -> None:
+        where, device = pieces[number], number % len(devices)
         here = [field[where] for field in lanes]
         size = len(here[0])
-        order = None if rank is None else np.argsort(rank(here), kind="stable")
-        padded = np.empty((fields, width if program is _at_once else PIECE * width))
+        order = np.arange(size) if rank is None or in_step else np.argsort(rank(here), kind="stable")
+        padded = np.empty((fields, width * most))
         for field, row in zip(here, padded, strict=True):
-            if order is None:
-                row[:size] = field
-            else:
-                np.take(field, order, out=row[:size], mode="clip")
+            np.take(field, order, out=row[:size], mode="clip")
         chunks = -(-size // width)
-        padded[:, size : chunks * width] = padded[:, :1]  # pad with the cheapest lane
-        values = ready[default_device()](padded, np.int64(chunks))
+        padded[:, size : chunks * width] = padded[:, :1]  # the cheapest lane, where lanes are ranked
+        with jax.enable_x64(True), jax.default_device(devices[device]):  # settings of the thread
+            values = programs[device](padded, np.int64(chunks))
         for result, value in zip(results, values, strict=True):
+            # row by row: NumPy scatters several dimensions far more slowly
             for row, found in zip(result.reshape(-1, count), np.asarray(value).reshape(-1, padded.shape[1]), strict=True):
-                if order is None:
-                    row[where] = found[:size]
-                else:  # one dimension at a time: NumPy scatters several far more slowly
-                    back = np.empty(size, row.dtype)
-                    back[order] = found[:size]
-                    row[where] = back
+                back = np.empty(size, row.dtype)
+                back[order] = found[:size]
+                row[where] = back
 
-    spread(run, pieces, devices)
+    each = map if len(pieces) == 1 or workers() == 1 else _pool(workers()).map
+    for _ in each(run, range(len(pieces))):
+        pass
     return results
 
 
-def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows, and the index of each row among them; by hashes, several times as fast as sorting rows."""
-    odd = np.random.default_rng(0).integers(2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
-    _, first, own = np.unique(np.ascontiguousarray(rows).view(np.uint64) @ odd, return_index=True, return_inverse=True)
-    if not np.array_equal(rows[first][own], rows):  # two rows of one hash: never seen
-        different, own = np.unique(rows, axis=0, return_inverse=True)
-        return different, own.ravel()
-    return rows[first], own
-
-
-Plan = tuple[list[slice], Callable[..., Compiled], int]
-"""The slice of the batch of each call, the program that takes it, and the lanes of a chunk."""
-
-
-def _in_turn(count: int, layout: Layout) -> Plan:
-    """Chunk by chunk: every worker gets as many strided slices, of lanes that are neighbours in the batch."""
+def _plan(count: int, layout: Layout, in_step: bool, devices: int) -> tuple[int, int, int]:
+    """Lanes per chunk, most chunks per call, and the number of calls side by side."""
+    if in_step:
+        return layout.chunk * (NARROW if count <= NARROW * layout.chunk else WIDE), 1, devices
+    if count <= layout.few:
+        return layout.few, 1, 1
     chunks = -(-count // layout.chunk)  # a part of a chunk takes as long as a whole one
-    hands = max(1, min(workers(), chunks // layout.worth_a_thread))
-    rounds = -(-chunks // (hands * PIECE))
-    ends = [k * count // rounds for k in range(rounds)] + [count]
-    pieces = [slice(start + hand, stop, hands) for start, stop in itertools.pairwise(ends) for hand in range(hands)]
-    return (pieces, _at_once, layout.few) if count <= layout.few else (pieces, _chunk_by_chunk, layout.chunk)
-
-
-def _in_step(count: int, layout: Layout) -> Plan:
-    """One chunk per call."""
-    width = layout.chunk * (NARROW if count <= NARROW * layout.chunk else WIDE)
-    return [slice(start, start + width) for start in range(0, count, width)], _at_once, width
+    return layout.chunk, PIECE, max(1, min(workers(), chunks // layout.worth_a_thread))
 
 
 @functools.cache
-def _traced(kernel: Kernel) -> Callable[..., tuple[Array, ...]]:
-    """The kernel, traced once for the shapes of its results and for its place in the loop."""
-    return jax.jit(kernel, inline=True)
-
-
-@functools.cache
-def _at_once(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
-    """Program for a few lanes on one device."""
-    return compiled(
-        lambda lanes, _: _traced(kernel)(lanes), _input(fields, width), _COUNT, device=device, fusion_emitters=emitters
-    )
-
-
-@functools.cache
-def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitters: bool) -> Compiled:
-    """Program for up to `PIECE` chunks; the rest of its input is ignored."""
+def _program(kernel: Kernel, fields: int, width: int, most: int, device: Any, emitters: bool) -> Compiled:
+    """Program for one device and up to `most` chunks; the rest of its input is ignored."""
+    traced = jax.jit(kernel, inline=True)  # once, for the shapes of its results and for its place in the loop
 
     def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
-        traced = _traced(kernel)
-
         def cut(i: Array | int) -> Array:
             return lax.dynamic_slice(lanes, (0, i * width), (fields, width))
 
@@ -184,15 +154,52 @@ def _chunk_by_chunk(kernel: Kernel, fields: int, width: int, device: Any, emitte
             found = zip(results, traced(here), strict=True)
             return cut(i + 1), tuple(lax.dynamic_update_slice_in_dim(x, y, i * width, -1) for x, y in found)
 
-        shapes = jax.eval_shape(traced, _input(fields, width))
-        empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in shapes)
+        if most == 1:
+            return traced(lanes)
+        empty = tuple(jnp.zeros((*x.shape[:-1], lanes.shape[1]), x.dtype) for x in jax.eval_shape(traced, cut(0)))
         return lax.fori_loop(0, chunks, next_chunk, (cut(0), empty))[1]
 
-    return compiled(all_chunks, _input(fields, PIECE * width), _COUNT, device=device, fusion_emitters=emitters)
+    shapes = jax.ShapeDtypeStruct((fields, width * most), np.float64), jax.ShapeDtypeStruct((), np.int64)
+    return compiled(all_chunks, *shapes, device=device, fusion_emitters=emitters)
 
 
-_COUNT = jax.ShapeDtypeStruct((), np.int64)
+def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows, and the index of each row among them; several times as fast as ``numpy.unique``."""
+    order = np.lexsort(rows.T)
+    in_order = rows[order]
+    is_new = np.append(True, (in_order[1:] != in_order[:-1]).any(axis=1))
+    own = np.empty(len(rows), int)
+    own[order] = np.cumsum(is_new) - 1
+    return in_order[is_new], own
 
 
-def _input(fields: int, lanes: int) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct((fields, lanes), np.float64)
+# --- threads -------------------------------------------------------------------------------------------------------------
+
+_here = threading.local()
+
+
+@contextmanager
+def in_this_thread() -> Iterator[None]:
+    """Work in the calling thread alone, for a caller whose own threads keep all cores busy."""
+    before, _here.alone = getattr(_here, "alone", False), True
+    try:
+        yield
+    finally:
+        _here.alone = before
+
+
+def workers() -> int:
+    """Number of threads: one per core, and at least one per local device; one within `in_this_thread`."""
+    # a batch system or ``taskset`` may give the process fewer cores than the machine has
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return 1 if getattr(_here, "alone", False) else max(cores, len(jax.local_devices()))
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Keep the threads: starting them takes longer than ten thousand lengths."""
+    return ThreadPoolExecutor(threads)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads are not copied

@@ -22,7 +22,7 @@ import functools
 import mmap
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -31,11 +31,9 @@ import jax.numpy as jnp
 import jaxlib.version
 import numpy as np
 from jax import lax
-from jax.extend.core import jaxpr_as_fun
+from jax.custom_batching import custom_vmap
 from jax.stages import Compiled
 from jaxtyping import Array
-
-from slippulse_jax.bulk.threads import local_devices, platform
 
 F = TypeVar("F", bound=Callable)
 
@@ -50,6 +48,26 @@ OPTIONS: dict[str, Any] = {
 Whatever the process was given in ``XLA_FLAGS``, they are fully optimised and their loops are never compiled whole, which is
 slower over long arrays: the last digit would depend on either.
 """
+
+
+def local_devices(*, cpu: bool = False) -> Sequence[Any]:
+    """Devices to work on: the one chosen by ``jax.default_device``, or all; with `cpu` those of the CPU, if JAX may use it."""
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen is None:
+        devices = jax.local_devices()
+    else:
+        devices = jax.local_devices(backend=chosen)[:1] if isinstance(chosen, str) else [chosen]
+    if not cpu or devices[0].platform == "cpu":
+        return devices
+    try:
+        return jax.local_devices(backend="cpu")
+    except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
+        return devices
+
+
+def platform() -> str:
+    """Platform on which an operation runs by default."""
+    return local_devices()[0].platform
 
 
 @functools.cache
@@ -86,23 +104,17 @@ def in_full(f: F) -> F:
 
 
 def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Compiled:
-    """Compile `f` for one device in double precision, on a CPU with those of `OPTIONS` that this jaxlib knows."""
+    """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them."""
     with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
         lowered = jax.jit(f).lower(*shapes)
-    options = {}
-    if device.platform == "cpu":
-        options = {**OPTIONS, "xla_cpu_use_fusion_emitters": fusion_emitters}
-    while options:
-        try:
-            return lowered.compile(compiler_options=options)
-        except jax.errors.JaxRuntimeError as error:
-            known = {name: value for name, value in options.items() if f"'{name}'" not in str(error)}
-            if known == options:
-                usual = lowered.compile()  # raises again if the options are not the reason
-                _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
-                return usual
-            options = known
-    return lowered.compile()
+    if device.platform != "cpu":
+        return lowered.compile()
+    try:
+        return lowered.compile(compiler_options=OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters})
+    except jax.errors.JaxRuntimeError as error:
+        usual = lowered.compile()  # raises again if the options are not the reason
+        _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
+        return usual
 
 
 LOOP_BYTES = 10_000_000
@@ -124,15 +136,6 @@ def compile_loops_whole() -> None:
         )
     elif options not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{options}={threshold}={LOOP_BYTES}".strip()
-
-
-def loops_are_whole() -> bool:
-    """Whether XLA compiles loops that touch more than a kilobyte a turn as one function in this process."""
-
-    def loop(x: Array) -> Array:
-        return lax.while_loop(lambda x: x.sum() < 1, lambda x: x + 1, x)
-
-    return "xla_cpu_small_call" in str(jax.jit(loop).lower(jnp.zeros(1000)).compile().as_text())
 
 
 def in_one_loop(f: Callable, *given: Any) -> Any:
@@ -174,20 +177,39 @@ def reduces_in_one_loop() -> bool:
 
 def _reduced(f: Callable, *given: Any) -> Any:
     arrays, tree = jax.tree.flatten(given)
-    once, results = _traced(f, tree, tuple(x.dtype for x in arrays))
+
+    def once(row: Sequence[Any]) -> Any:
+        return f(*jax.tree.unflatten(tree, row[: len(arrays)]))
+
+    results = jax.tree.structure(jax.eval_shape(once, [jax.ShapeDtypeStruct((), x.dtype) for x in arrays]))
     spare = results.num_leaves - len(arrays)
     if spare < 0:
         raise ValueError(f"{len(arrays)} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
     one = arrays[0]
     rows = tuple(jnp.broadcast_to(x, (2, *one.shape)) for x in [*arrays, *[jnp.zeros_like(one)] * spare])
     zeros = tuple(jnp.zeros((), x.dtype) for x in rows)
-    found = lax.reduce(rows, zeros, lambda _, row: tuple(once(*row[: len(arrays)])), (0,))
+    found = lax.reduce(rows, zeros, lambda _, row: tuple(jax.tree.leaves(once(row))), (0,))
     return jax.tree.unflatten(results, found)
 
 
-@functools.lru_cache(maxsize=64)
-def _traced(f: Callable, tree: Any, types: tuple) -> tuple[Callable, Any]:
-    """Trace f of single numbers, once for all loops of it; and the structure of its results."""
-    numbers = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct((), x) for x in types])
-    traced, results = jax.make_jaxpr(f, return_shape=True)(*numbers)
-    return jaxpr_as_fun(traced), jax.tree.structure(results)
+def lane_by_lane(f: Callable, *given: Any) -> Any:
+    """Evaluate f(*given) lane by lane under ``jax.vmap``, as ``jax.lax.map`` does: a finished lane costs nothing.
+
+    On a CPU; an accelerator runs the lanes in step.
+    """
+    one = custom_vmap(f)
+
+    @one.def_vmap
+    def _rule(size, in_batched, *args):  # pyright: ignore[reportUnusedFunction]
+        given, batched = list(args), list(in_batched)
+        if size == 1:  # XLA would unroll a loop over a single lane, which might then round differently
+            given = jax.tree.map(lambda x, several: jnp.concatenate([x, x]) if several else x, given, batched)
+
+        def lane(i: Array) -> Any:
+            return one(*jax.tree.map(lambda x, several: x[i] if several else x, given, batched))
+
+        found = lax.map(lane, jnp.arange(max(size, 2)))
+        found = jax.tree.map(lambda x: x[:size], found)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return lax.platform_dependent(*given, cpu=one, default=f)

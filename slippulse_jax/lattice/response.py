@@ -21,8 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.bulk.independence import lane_by_lane
+from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
 
 

@@ -23,7 +23,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.independence import lane_by_lane
+from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.lattice.chain import Chain, Elimination, State, check_linear, eliminate

@@ -24,8 +24,7 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.block import Block
-from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.bulk.independence import lane_by_lane
+from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile

@@ -1,4 +1,4 @@
-"""The labelled dataset of a sweep: in memory, or computed by dask when its values are needed."""
+"""The labelled dataset of a sweep: units, meanings of flags, the request, and what computed it."""
 
 import functools
 import json
@@ -11,40 +11,8 @@ import jax
 import numpy as np
 import xarray as xr
 
-from slippulse_jax.bulk.threads import in_this_thread
-from slippulse_jax.sweeps.outputs import OUTPUTS, evaluate
-from slippulse_jax.sweeps.request import PARAMETERS, Request, chunk_shape, shape_of
-
-
-def lazily(request: Request, points: int) -> xr.Dataset:
-    """Dataset backed by dask arrays, in chunks of at most `points` points, each computed when one of its values is needed.
-
-    Outputs that are computed together are one task.
-    """
-    import dask.array as da
-    from dask.array.core import normalize_chunks
-
-    chunk = normalize_chunks(chunk_shape(request.shape, points), request.shape)
-    data = {}
-    for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
-        part = request._replace(outputs=tuple(name for name in request.outputs if OUTPUTS[name].group == group))
-        dtype = np.dtype([(name, OUTPUTS[name].dtype) for name in part.outputs])
-        computed = da.map_blocks(
-            functools.partial(_block, part), chunks=chunk, dtype=dtype, meta=np.empty((0,) * len(chunk), dtype)
-        )
-        data |= {name: computed[name] for name in part.outputs}
-    return labelled(request, data, complete=1)
-
-
-def _block(request: Request, block_info: Any = None) -> np.ndarray:
-    """Compute one chunk; one record per point."""
-    region = tuple(slice(*ends) for ends in block_info[None]["array-location"])
-    with in_this_thread():  # dask runs chunks side by side
-        columns = evaluate(request, region)
-    records = np.empty(shape_of(region), [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        records[name] = values
-    return records
+from slippulse_jax.sweeps.outputs import OUTPUTS
+from slippulse_jax.sweeps.request import PARAMETERS, Request
 
 
 def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset:
@@ -65,10 +33,11 @@ def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset
 
 @functools.cache
 def current_versions() -> dict[str, str]:
-    """Versions of the packages on which, besides request and processor, the digits of a result depend."""
+    """Versions of the packages on which the last digits of a result depend."""
     return {name: version(name) for name in ("slippulse_jax", "jax", "jaxlib")}
 
 
+@functools.cache
 def processor() -> str:
     """Name of the processor that computes sweeps here."""
     device = jax.devices()[0]
@@ -80,15 +49,14 @@ def processor() -> str:
 
 
 def computed_by(about: dict[str, Any] | None = None) -> str:
-    """Processor and versions in the attributes of a sweep, or those of this process, for a message."""
+    """Name the processor and the versions in the attributes of a sweep, or those of this process."""
     about = about or current_versions() | {"processor": processor()}
     return ", ".join([str(about["processor"]), *(f"{name} {about.get(name)}" for name in current_versions())])
 
 
 def _parameter(name: str) -> dict[str, Any]:
     symbol, unit, label, long_name = PARAMETERS[name]
-    about = {"long_name": long_name, "units": unit, "symbol": symbol}
-    return about | ({"equation": label} if label else {})
+    return {"long_name": long_name, "units": unit, "symbol": symbol} | ({"equation": label} if label else {})
 
 
 def _output(name: str) -> dict[str, Any]:

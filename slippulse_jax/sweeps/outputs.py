@@ -1,4 +1,4 @@
-"""Outputs of a sweep, and one function per group to compute them."""
+"""Outputs of a sweep, and the functions that compute them: a formula each, or one function for a group of them."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slippulse_jax import theory
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
@@ -21,12 +21,9 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps.request import INTERFACE, PUSH, SLIDER, Columns, Region, Request, shape_of
 
-LAYOUT = Layout(chunk=512)
-"""Layout of outputs without one of their own."""
-
 
 class Output(NamedTuple):
-    """One output and the group that computes it."""
+    """One output, and the group of outputs that are computed together."""
 
     long_name: str
     unit: str
@@ -69,7 +66,7 @@ OUTPUTS = {
     "length_continuum": Output("length in the self-consistent continuum", "lambda_c", "theory"),
     "length_envelope": Output("length by a closed formula", "lambda_c", "theory"),
     "length_macroscopic": Output(
-        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "macroscopic", frozenset({"prestress"})
+        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "theory", frozenset({"prestress"})
     ),
     "runaway_prestress": Output("prestress beyond which nothing far from the edge stops a front", "sigma_s", "theory", _FRONT),
     "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", "slider"),
@@ -100,7 +97,7 @@ OUTPUTS = {
 
 SETS = {
     "gradients": tuple(name for name, output in OUTPUTS.items() if output.group == "gradient"),
-    "theory": tuple(name for name, output in OUTPUTS.items() if output.group in ("theory", "macroscopic")),
+    "theory": tuple(name for name, output in OUTPUTS.items() if output.group == "theory"),
     "validity": ("is_one_domino", "is_continuous", "is_frozen", "is_far_from_edge"),
 }
 """Names of sets of outputs; those that the request does not allow are left out."""
@@ -154,9 +151,58 @@ def evaluate(request: Request, region: Region) -> Columns:
     """Compute the outputs of a region, in its shape; the bits of a point do not depend on the other points."""
     columns, shape = request.columns(region), shape_of(region)
     found: Columns = {}
-    for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
-        found |= _GROUPS[group](request, columns)
+    for name in request.outputs:
+        if name in FORMULAS:
+            lanes = _fields(columns, *SLIDER, "prestress")
+            (found[name],) = over_lanes(_formula(name, request.right, request.sites), lanes, Layout(chunk=512))
+        elif name not in found:
+            found |= GROUPS[OUTPUTS[name].group](request, columns)
     return {name: found[name].astype(OUTPUTS[name].dtype, copy=False).reshape(shape) for name in request.outputs}
+
+
+# --- formulas ------------------------------------------------------------------------------------------------------------
+
+
+def _load(slider: Slider, prestress: Array, ends: Ends) -> Array:
+    # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
+    return (1 - prestress) * jax.vmap(lambda one: lattice_modes(one, ends).load)(slider)
+
+
+def _is_continuous(slider: Slider) -> Any:
+    return (slider.kappa_1 < 1 / 3) & (slider.height > 10)
+
+
+def _is_frozen(slider: Slider) -> Any:
+    return _is_continuous(slider) & (slider.kappa_T**2 / slider.kappa**2 < 0.1)
+
+
+FORMULAS: dict[str, Callable[[Slider, Array, Ends], Any]] = {
+    "nucleation_load": _load,
+    "length_eq25": lambda slider, *_: theory.length_eq25(slider),
+    "length_eq58": lambda slider, *_: theory.length(slider),
+    "length_frozen": lambda slider, *_: theory.length_frozen(slider),
+    "length_continuum": lambda slider, *_: theory.length_continuum(slider),
+    "length_envelope": lambda slider, *_: theory.envelope_length(slider),
+    "length_macroscopic": lambda slider, prestress, _: (
+        slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress)
+    ),
+    "runaway_prestress": lambda slider, *_: theory.runaway_prestress(slider),
+    "b": lambda slider, *_: slider.b,
+    "slow_decay_length": lambda slider, *_: slider.slow_decay_length,
+    "is_continuous": lambda slider, *_: _is_continuous(slider),
+    "is_frozen": lambda slider, *_: _is_frozen(slider),
+    "is_far_from_edge": lambda slider, *_: _is_frozen(slider) & (slider.kappa * theory.length_eq25(slider) > 3),
+}
+"""Outputs that a formula computes from sliders, their prestress and the ends of the chain."""
+
+
+@functools.cache
+def _formula(name: str, right: RightEnd, sites: int | None) -> Kernel:
+    """Kernel of one formula; each has a program of its own, so that no bit depends on which outputs are requested."""
+    return lambda lanes: (FORMULAS[name](Slider(*lanes[:3]), lanes[3], Ends(right, sites)),)
+
+
+# --- groups of outputs ---------------------------------------------------------------------------------------------------
 
 
 def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
@@ -164,21 +210,24 @@ def _by_delay(request: Request, columns: Columns, function: Callable[..., Column
     options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
     if not INTERFACE.keys() & request.parameters:
         return function(_slider(columns), **options)
-    n = len(columns["height"])
-    delays = columns.get("repin_delay", np.zeros(n, np.int64))
+    delays = columns.get("repin_delay", np.zeros(len(columns["height"]), np.int64))
     found: Columns = {}
     for delay in np.unique(delays):
-        here = delays == delay
-        prestress, slope = (columns.get(name, np.zeros(n))[here] for name in ("prestress", "threshold_slope"))
-        interface = Interface(prestress, slope, int(delay))
-        part = function(_slider({name: values[here] for name, values in columns.items()}), interface=interface, **options)
-        for name, values in part.items():
-            found.setdefault(name, np.empty(n, values.dtype))[here] = values
+        here = {name: values[delays == delay] for name, values in columns.items()}
+        interface = Interface(*_fields(here, "prestress", "threshold_slope"), repin_delay=int(delay))
+        for name, values in function(_slider(here), interface=interface, **options).items():
+            found.setdefault(name, np.empty(delays.size, values.dtype))[delays == delay] = values
     return found
 
 
 def _slider(columns: Columns) -> Slider:
     return Slider(*(columns[name] for name in SLIDER))
+
+
+def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
+    """The columns of these parameters, zeros for those not given."""
+    zeros = np.zeros(len(columns["height"]))
+    return [columns.get(name, zeros) for name in names]
 
 
 def _length(request: Request, columns: Columns) -> Columns:
@@ -215,87 +264,12 @@ def _block(request: Request, columns: Columns) -> Columns:
     return {"block_precursor_length": blocks.lengths(lanes, request.push_control, "full")}
 
 
-def _load(request: Request, columns: Columns) -> Columns:
-    kernel = _load_kernel(request.right, request.sites)
-    (load,) = over_lanes(kernel, _fields(columns, *SLIDER, "prestress"), LAYOUT)
-    return {"nucleation_load": load}
-
-
-@functools.cache
-def _load_kernel(right: RightEnd, sites: int | None) -> Kernel:
-    def loads(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
-        *numbers, prestress = lanes
-        relaxed = jax.vmap(lambda *slider: lattice_modes(Slider(*slider), Ends(right, sites)).load)(*numbers)
-        # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
-        return ((1 - prestress) * relaxed,)
-
-    return loads
-
-
-_LEVELS = {
-    "length_eq25": theory.length_eq25,
-    "length_eq58": theory.length,
-    "length_frozen": theory.length_frozen,
-    "length_continuum": theory.length_continuum,
-    "length_envelope": theory.envelope_length,
-    "runaway_prestress": theory.runaway_prestress,
-}
-
-
-def _theory(request: Request, columns: Columns) -> Columns:
-    lanes = _fields(columns, *SLIDER)
-    return {name: over_lanes(_theory_kernel(name), lanes, LAYOUT)[0] for name in _LEVELS if name in request.outputs}
-
-
-@functools.cache
-def _theory_kernel(name: str) -> Kernel:
-    return lambda lanes: (_LEVELS[name](Slider(*lanes)),)
-
-
-def _lanewise(kernel: Kernel, names: tuple[str, ...], *beyond: str) -> Callable[[Request, Columns], Columns]:
-    """The group of outputs that a kernel computes from the slider and parameters beyond it."""
-
-    def group(_: Request, columns: Columns) -> Columns:
-        return dict(zip(names, over_lanes(kernel, _fields(columns, *SLIDER, *beyond), LAYOUT), strict=True))
-
-    return group
-
-
-def _macroscopic(lanes: Float[Array, "4 lanes"]) -> tuple[Array]:
-    height, stiffness, poisson, prestress = lanes
-    b = Slider(height, stiffness, poisson).b
-    return (height * theory.macroscopic_length(b, poisson, prestress=prestress),)
-
-
-def _of_slider(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array]:
-    slider = Slider(*lanes)
-    return slider.b, slider.slow_decay_length
-
-
-def _validity(lanes: Float[Array, "3 lanes"]) -> tuple[Array, Array, Array]:
-    slider = Slider(*lanes)
-    continuous = (slider.kappa_1 < 1 / 3) & (lanes[0] > 10)
-    frozen = continuous & (slider.kappa_T**2 / slider.kappa**2 < 0.1)
-    far = frozen & (slider.kappa * theory.length_eq25(slider) > 3)
-    return continuous, frozen, far
-
-
-def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
-    """The columns of these parameters, zeros for those not given."""
-    zeros = np.zeros(len(columns["height"]))
-    return [columns.get(name, zeros) for name in names]
-
-
-_GROUPS = {
+GROUPS: dict[str, Callable[[Request, Columns], Columns]] = {
     "length": _length,
     "front": _front,
-    "load": _load,
     "gradient": _gradient,
     "exact": _exact,
     "smooth": _smooth,
     "block": _block,
-    "theory": _theory,
-    "macroscopic": _lanewise(_macroscopic, ("length_macroscopic",), "prestress"),
-    "slider": _lanewise(_of_slider, ("b", "slow_decay_length")),
-    "validity": _lanewise(_validity, ("is_continuous", "is_frozen", "is_far_from_edge")),
 }
+"""Functions that compute several outputs together."""

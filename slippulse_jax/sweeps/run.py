@@ -1,5 +1,6 @@
 """Run a sweep: in memory or into a store, in this process or on a Dask cluster, or when its values are needed."""
 
+import functools
 import math
 import os
 import warnings
@@ -12,13 +13,24 @@ from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.block import Control
+from slippulse_jax.bulk.chunks import in_this_thread
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.modes import RightEnd
-from slippulse_jax.sweeps import compute, dataset
-from slippulse_jax.sweeps.outputs import OUTPUTS, choose
-from slippulse_jax.sweeps.request import Columns, Region, Request, make_request, regions, shape_of, with_interface
-from slippulse_jax.sweeps.store import Place, Store, StoreError, check_same, create, open_store
+from slippulse_jax.sweeps.dataset import labelled, processor
+from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
+from slippulse_jax.sweeps.request import (
+    PARAMETERS,
+    Columns,
+    Region,
+    Request,
+    chunk_shape,
+    make_request,
+    regions,
+    shape_of,
+    with_interface,
+)
+from slippulse_jax.sweeps.store import Store, StoreError, check_same, create, is_store, open_store
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -28,6 +40,12 @@ LARGE, SMALL, COSTLY = 1 << 20, 1 << 14, 1 << 7
 
 TASKS, LEAST = 256, 1 << 12
 """Number of chunks into which Dask cuts a sweep without a store, and the fewest points of each."""
+
+RETRIES = 2
+"""Retries of a failed Dask task."""
+
+Done = tuple[Columns | None, set[str]]
+"""Values of a chunk, unless they went to a store, and what to warn of."""
 
 
 def sweep(
@@ -106,51 +124,40 @@ def sweep(
     ValueError
         If a parameter or an output is not valid, before anything is computed.
     StoreError
-        A `ValueError`: if the store belongs to another request, or holds numbers that differ by more than rounding from those
-        computed here.
+        A `ValueError`: if the store belongs to another request, is damaged, or is no store.
 
     Warns
     -----
     RuntimeWarning
-        If a chunk of the store is damaged, or if the digits of stored numbers differ from those computed here, by another
-        processor or with other versions.
+        If a chunk of the store is damaged, or if a store begun on another processor or with other versions is resumed: the
+        last digits may then differ from chunk to chunk.
 
     Notes
     -----
     The bits of a point depend on its own parameters, the processor and the versions alone: not on chunks, resuming, processes
     or number of devices.
     """
-    given: dict[str, Any] = {
-        "height": height,
-        "stiffness": stiffness,
-        "poisson": poisson,
-        "prestress": prestress,
-        "threshold_slope": threshold_slope,
-        "repin_delay": repin_delay,
-        "width": width,
-        "push_height": push_height,
-        "push_width": push_width,
-    }
+    given = {name: value for name, value in locals().items() if name in PARAMETERS}
     given = with_interface(given, interface)
     chosen = choose(outputs, {name for name, values in given.items() if values is not None})
     request = make_request(given, points, chosen, right, sites, max_contacts, push_control)
     _check_options(request, store, chunk, share, client, lazy)
-    most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
+    most = chunk or _default_chunk(request, tasks=lazy or (client is not None and store is None))
     if lazy:
-        return dataset.lazily(request, most)
+        return _lazily(request, most)
     if store is None:
         columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
         for region, found in _run(request, regions(request.shape, most), client, progress):
             for name, values in (found or {}).items():
                 columns[name][region] = values
-        return dataset.labelled(request, columns, complete=1)
-    place = Place(store)
-    resumed = place.is_store
+        return labelled(request, columns, complete=1)
+    url = os.fspath(store)
+    resumed = is_store(url)
     if resumed and not resume:
-        raise StoreError(f"{place.url}: holds a sweep already; resume it, or give another folder")
+        raise StoreError(f"{url}: holds a sweep already; resume it, or give another folder")
     if not resumed:
-        create(place, request, most, dataset.processor() if client is None else client.submit(dataset.processor).result())
-    opened = open_store(place)
+        create(url, request, most, processor() if client is None else client.submit(processor).result())
+    opened = open_store(url)
     check_same(opened, request, chunk)
     chunks = opened.regions[share[0] :: share[1]] if share else opened.regions
     if resumed:  # another process may be at work, in another order, so that two rarely compute the same chunk
@@ -172,10 +179,10 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
         If there is no sweep, or a damaged one. A damaged chunk is an error of Zarr's when it is read; the same sweep, resumed,
         names it and computes it again.
     """
-    return open_store(Place(store)).dataset()
+    return open_store(os.fspath(store)).dataset()
 
 
-def default_chunk(request: Request, *, tasks: bool) -> int:
+def _default_chunk(request: Request, *, tasks: bool) -> int:
     """Points per chunk: few files, but little lost if the process is killed; smaller for tasks in memory."""
     groups = {OUTPUTS[name].group for name in request.outputs}
     chunk = COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
@@ -202,23 +209,72 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
 def _run(
     work: Request | Store, chunks: list[Region], client: Any, progress: bool | None
 ) -> Iterator[tuple[Region, Columns | None]]:
-    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal.
-
-    What is remarked of chunks is warned of, once for all that say the same.
-    """
-    if client is not None:
-        results = compute.on_cluster(client, work, chunks)
-    elif isinstance(work, Store):
-        results = compute.complete(work, chunks)
-    else:
-        results = ((region, compute.evaluate(work, region), []) for region in chunks)
+    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
+    here = ((region, _compute(region, work)) for region in chunks)
     size = sum(math.prod(shape_of(region)) for region in chunks)
     hidden = None if progress is None else not progress
     said = {""}
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
-        for region, columns, remarks in results:
-            for remark in set(remarks) - said:
+        for region, (columns, remarks) in here if client is None else _on_workers(client, work, chunks):
+            for remark in remarks - said:
                 warnings.warn(remark, RuntimeWarning, stacklevel=3)
-            said.update(remarks)
+            said |= remarks
             yield region, columns
             bar.update(math.prod(shape_of(region)))
+
+
+def _compute(region: Region, work: Request | Store) -> Done:
+    """Compute a chunk: return the values of a request; write those of a store, unless they are there and intact."""
+    if isinstance(work, Request):
+        return evaluate(work, region), set()
+    missing, damage = work.is_missing(region)
+    if not missing:
+        return None, set()
+    work.write(region, evaluate(work.request, region))
+    return None, {damage, work.begun_elsewhere()}
+
+
+def _alone(region: Region, work: Request | Store) -> Done:
+    """Compute a chunk in this thread, beside other threads of a worker."""
+    with in_this_thread():
+        return _compute(region, work)
+
+
+def _on_workers(client: "Client", work: Request | Store, chunks: list[Region]) -> Iterator[tuple[Region, Done]]:
+    """Compute chunks on the workers of a cluster, each on one thread, in the order in which they are done."""
+    from distributed import as_completed
+
+    futures = client.map(_alone, chunks, work=work, pure=False, retries=RETRIES)
+    places = {future.key: region for future, region in zip(futures, chunks, strict=True)}
+    try:
+        for future, result in as_completed(futures, with_results=True):
+            yield places[future.key], result
+            future.release()
+    except BaseException:
+        client.cancel(futures)
+        raise
+
+
+def _lazily(request: Request, points: int) -> xr.Dataset:
+    """Make a dataset of dask arrays, in chunks of at most `points` points; outputs of one group are one task."""
+    import dask.array as da
+    from dask.array.core import normalize_chunks
+
+    chunk = normalize_chunks(chunk_shape(request.shape, points), request.shape)
+    data = {}
+    for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
+        part = request._replace(outputs=tuple(name for name in request.outputs if OUTPUTS[name].group == group))
+        dtype = np.dtype([(name, OUTPUTS[name].dtype) for name in part.outputs])
+        meta = np.empty((0,) * len(chunk), dtype)
+        computed = da.map_blocks(functools.partial(_block, part, dtype), chunks=chunk, dtype=dtype, meta=meta)
+        data |= {name: computed[name] for name in part.outputs}
+    return labelled(request, data, complete=1)
+
+
+def _block(request: Request, dtype: np.dtype, block_info: Any = None) -> np.ndarray:
+    """Compute one chunk for dask; one record per point."""
+    region = tuple(slice(*ends) for ends in block_info[None]["array-location"])
+    records = np.empty(shape_of(region), dtype)
+    for name, values in (_alone(region, request)[0] or {}).items():
+        records[name] = values
+    return records

@@ -3,12 +3,11 @@
 Nothing but Zarr and xarray is needed to read it. A killed writer leaves whole chunks only, because Zarr's local store renames
 whole files and object stores take whole objects. The attributes of the group are written after all else when a store is made,
 and the last output of the request after the others of a chunk: so a group with attributes is a store, and a chunk whose last
-output is there is finished. Every process writes the same bytes for a chunk.
+output is there is finished.
 """
 
 import functools
 import json
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from slippulse_jax.files import write_atomically
 from slippulse_jax.plain import plain, shortened
-from slippulse_jax.sweeps.dataset import labelled
+from slippulse_jax.sweeps.dataset import computed_by, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
 
@@ -36,125 +35,119 @@ class StoreError(ValueError):
     """A store that cannot be used: it belongs to another request, is damaged, or does not exist."""
 
 
-class Place:
-    """A folder, or the address of one that fsspec knows, such as ``s3://bucket/scan.zarr``."""
-
-    def __init__(self, url: str | os.PathLike[str]) -> None:
-        self.url = os.fspath(url)
-        try:
-            self.files, self.root = fsspec.url_to_fs(self.url, use_listings_cache=False)  # others write there too
-            self.is_local = isinstance(self.files, LocalFileSystem)
-            self.zarr = LocalStore(self.root) if self.is_local else FsspecStore.from_url(self.url)
-        except (ValueError, ImportError) as error:  # no such protocol, or its package is not installed
-            raise StoreError(f"{self.url}: {error}") from None
-
-    def __contains__(self, key: str) -> bool:
-        return self.files.exists(f"{self.root}/{key}")
-
-    @property
-    def is_store(self) -> bool:
-        """Whether there is a Zarr group; an error if there is a store of version 0.1."""
-        if "manifest.json" in self:
-            raise StoreError(f"{self.url}: a store of slippulse_jax 0.1 (.npz files), which only that version reads")
-        return MANIFEST in self
+def _locate(url: str) -> tuple[Any, str, Any]:
+    """File system, path and Zarr's view of a folder, or of an address such as ``s3://bucket/scan.zarr``."""
+    try:
+        files, root = fsspec.url_to_fs(url, use_listings_cache=False)  # others write there too
+        return files, root, LocalStore(root) if isinstance(files, LocalFileSystem) else FsspecStore.from_url(url)
+    except (ValueError, ImportError) as error:  # no such protocol, or its package is not installed
+        raise StoreError(f"{url}: {error}") from None
 
 
 class Store:
-    """The stored sweep at a place, finished or not, with at most `chunk` points in each chunk; `about` are its attributes."""
+    """A stored sweep, finished or not, with at most `chunk` points in each chunk; `about` are its attributes."""
 
-    def __init__(self, place: Place, request: Request, chunk: int, about: dict[str, Any]) -> None:
-        self.place, self.request, self.chunk, self.about = place, request, chunk, about
-        self.url, self.chunk_shape = place.url, chunk_shape(request.shape, chunk)
+    def __init__(self, url: str, request: Request, chunk: int, about: dict[str, Any]) -> None:
+        self.url, self.request, self.chunk, self.about = url, request, chunk, about
+        self.files, self.root, self.zarr = _locate(url)
+        self.chunk_shape = chunk_shape(request.shape, chunk)
 
     @property
     def regions(self) -> list[Region]:
         """The part of the result that each chunk holds."""
         return regions(self.request.shape, self.chunk)
 
-    def key(self, region: Region, name: str) -> str:
-        """Key of a chunk of one output: its place in the store."""
-        index = (part.start // step for part, step in zip(region, self.chunk_shape, strict=True))
-        return "/".join((name, "c", *map(str, index)))
+    def _paths(self, region: Region) -> list[str]:
+        """Path of a chunk for each output."""
+        index = [str(part.start // step) for part, step in zip(region, self.chunk_shape, strict=True)]
+        return ["/".join((self.root, name, "c", *index)) for name in self.request.outputs]
 
-    def present(self) -> list[Region]:
-        """Keys of the finished chunks, without reading them."""
-        last = self.request.outputs[-1]
-        there = {path.removeprefix(f"{self.place.root}/") for path in self.place.files.find(f"{self.place.root}/{last}/c")}
-        return [region for region in self.regions if self.key(region, last) in there]
+    @functools.cached_property
+    def _arrays(self) -> dict[str, Any]:
+        found: dict[str, Any] = {name: zarr.open_array(self.zarr, path=name, mode="r+") for name in self.request.outputs}
+        config: Any = {"write_empty_chunks": True}  # a chunk of NaN is a result too
+        return {name: zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for name, one in found.items()}
 
-    def read(self, region: Region) -> tuple[Columns | None, str]:
-        """Values of a chunk of all outputs if present and intact, and a description of the damage if not intact."""
-        keys = {name: self.key(region, name) for name in self.request.outputs}
-        if keys[self.request.outputs[-1]] not in self.place:
-            return None, ""
-        columns: Columns = {}
-        for name, key in keys.items():
+    def is_missing(self, region: Region) -> tuple[bool, str]:
+        """Whether a chunk must be computed, and what is wrong with it if it is damaged. Reads it to find out."""
+        paths = self._paths(region)
+        if not self.files.exists(paths[-1]):
+            return True, ""
+        for path, array in zip(paths, self._arrays.values(), strict=True):
+            damage = "" if self.files.exists(path) else "it is missing"
             try:
-                columns[name] = np.asarray(self._arrays[name][region])
-                damage = "" if key in self.place else "it is missing"
+                array[region]
             except OSError:
                 raise
             except Exception as error:  # each codec raises its own errors on damaged bytes
                 damage = shortened(str(error))
             if damage:
-                return None, f"{self.url}: damaged chunk {key} ({damage}): computing it again"
-        return columns, ""
+                return True, f"{self.url}: damaged chunk {path.removeprefix(f'{self.root}/')} ({damage}): computing it again"
+        return False, ""
 
     def write(self, region: Region, columns: Columns) -> None:
         """Write one chunk of all outputs."""
         try:
-            self.place.files.info(f"{self.place.root}/{MANIFEST}")  # Zarr would recreate a folder that was removed
-            for name in self.request.outputs:
-                self._arrays[name][region] = columns[name]
+            self.files.info(f"{self.root}/{MANIFEST}")  # Zarr would recreate a folder that was removed
+            for name, array in self._arrays.items():
+                array[region] = columns[name]
         except FileNotFoundError:
             raise StoreError(f"{self.url}: the store was removed while the sweep ran") from None
 
-    @functools.cached_property
-    def _arrays(self) -> dict[str, Any]:
-        group: Any = zarr.open_group(self.place.zarr, mode="r+")
-        found = ((name, group[name]) for name in self.request.outputs)
-        config: Any = {"write_empty_chunks": True}  # a chunk of NaN is a result too
-        return {name: zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for name, one in found}
-
     def dataset(self) -> xr.Dataset:
         """The sweep as a dataset, read on demand; its attribute ``complete`` is 1 once every chunk is there."""
-        with _damage_named(self.place):
-            found = xr.open_zarr(self.place.zarr, chunks=None, consolidated=True)
+        with _damage_named(self.url):
+            found = xr.open_zarr(self.zarr, chunks=None, consolidated=True)
             found = found[[*self.request.parameters, *self.request.outputs]]
         for output in found.data_vars.values():
             if "flag_values" in output.attrs:
                 output.attrs["flag_values"] = np.array(output.attrs["flag_values"], output.dtype)
-        found.attrs |= {"complete": int(len(self.present()) == len(self.regions)), "store": self.url}
-        return found
+        last = set(self.files.find(f"{self.root}/{self.request.outputs[-1]}/c"))
+        complete = all(self._paths(region)[-1] in last for region in self.regions)
+        return found.assign_attrs(complete=int(complete), store=self.url)
+
+    def begun_elsewhere(self) -> str:
+        """Name the processor and versions that began the store and those of this process, in no words if they are the same."""
+        began, here = computed_by(self.about), computed_by()
+        return "" if began == here else f"{self.url}: begun on {began}, and resumed on {here}; the last digits may differ"
 
 
-def create(place: Place, request: Request, chunk: int, computed_on: str) -> None:
+def is_store(url: str) -> bool:
+    """Whether there is a Zarr group; raise a `StoreError` if there is a store of version 0.1."""
+    files, root, _ = _locate(url)
+    if files.exists(f"{root}/manifest.json"):
+        raise StoreError(f"{url}: a store of slippulse_jax 0.1 (.npz files), which only that version reads")
+    return files.exists(f"{root}/{MANIFEST}")
+
+
+def create(url: str, request: Request, chunk: int, processor: str) -> None:
     """Create a store in an empty place, unless another process has just created it."""
-    documents = _documents(request, chunk, computed_on)
+    files, root, _ = _locate(url)
+    documents = _documents(request, chunk, processor)
     try:
-        if place.files.isfile(place.root):
-            raise StoreError(f"{place.url}: is a file; a store is a folder")
-        there = place.files.ls(place.root, detail=False) if place.files.exists(place.root) else []
+        if files.isfile(root):
+            raise StoreError(f"{url}: is a file; a store is a folder")
         ours = {key.split("/")[0] for key in documents}  # a process killed while creating the store left some of them
+        there = files.ls(root, detail=False) if files.exists(root) else []
         names = {path.rstrip("/").rsplit("/", 1)[-1] for path in there}
         others = any(name not in ours and not name.startswith(".") for name in names)
-        if (others or any(f"{name}/c" in place for name in request.outputs)) and not place.is_store:
-            raise StoreError(f"{place.url}: is a folder with other things in it; give a new or empty one")
-        for key in sorted(documents, key=MANIFEST.__eq__):  # the manifest last
-            path = f"{place.root}/{key}"
-            if place.is_local:
-                Path(path).parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(path, documents[key])
+        if (others or any(files.exists(f"{root}/{name}/c") for name in request.outputs)) and not is_store(url):
+            raise StoreError(f"{url}: is a folder with other things in it; give a new or empty one")
+        for key in [*(documents.keys() - {MANIFEST}), MANIFEST]:
+            if isinstance(files, LocalFileSystem):
+                Path(root, key).parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(Path(root, key), documents[key])
             else:
-                place.files.pipe_file(path, documents[key])
+                files.pipe_file(f"{root}/{key}", documents[key])
     except OSError as error:
-        raise StoreError(f"{place.url}: no store can be made there ({error.strerror or error})") from None
+        raise StoreError(f"{url}: no store can be made there ({error.strerror or error})") from None
 
 
-def _documents(request: Request, chunk: int, computed_on: str) -> dict[str, bytes]:
+def _documents(request: Request, chunk: int, processor: str) -> dict[str, bytes]:
     """Content of a store before anything is computed, by key."""
-    empty = {name: np.broadcast_to(_unknown(OUTPUTS[name].dtype), request.shape) for name in request.outputs}
-    template = labelled(request, empty, processor=computed_on, chunk=chunk, store_format=FORMAT)
+    unknown = {name: _unknown(OUTPUTS[name].dtype) for name in request.outputs}
+    empty = {name: np.broadcast_to(value, request.shape) for name, value in unknown.items()}
+    template = labelled(request, empty, processor=processor, chunk=chunk, store_format=FORMAT)
     made: dict[str, Any] = {}
     group = zarr.create_group(MemoryStore(made), zarr_format=3, attributes=template.attrs)
     for name, variable in template.variables.items():
@@ -184,57 +177,54 @@ def _unknown(dtype: Any) -> np.ndarray:
     return np.array(np.nan if np.dtype(dtype).kind == "f" else -1, dtype)
 
 
-def open_store(place: Place) -> Store:
-    """Open the stored sweep at a place; raise a `StoreError` if there is none."""
-    if not place.is_store:
-        raise StoreError(f"{place.url}: not the store of a sweep ({MANIFEST} is missing)")
-    with _damage_named(place):
-        group: Any = zarr.open_group(place.zarr, mode="r")
+def open_store(url: str) -> Store:
+    """Open a stored sweep; raise a `StoreError` if there is none."""
+    if not is_store(url):
+        raise StoreError(f"{url}: not the store of a sweep ({MANIFEST} is missing)")
+    with _damage_named(url):
+        group: Any = zarr.open_group(_locate(url)[2], mode="r")
         about: dict[str, Any] = group.attrs.asdict()
         if (written := about.get("store_format")) == FORMAT:
             described = json.loads(about["request"])
             options = {name: described.pop(name) for name in ("parameters", "combined", "outputs")}
             parameters = {name: np.asarray(group[name][...]) for name in PARAMETERS if name in options["parameters"]}
             request = Request(parameters, options["combined"] == "product", tuple(options["outputs"]), **described)
-            store = Store(place, request, about["chunk"], about)
+            chunks = chunk_shape(request.shape, about["chunk"])
             arrays = [(group[name], OUTPUTS[name].dtype) for name in request.outputs]
-            held = all((one.shape, one.chunks, one.dtype) == (request.shape, store.chunk_shape, dtype) for one, dtype in arrays)
+            held = all((one.shape, one.chunks, one.dtype) == (request.shape, chunks, dtype) for one, dtype in arrays)
             if held and request.digest == about["request_sha256"] and "processor" in about:
-                return store
+                return Store(url, request, about["chunk"], about)
     if written != FORMAT:
-        raise StoreError(f"{place.url}: not a sweep, or one of format {written}; this version reads format {FORMAT}")
-    raise StoreError(f"{place.url}: request and arrays do not agree: the store was tampered with or is damaged")
+        raise StoreError(f"{url}: not a sweep, or one of format {written}; this version reads format {FORMAT}")
+    raise StoreError(f"{url}: request and arrays do not agree: the store was tampered with or is damaged")
 
 
 @contextmanager
-def _damage_named(place: Place) -> Iterator[None]:
+def _damage_named(url: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # each codec raises its own errors on damaged bytes
         what = shortened(f"{type(error).__name__}: {error}")
-        raise StoreError(f"{place.url}: the store of a sweep with a damaged manifest or axes ({what})") from None
+        raise StoreError(f"{url}: the store of a sweep with a damaged manifest or axes ({what})") from None
 
 
 def check_same(store: Store, request: Request, chunk: int | None) -> None:
     """Check that request and chunks of the store are the same; raise a `StoreError` naming what differs."""
     if store.request.digest != request.digest:
-        old, new = _briefly(store.request), _briefly(request)
-        changed = (name for name in old | new if old.get(name) != new.get(name))
-        differs = "; ".join(f"{name}: {old.get(name, NOT)[0]}, now {new.get(name, NOT)[0]}" for name in changed)
+        (old, was), (new, now) = _parts(store.request), _parts(request)
+        changed = (name for name in was | now if was.get(name) != now.get(name))
+        differs = "; ".join(f"{name}: {old.get(name, 'not given')}, now {new.get(name, 'not given')}" for name in changed)
         raise StoreError(f"{store.url}: holds another sweep ({differs}); give it a store of its own")
     if chunk is not None and chunk != store.chunk:
         raise StoreError(f"{store.url}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
 
 
-NOT = ("not given",)
-
-
-def _briefly(request: Request) -> dict[str, tuple[Any, ...]]:
-    """Parts of a request by name: the text of each for a message, then what it is compared by."""
+def _parts(request: Request) -> tuple[dict[str, str], dict[str, Any]]:
+    """Parts of a request by name: in words, and by what they are compared."""
     described = request.describe()
     axes = described.pop("parameters")
-    brief = {
+    words = {name: repr(value) for name, value in described.items()} | {
         name: f"{values.size} values {values[0]:g} … {values[-1]:g}" if values.ndim else f"{values:g}"
         for name, values in request.parameters.items()
     }
-    return {name: (repr(value),) for name, value in described.items()} | {name: (brief[name], axes[name]) for name in brief}
+    return words, described | axes
