@@ -33,7 +33,7 @@ import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
 from jax.stages import Compiled
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 F = TypeVar("F", bound=Callable)
 
@@ -213,3 +213,16 @@ def lane_by_lane(f: Callable, *given: Any) -> Any:
         return found, jax.tree.map(lambda _: True, found)
 
     return lax.platform_dependent(*given, cpu=one, default=f)
+
+
+def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solve a few equations whose diagonal dominates, by elimination without pivots.
+
+    Written out, because a library's solution inside a program that runs beside others can wait for their threads for ever.
+    """
+
+    def eliminate(k: Array, system: Array) -> Array:
+        row = system[k] / system[k, k]
+        return (system - system[:, k][:, None] * row[None]).at[k].set(row)
+
+    return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]

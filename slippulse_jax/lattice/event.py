@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from slippulse_jax.bulk.compiler import solve_without_pivots
 from slippulse_jax.lattice.response import Response, carried, within
 
 SLACK_DIGITS = 4096

@@ -87,19 +87,6 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
     return found, -found @ tangents[0] @ found
 
 
-def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Solve a few equations whose diagonal dominates, by elimination without pivots.
-
-    Written out, for the reason that `inverse` gives; and `vmap` keeps it one loop over all lanes.
-    """
-
-    def eliminate(k: Array, system: Array) -> Array:
-        row = system[k] / system[k, k]
-        return (system - system[:, k][:, None] * row[None]).at[k].set(row)
-
-    return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
-
-
 @in_full
 def joined_slabs(a: Slab, b: Slab) -> Slab:
     """Join two slabs in a row; readings of the column between them are passed on to the outer columns."""
