@@ -15,7 +15,6 @@ import numpy as np
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.precursor import arrest
-from slippulse_jax.lattice.smooth import smooth_length
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent
@@ -37,7 +36,7 @@ def picture(figure, name):
 
 
 hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), max_contacts=100_000).length))
-smooth = jax.jit(lambda h, q, w: smooth_length(sp.Slider(h, q, 0.3), sp.SmoothBreak(width=w))[0])
+smooth = jax.jit(lambda h, q, w: sp.precursor_length(sp.Slider(h, q, 0.3), rule=sp.SmoothBreak(width=w)))
 
 
 def lengths(height, stiffness, width=None):

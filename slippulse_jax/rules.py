@@ -19,6 +19,25 @@ WIDTH = Domain(0.999e-6, 1, "must lie in [1e-6, 1], in σ_s", closed=True)
 class HardBreak(eqx.Module):
     """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch."""
 
+    def broken(self, stress: Array, threshold: Array) -> Array:
+        """Fraction of a contact that breaks under a stress: 1 from the threshold on, else 0."""
+        return (stress >= threshold).astype(stress.dtype)
+
+    def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
+        """Length of the part of the way from one contact to the next on which t ≥ θ, in λc.
+
+        t and t − θ are linear in between.
+        """
+        a, b = before - threshold_before, after - threshold_after
+        crosses = (a >= 0) != (b >= 0)
+        # 0 or 1 and no quotient where nothing crosses: the derivative there is zero, not the rounding error of one
+        part = jnp.maximum(a, b) / jnp.where(crosses, jnp.abs(a - b), 1)
+        return jnp.where(crosses, part, (a >= 0).astype(part.dtype))
+
+    def in_domain(self) -> bool:
+        """Whether its numbers lie in their domains; there are none."""
+        return True
+
 
 HARD = HardBreak()
 
@@ -56,6 +75,10 @@ class SmoothBreak(eqx.Module):
 
     def __check_init__(self) -> None:
         WIDTH.check("SmoothBreak.width", self.width)
+
+    def in_domain(self) -> Array:
+        """Whether the width, a traced one too, is positive."""
+        return jnp.asarray(self.width) > 0
 
     def broken(self, stress: Array, threshold: Array) -> Array:
         """Fraction p(t) of a contact's junctions that break under a stress.

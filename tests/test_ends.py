@@ -146,6 +146,3 @@ def test_the_formulas_hold_between_whole_numbers_of_sites():
 def test_bad_ends_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         sp.precursor_lengths(FIG2, **options)
-    smooth = sp.SmoothBreak(0.01)
-    with pytest.raises(ValueError, match="machine = 3"):
-        sp.precursor_lengths(FIG2, rule=smooth, machine=3.0)

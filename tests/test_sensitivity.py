@@ -1,4 +1,4 @@
-"""The backward recursion against differences, against the surrogate's own derivatives, and against what it must be."""
+"""Reverse mode through a sweep of the front against differences, against the surrogate's own derivatives, and against what it must be."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,6 @@ from slippulse_jax.lattice.chain import chain
 from slippulse_jax.lattice.precursor import arrest
 from slippulse_jax.lattice.rupture import nucleate, rupture
 from slippulse_jax.lattice.sensitivity import sensitivity
-from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import HardBreak, SmoothBreak
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
@@ -44,7 +43,7 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     np.testing.assert_allclose(sensitivity(FIG2, sites=SITES).length, arrest(FIG2, max_contacts=1000).length, rtol=1e-12)
     rule = SmoothBreak(width=0.02)
     found = sensitivity(FIG2, sites=SITES, rule=rule)
-    np.testing.assert_allclose(found.length, smooth_length(FIG2, rule)[0], rtol=1e-12)
+    np.testing.assert_allclose(found.length, sp.precursor_length(FIG2, rule=rule), rtol=1e-12)
     theta, phi = fields(2)
     theta[0], phi[0] = 0.9, 0.0
     c = chain(FIG2, sites=80, threshold=theta[:80], prestress=phi[:80])
@@ -58,7 +57,7 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     np.testing.assert_allclose(np.asarray(found.stress)[:n], event.released[:n], rtol=1e-10)
 
 
-def test_backward_recursion_is_the_reverse_mode_of_the_surrogate_in_a_chain():
+def test_it_is_the_reverse_mode_of_the_surrogate_in_a_chain():
     theta, phi = (jnp.asarray(x) for x in fields(3))
     theta = theta.at[0].set(0.9)
     rule = SmoothBreak(width=0.02)

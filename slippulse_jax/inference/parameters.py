@@ -888,7 +888,7 @@ def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None
 
 
 def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
-    """Check that the interface is relaxed and uniform, as the smooth rule of the fast recursion needs."""
+    """Check that the interface is relaxed and uniform and the block endless: fits under a smooth rule take no others."""
     for name in ("prestress", "threshold_slope"):
         if name in names or m.or_zero(name).any():
             raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")

@@ -31,9 +31,8 @@ from slippulse_jax.domains import NORMAL_STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
 from slippulse_jax.lattice.event import BREAKS_PER_SITE, Event, event
-from slippulse_jax.lattice.front import EventKind, first_of, in_domain, length_or_reason
+from slippulse_jax.lattice.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.lattice.response import Response
-from slippulse_jax.lattice.smooth import fade
 from slippulse_jax.lattice.waveguide import Guide
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.shown import in_a_line
@@ -56,8 +55,6 @@ ALIKE = 0.1
 TOGETHER = 4
 """Blocks computed at once."""
 IN_DOUBLE = "a block needs double precision: work under jax.enable_x64(True)"
-NEGLIGIBLE = 1e-9
-"""Broken fraction of a contact below which a smooth front has faded: farther contacts would only cost time."""
 
 
 class BlockPrecursor(eqx.Module):
@@ -229,29 +226,22 @@ def record(block: Block, interface: Interface | Profile | None, sites: int, kind
     return _record(block, interface, sites, kind)
 
 
-class StressedFront(NamedTuple):
-    """A front, with the stress on every contact."""
-
-    stress: Float[Array, " N"]
-    position: Int[Array, ""]  # of the contact ahead
-
-
 def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     response, threshold, prestress, last, valid = contacts
     push, near = response.push[0], response.near[0]
     first, load = nucleated(push, threshold, prestress)
 
-    def release(front: StressedFront, given: Array) -> StressedFront:
-        return StressedFront(front.stress + near[front.position] * given, front.position + 1)
+    def ahead(front: Front) -> tuple[Array, Array]:
+        return front.stress[front.position], threshold[front.position]
 
-    start = release(StressedFront(prestress + load * push, jnp.int32(0)), threshold[0])
-    end, through = fade(
-        rule, start, lambda front: front.stress[front.position], lambda site: threshold[site], release, last, NEGLIGIBLE
-    )
-    valid = valid & (first == 0) & (jnp.asarray(rule.width) > 0)
-    status = first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: through})
-    return length_or_reason(status, end.length)
+    def release(front: Front, part: Any, stress: Array) -> Front:
+        return front._replace(stress=front.stress + near[front.position] * (part * stress), position=front.position + 1)
+
+    start = release(Front(prestress + load * push, None, None, jnp.int32(0)), 1, threshold[0])
+    _, _, part, length = follow(rule, start, ahead, release, last)
+    valid = valid & (first == 0) & rule.in_domain()
+    return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))

@@ -6,6 +6,7 @@ are pinning points that follow the layer, p = u + φ, and those before them are 
 `slippulse_jax.lattice.front` that has passed only those. A break costs the solution of n equations for the others.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -15,7 +16,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.front import Front, Passage, advance, contact_at, echo_at, nucleate
+from slippulse_jax.lattice.front import Front, advance, contact_at, echo_at
+from slippulse_jax.lattice.front import nucleate as at_rest
 from slippulse_jax.lattice.modes import Modes
 
 
@@ -26,44 +28,49 @@ class DelayedFront(NamedTuple):
     rest: Front  # that has passed the contacts at rest
     window: Float[Array, " n"]  # p of the detached contacts, the one next to the front last; 0 left of the edge
     ahead: Float[Array, ""]  # stress on the contact ahead
-    behind: Float[Array, ""]  # excess over the threshold on contact s − 1 as it broke
     first: Float[Array, ""]  # p of contact 0, once at rest
 
 
-def passage(modes: Modes, contacts: Interface | Profile) -> Passage:
-    """Passage over contacts that repin after a delay of at least one site."""
-    n = contacts.repin_delay
+def nucleate(modes: Modes, contacts: Interface | Profile) -> DelayedFront:
+    """The front before contact 0 breaks, loaded to its threshold."""
     threshold, prestress = contact_at(modes, contacts, 0)
+    rest = at_rest(modes, threshold - prestress)
+    return DelayedFront(rest.position, rest, jnp.zeros(contacts.repin_delay, threshold.dtype), threshold, 0 * threshold)
 
-    def step(front: DelayedFront) -> DelayedFront:
-        """Break the contact ahead; the contact that has been detached longest repins first, where it is."""
-        s, settled = front.position, front.window[0]
-        passed = advance(modes, front.rest, settled, echo_at(modes, s - n))
-        rest = jax.tree.map(lambda new, old: jnp.where(s >= n, new, old), passed, front.rest)
-        window, ahead = _window(modes, contacts, rest, s + 1)
-        behind = front.ahead - contact_at(modes, contacts, s)[0]
-        return DelayedFront(s + 1, rest, window, ahead, behind, jnp.where(s == n, settled, front.first))
 
-    def edge(front: DelayedFront) -> Array:
-        """Stress on contact 0; 0 while it is detached."""
-        site = front.position - n + jnp.arange(n, dtype=front.position.dtype)
-        y = jnp.where((site >= 0)[:, None], _from(modes, front.rest, site), 0)
-        layer = front.rest.edge[0] + (y * front.rest.reach[None] * front.window[:, None]).sum().real
-        return jnp.where(front.position <= n, 0, threshold - front.first + layer)
+def release(modes: Modes, contacts: Interface | Profile, front: DelayedFront) -> DelayedFront:
+    """Break the contact ahead as a whole; the one that has been detached longest repins first, where it is."""
+    n, s, settled = contacts.repin_delay, front.position, front.window[0]
+    passed = advance(modes, front.rest, settled, echo_at(modes, s - n))
+    rest = jax.tree.map(lambda new, old: jnp.where(s >= n, new, old), passed, front.rest)
+    window, ahead = _window(modes, contacts, rest, s + 1)
+    return DelayedFront(s + 1, rest, window, ahead, jnp.where(s == n, settled, front.first))
 
-    none = jnp.zeros_like(threshold)
-    before = nucleate(modes, threshold - prestress)
-    at_0 = DelayedFront(before.position, before, jnp.zeros(n, threshold.dtype), threshold, none, none)
 
-    def threshold_of(site: Array) -> Array:
-        return contact_at(modes, contacts, site)[0]
+def passage(
+    modes: Modes, contacts: Interface | Profile
+) -> tuple[DelayedFront, Callable[[DelayedFront], tuple[Array, Array]], Callable[..., DelayedFront]]:
+    """How a front passes over contacts that repin after a delay: `start`, `ahead` and `release` for `front.follow`."""
 
-    return Passage(step(at_0), step, lambda front: front.ahead - threshold_of(front.position), threshold_of, edge)
+    def ahead(front: DelayedFront) -> tuple[Array, Array]:
+        return front.ahead, contact_at(modes, contacts, front.position)[0]
+
+    start = release(modes, contacts, nucleate(modes, contacts))
+    return start, ahead, lambda front, *_: release(modes, contacts, front)
+
+
+def edge(modes: Modes, contacts: Interface | Profile, front: DelayedFront) -> Array:
+    """Stress on contact 0; 0 while it is detached."""
+    n = contacts.repin_delay
+    site = front.position - n + jnp.arange(n, dtype=front.position.dtype)
+    y = jnp.where((site >= 0)[:, None], _from(modes, front.rest, site), 0)
+    layer = front.rest.edge[0] + (y * front.rest.reach[None] * front.window[:, None]).sum()
+    return jnp.where(front.position <= n, 0, contact_at(modes, contacts, 0)[0] - front.first + layer)
 
 
 def _from(modes: Modes, rest: Front, site: Array) -> Float[Array, "sites modes"]:
     """e_m(i) r_m^{i − s} at sites from the position s of the front at rest on."""
-    beyond = jnp.maximum(site - rest.position, 0).astype(modes.gap.real.dtype)
+    beyond = jnp.maximum(site - rest.position, 0).astype(modes.gap.dtype)
     decay = jnp.exp(beyond[:, None] * jnp.log1p(-modes.gap)[None])
     return decay if modes.echo is None else decay * jax.vmap(modes.echo_factor)(jnp.maximum(site, 0))
 
@@ -75,14 +82,14 @@ def _window(modes: Modes, contacts: Interface | Profile, rest: Front, s: Array) 
     site = s - n + offset  # the last is the contact ahead
     inside = site >= 0
     y = _from(modes, rest, site)
-    base = (y * rest.stress[None]).sum(1).real + contact_at(modes, contacts, jnp.maximum(site, 0))[1]
+    base = (y * rest.stress[None]).sum(1) + contact_at(modes, contacts, jnp.maximum(site, 0))[1]
     apart = jnp.abs(offset[:, None] - offset[None]).astype(y.dtype)
     endless = modes.weight[None, None] * jnp.exp(apart[..., None] * jnp.log1p(-modes.gap)[None, None])
     if modes.echo is not None:
         echo = jax.vmap(modes.echo_factor)(jnp.maximum(site, 0))
         endless = endless * echo[jnp.maximum(offset[:, None], offset[None])]
     edge = ((y[:, :, None] * rest.reflected[None]).sum(1)[:, None] * y[None]).sum(2)
-    green = jnp.where(inside[:, None] & inside[None], (endless.sum(2) + edge).real, 0)
+    green = jnp.where(inside[:, None] & inside[None], endless.sum(2) + edge, 0)
     window = _solve(jnp.eye(n, dtype=base.dtype) - green[:n, :n], jnp.where(inside, base, 0)[:n])
     return window, base[n] + (green[n, :n] * window).sum()
 
@@ -103,28 +110,24 @@ def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Arra
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: Interface | Profile) -> Float[Array, " count"]:
     """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too."""
-    over = passage(modes, contacts)
-
-    def step(front: DelayedFront, _: None) -> tuple[DelayedFront, Array]:
-        return over.advance(front), front.ahead
-
-    threshold = contact_at(modes, contacts, 0)[0]
-    return jnp.concatenate([threshold[None], lax.scan(step, over.start, length=count - 1)[1]])
+    start = nucleate(modes, contacts)
+    return lax.scan(lambda front, _: (release(modes, contacts, front), front.ahead), start, length=count)[1]
 
 
 @partial(jax.jit, static_argnames="count")
 def pinning(modes: Modes, contacts: Interface | Profile, count: int, position: Array) -> Float[Array, " count"]:
     """u_b of the first `count` sites when contacts before `position` have broken; detached ones follow the layer."""
-    over, n, site = passage(modes, contacts), contacts.repin_delay, jnp.arange(count, dtype=jnp.int32)
+    n, site = contacts.repin_delay, jnp.arange(count, dtype=jnp.int32)
 
     def step(carry: tuple[DelayedFront, Array], _: None) -> tuple[tuple[DelayedFront, Array], None]:
         front, held = carry
         going = front.position < position
         held = jnp.where((site == front.position - n) & going, front.window[0], held)
-        after = over.advance(front)
+        after = release(modes, contacts, front)
         return (jax.tree.map(lambda a, b: jnp.where(going, a, b), after, front), held), None
 
-    (front, held), _ = lax.scan(step, (over.start, jnp.zeros(count, modes.load.dtype)), length=count)
+    start = nucleate(modes, contacts), jnp.zeros(count, modes.load.dtype)
+    (front, held), _ = lax.scan(step, start, length=count)
     for a in range(n):
         held = jnp.where(site == front.position - n + a, front.window[a], held)
-    return jnp.where(position > 0, held, 0)
+    return held

@@ -12,25 +12,35 @@ S_m = Σ_{j<s} r_m^{s−j} t(j) and T_n = Σ_{j<s} e_n(j) r_n^j t(j). Only the n
 
     Z_m → r_m [Z_m + v_m t],    v_m = w_m + Σ_n Q_mn e_n(s),    Q_mn = r_m^s R_mn r_n^s → r_m r_n Q_mn.
 
-The front goes on while t(s) ≥ θ_s; Λ = s0 λc, where s0 is the first s with t(s) < θ_s.
+A rule (`slippulse_jax.rules`) says which fraction p(t) of a contact breaks when the front reaches it; the contact then gives up
+p(t) t. Contact 0 always breaks as a whole. With t linear between contacts, the length of the front is
+
+    ℓ = p(t(1)) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,
+
+where the first term is the step from contact 0 to its neighbour. Under the paper's rule p = 1 where t ≥ θ, and 0 elsewhere. The
+front goes on while t(s) ≥ θ_s, Λ = s0 λc, where s0 is the first s with t(s) < θ_s, and ℓ ends where the straight line falls to
+the threshold. Under a smooth rule the front does not stop at a contact but fades; as its width goes to zero every integral
+becomes the length over which t ≥ θ.
 
 Run-away. Far from the edge every contact behind the front gave up the same stress t, and t = φ + t Σ_{j≥1} G_0j with
 Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
 φ ≥ φ_c = (1 + G_00)/2. Below φ_c (or with rising thresholds) every front stops. Above it the front never stops, unless it
 stops on its way to that state: far from the edge t approaches its limit as ρ_2^s, and on a soft, short slider it does so from
 below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that approach is over to rounding; on a profile, as long
-after its last site.
+after its last site. Under a smooth rule the prestress alone breaks a little of every contact, however far ahead. So the
+recursion is cut off at the same place wherever p(φ/φ_c) is more than rounding; if then more than `FADED` of the contact ahead
+still breaks, the front never stops.
 
 Notes
 -----
-`advance` and `stress_ahead` use only sums and products and the leading axis of the modes, two for the slider and n, partly
-complex, for a block. So they also take the NumPy arrays of single numbers of the loop over lanes
-(`slippulse_jax.lattice.lanes`). Q is carried, rather than r_m^s, because its tangent costs two products per number.
+`advance` and `stress_ahead` use only sums and products and the leading axis of the modes. So they also take the NumPy arrays
+of single numbers of the loop over lanes (`slippulse_jax.lattice.lanes`). Q is carried, rather than r_m^s, because its tangent
+costs two products per number.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +52,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice.modes import Modes
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -56,6 +67,10 @@ FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_
 
 APPROACH = 45.0
 """Decay lengths after which e^{−s/length} is nothing in float64."""
+
+FADED = 1e-9
+"""Largest fraction of the contact ahead that still breaks where a front has stopped. On an endless chain that is what the
+prestress alone may break; what lies ahead would then add less to ℓ than can be measured."""
 
 AnyArray = Array | np.ndarray
 Contacts = Interface | Profile | None
@@ -97,47 +112,33 @@ class Arrest(NamedTuple):
 # --- one step ----------------------------------------------------------------------------------------------------------
 
 
-class Waveguide(Protocol):
-    """What a break depends on: the decay of each mode, and the response of an endless waveguide."""
-
-    @property
-    def gap(self) -> Any:
-        """1 − r_m."""
-        ...
-
-    @property
-    def weight(self) -> Any:
-        """w_m."""
-        ...
-
-
 class Front(NamedTuple):
-    """State of a front that has broken contacts 0 … position − 1; the leading axis of the first three runs over the modes."""
+    """State of a front that has passed contacts 0 … position − 1; the leading axis of the first three runs over the modes."""
 
-    stress: Any  # Z_m, in σ_s
+    stress: Any  # Z_m, in σ_s, or what it has changed by; of a block, the stress on every contact
     reflected: Any  # Q_mn
     reach: Any  # (w_n + Σ_m e_m(0) R_mn) r_n^s, what the next break adds to the stress on contact 0; None where not wanted
     position: Any  # s
-    behind: Any  # excess over the threshold on contact s − 1 as it broke
-    edge: Any  # stress on contact 0; None where not wanted
+    behind: Any = None  # excess over the threshold on contact s − 1 as it broke; None where not wanted
+    edge: Any = None  # stress on contact 0; None where not wanted
 
 
 def stress_ahead(front: Front, echo: Any = None) -> Any:
     """Σ_m e_m(s) Z_m, with the leading axis kept; the prestress comes on top."""
-    return (front.stress if echo is None else echo * front.stress).sum(0, keepdims=True).real
+    return (front.stress if echo is None else echo * front.stress).sum(0, keepdims=True)
 
 
-def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
-    """Break the contact ahead, which gives up the stress `released`.
+def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
+    """Pass the contact ahead, which gives up the stress `released`.
 
     Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶.
 
     Parameters
     ----------
-    guide : Waveguide
+    guide : Modes, or anything with a `gap` 1 − r_m and a `weight` w_m
     front : Front
     released : array, shape () or (1,)
-        t(s), or a part of it.
+        p(t) t of contact s, or a part of it.
     echo : array, optional
         e_m(s), of a finite waveguide.
     start : array, optional
@@ -148,7 +149,7 @@ def advance(guide: Waveguide, front: Front, released: Any, echo: Any = None, sta
     both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
     stress = front.stress + (guide.weight + (Q if echo is None else Q * echo[None]).sum(1)) * released
     if reach is not None:
-        edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True).real * released
+        edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True) * released
         reach = reach - gap * reach
     lost = gap * (stress if start is None else start + stress)
     return Front(stress - lost, Q - both * Q, reach, front.position + 1, front.behind, edge)
@@ -173,14 +174,14 @@ def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
 
 
 def outcome(
-    broken: Array, ahead: Array, edge: Array, *, valid: Any = True, through: Any = False, endless: Any = False
+    broken: Array, goes: Array, edge: Array, *, valid: Any, through: Any = False, endless: Any = False
 ) -> Int[Array, "..."]:
-    """`Outcome` of fronts from the contacts broken, the excess ahead, and the excess on contact 0 behind the front."""
+    """`Outcome` of fronts from the contacts broken, whether the one ahead breaks, and the excess on contact 0 behind them."""
     endings = {
-        Outcome.INVALID: ~(valid & jnp.isfinite(ahead)),
+        Outcome.INVALID: ~valid,
         Outcome.RAN_THROUGH: through,
-        Outcome.RUN_AWAY: (ahead >= 0) & endless,
-        Outcome.LIMIT: ahead >= 0,
+        Outcome.RUN_AWAY: goes & endless,
+        Outcome.LIMIT: goes,
         Outcome.NO_DOMINO: broken == 1,
         Outcome.REBREAK: edge >= 0,
     }
@@ -198,24 +199,72 @@ def length_or_reason(status: Array, length: Array) -> Array:
     return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 0, jnp.abs(length))))
 
 
-# --- one slider --------------------------------------------------------------------------------------------------------
+# --- one front ---------------------------------------------------------------------------------------------------------
 
 
-class Passage(NamedTuple):
-    """How a front passes over the contacts of one slider; its states have a `position` and a `behind`."""
+def follow(
+    rule: BreakRule,
+    start: Any,
+    ahead: Callable[[Any], tuple[Array, Array]],
+    release: Callable[[Any, Array, Array], Any],
+    limit: int | Array,
+) -> tuple[Any, tuple[Array, Array], Array, Array]:
+    """Follow a front until nothing ahead of it breaks, or the contact `limit` is ahead; differentiable forward.
 
-    start: Any  # contact 0 has broken, at its threshold exactly
-    advance: Callable[[Any], Any]  # break the contact ahead
-    excess: Callable[[Any], Array]  # on the contact ahead over its threshold, in σ_s
-    threshold: Callable[[Array], Array]  # of a contact
-    edge: Callable[[Any], Array]  # stress on contact 0
+    Parameters
+    ----------
+    rule : HardBreak or SmoothBreak, or one derived from it
+    start : front
+        After contact 0 has broken as a whole. A front is any state with the `position` of the contact ahead.
+    ahead : callable
+        Of a front: stress and threshold of the contact ahead.
+    release : callable
+        ``release(front, part, stress)``: the front after that part of the contact ahead has broken, under that stress.
+    limit : int
+
+    Returns
+    -------
+    front
+    ahead : tuple of array
+        Stress and threshold of the contact ahead of it.
+    part : array
+        Fraction of that contact that would break.
+    length : array
+        ℓ.
+    """
+
+    whole = isinstance(rule, HardBreak)  # then every step but the last adds 1, and no quotient is taken for it
+
+    def way(here: tuple[Array, Array], after: tuple[Array, Array]) -> Array:
+        return rule.overloaded_length(here[0], after[0], here[1], after[1])
+
+    def step(now: tuple) -> tuple:
+        front, here, part, length, _ = now
+        front = release(front, part, here[0])
+        after = ahead(front)
+        return front, after, rule.broken(*after), length + (1 if whole else way(here, after)), here
+
+    first = ahead(start)
+    part = rule.broken(*first)
+    # the neglected remainder is at most this fraction times the sum of a decay no slower than ρ_2 < 1
+    nothing = rounding(part)
+    end, last, part, length, behind = lax.while_loop(
+        lambda now: (now[2] > nothing) & (now[0].position < limit), step, (start, first, part, part, first)
+    )
+    if whole:
+        length = jnp.where(end.position > start.position, length - 1 + way(behind, last), length)
+    return end, last, part, length
+
+
+def rounding(part: Array) -> float:
+    """Fraction of a contact whose breaking is below the rounding error of a length."""
+    return 1e-4 * float(jnp.finfo(part.dtype).eps)
 
 
 def nucleate(modes: Modes, drive: Any = 1) -> Front:
     """The front before contact 0 breaks; `drive` is the stress by which it is loaded."""
-    one = jnp.ones_like(modes.load)
-    reach = modes.weight + (modes.echo_factor(0 * one)[:, None] * modes.reflection).sum(0)
-    return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), 0 * one, 0 * reach[:1].real)
+    reach = modes.weight + (modes.echo_factor(0 * modes.load)[:, None] * modes.reflection).sum(0)
+    return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), None, 0 * reach[:1])
 
 
 def echo_at(modes: Modes, site: Array) -> Array | None:
@@ -225,7 +274,7 @@ def echo_at(modes: Modes, site: Array) -> Array | None:
 
 def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Array]:
     """θ and φ of a contact, in σ_s."""
-    site = jnp.asarray(site).astype(modes.gap.real.dtype)
+    site = jnp.asarray(site).astype(modes.gap.dtype)
     if contacts is None:
         return jnp.ones_like(site), jnp.zeros_like(site)
     return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
@@ -237,51 +286,31 @@ def nucleation_load(modes: Modes, contacts: Contacts) -> Array:
     return modes.load * (threshold - prestress)
 
 
-def passage(modes: Modes, contacts: Contacts = None) -> Passage:
-    """Passage over contacts that repin at once; its fronts hold what Z_m has changed by since nucleation."""
-    threshold, prestress = contact_at(modes, contacts, 0)
-    at_0 = nucleate(modes, threshold - prestress)
-    loaded, first_echo = at_0.stress, echo_at(modes, at_0.position)
+def passage(
+    modes: Modes, contacts: Contacts = None, rule: BreakRule = HARD
+) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
+    """How a front passes over contacts that repin at once: `start`, `ahead` and `release` for `follow`.
 
-    def excess(front: Front) -> Array:
-        echo, (here, carried) = echo_at(modes, front.position), contact_at(modes, contacts, front.position)
-        change = stress_ahead(front, echo)[0] + ((carried - prestress) - (here - threshold))
-        return change if echo is None else change + (modes.echo_growth(front.position) * loaded).sum()
-
-    def step(front: Front) -> Front:
-        over = excess(front)
-        released = contact_at(modes, contacts, front.position)[0] + over
-        return advance(modes, front, released, echo_at(modes, front.position), loaded)._replace(behind=over)
-
-    start = advance(modes, at_0._replace(stress=0 * loaded), threshold, first_echo, loaded)
-    return Passage(start, step, excess, lambda site: contact_at(modes, contacts, site)[0], lambda front: front.edge[0])
-
-
-def let_run(over: Passage, valid: Array, end: Array, contacts: Array | None, max_contacts: int) -> Arrest:
-    """Let the front go until the contact ahead holds, the chain ends, or it is given up; differentiable forward.
-
-    Parameters
-    ----------
-    over : Passage
-    valid : bool array
-        Whether slider and contacts lie in their domains.
-    end : array
-        Breaks after which a front never stops.
-    contacts : array, optional
-        How many a finite chain has.
-    max_contacts : int
+    The hard rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their digits. A
+    smooth rule asks for the stress itself, from zero: of its change the rounding would not fade.
     """
-    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
-    limit = limit if contacts is None else jnp.minimum(limit, contacts)
+    nucleated = contact_at(modes, contacts, 0)
+    at_0, hard = nucleate(modes, nucleated[0] - nucleated[1]), isinstance(rule, HardBreak)
+    threshold, prestress = nucleated if hard else (0 * x for x in nucleated)
+    loaded = at_0.stress if hard else None
 
-    front = lax.while_loop(lambda f: (over.excess(f) >= 0) & (f.position < limit), over.advance, over.start)
-    s0, ahead, edge = front.position, over.excess(front), over.edge(front)
-    through = s0 == (-1 if contacts is None else contacts)
-    status = outcome(
-        s0, ahead, edge - over.threshold(0 * s0), valid=valid, through=through, endless=s0.astype(end.dtype) >= end
-    )
-    length = straight_line((s0 - 1).astype(ahead.dtype), front.behind, ahead)
-    return Arrest(s0, length_or_reason(status, length), status, edge)
+    def ahead(front: Front) -> tuple[Array, Array]:
+        here, carried = contact_at(modes, contacts, front.position)
+        stress = stress_ahead(front, echo_at(modes, front.position))[0] + (carried - prestress)
+        if hard and modes.echo is not None:
+            stress = stress + (modes.echo_growth(front.position) * at_0.stress).sum()
+        return stress, here - threshold
+
+    def release(front: Front, part: Any, stress: Array) -> Front:
+        return advance(modes, front, part * (threshold + stress), echo_at(modes, front.position), loaded)
+
+    start = release(at_0._replace(stress=0 * at_0.stress) if hard else at_0, 1, nucleated[0] - threshold)
+    return start, ahead, release
 
 
 def in_domain(body: Slider | Block) -> Array:
@@ -290,22 +319,53 @@ def in_domain(body: Slider | Block) -> Array:
     return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
 
 
+# --- past the arrest ---------------------------------------------------------------------------------------------------
+
+
+def sweep(
+    modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *along: Array
+) -> Float[Array, " n"]:
+    """t(0) … t(n − 1): the stress on each contact once all before it have broken, past the arrest too.
+
+    In reverse mode a derivative in all thresholds and prestresses is one pass back, O(1) per contact.
+
+    Parameters
+    ----------
+    modes : Modes
+    loaded : array, shape ()
+        Stress on contact 0 under the drive, its threshold: t(0).
+    prestress : array, shape (n,)
+        φ_i.
+    part : callable
+        Fraction of a contact that breaks, of its stress and of its values in `along`; all of it by default.
+    *along : array, shape (n,)
+    """
+
+    def step(front: Front, here: tuple[Array, ...]) -> tuple[Front, Array]:
+        carried, *more = here
+        # of Z_m itself and not of its change, whose rounding would not fade
+        echo = echo_at(modes, front.position)
+        stress = jnp.where(front.position == 0, loaded, carried + stress_ahead(front, echo)[0])
+        return advance(modes, front, part(stress, *more) * stress, echo), stress
+
+    start = nucleate(modes, loaded - prestress[0])._replace(reach=None, edge=None)
+    return lax.scan(step, start, (prestress, *along))[1]
+
+
+def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
+    """ℓ, as of `follow`, from the stresses of a sweep; and whether the front has arrested, or faded, within n contacts."""
+    site, part = jnp.arange(stress.size), jax.vmap(rule.broken)(stress, threshold)
+    ends = (part <= rounding(part)) & (site > 0)
+    s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)
+    steps = jax.vmap(rule.overloaded_length)(stress[1:-1], stress[2:], threshold[1:-1], threshold[2:])
+    return part[1:2].sum() + jnp.where(site[1:-1] < s0, steps, 0).sum(), (s0 > 0) & (part[s0] <= FADED)
+
+
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: Contacts = None) -> Float[Array, " count"]:
-    """t(0) … t(count − 1): the stress each contact would carry had all before it broken, past the arrest too.
-
-    Of Z_m itself and not of its change, whose rounding would not fade.
-    """
-    threshold, prestress = contact_at(modes, contacts, 0)
-
-    def step(front: Front, _: None) -> tuple[Front, Array]:
-        echo = echo_at(modes, front.position)
-        stress = stress_ahead(front, echo)[0] + contact_at(modes, contacts, front.position)[1]
-        return advance(modes, front, stress, echo), stress
-
-    at_0 = nucleate(modes, threshold - prestress)
-    start = advance(modes, at_0, threshold, echo_at(modes, at_0.position))
-    return jnp.concatenate([threshold[None], lax.scan(step, start, length=count - 1)[1]])
+    """t(0) … t(count − 1) of contacts that break as a whole and repin at once."""
+    threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
+    return sweep(modes, threshold[0], prestress)
 
 
 # --- run-away ----------------------------------------------------------------------------------------------------------
@@ -329,16 +389,17 @@ def slowest_approach(modes: Modes) -> Array:
     return 2 * product / (total + jnp.sqrt(jnp.maximum(total**2 - 4 * product, 0)))
 
 
-def never_stops_after(modes: Modes, contacts: Contacts) -> Array:
+def never_stops_after(modes: Modes, contacts: Contacts, rule: BreakRule = HARD) -> Array:
     """Breaks after which a front that is still running never stops; inf where every front stops. Lanes last."""
     if contacts is None:
         return jnp.full_like(modes.load, jnp.inf)
     if isinstance(contacts, Interface):
-        uniform, since, prestress = jnp.asarray(contacts.threshold_slope) == 0, 0, jnp.asarray(contacts.prestress)
+        uniform, since, threshold = jnp.asarray(contacts.threshold_slope) == 0, 0, jnp.ones_like(modes.load)
+        prestress = jnp.asarray(contacts.prestress)
     else:
-        since = np.shape(contacts.threshold)[0]
+        uniform, since = jnp.ones((), bool), np.shape(contacts.threshold)[0]
         threshold, prestress = contact_at(modes, contacts, since - 1)
-        uniform, prestress = jnp.ones((), bool), prestress / threshold
     settled = since + APPROACH / slowest_approach(modes) + 10 + contacts.repin_delay
-    endless = uniform & (prestress >= runaway_prestress(modes)) if modes.echo is None else jnp.zeros((), bool)
+    part = rule.broken(prestress / runaway_prestress(modes), threshold)
+    endless = uniform & (part > rounding(part)) if modes.echo is None else jnp.zeros((), bool)
     return jnp.ceil(jnp.minimum(jnp.where(endless, settled, jnp.inf), contacts.last_site()))

@@ -88,7 +88,7 @@ def arrest_kernel(max_contacts: int) -> Kernel:
         length, opened = _length(state, max_contacts), _opened(state)
         (broken,), (edge,) = state.front.position, state.front.edge
         (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
-        status = outcome(broken, ahead, edge - 1, endless=jnp.isposinf(length))
+        status = outcome(broken, ahead >= 0, edge - 1, valid=jnp.isfinite(ahead), endless=jnp.isposinf(length))
         return broken.astype(jnp.int32), length, status, edge
 
     return arrests

@@ -22,11 +22,10 @@ from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind,
 from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.lattice.precursor import (
     arrest,
+    check_at_once,
     check_max_contacts,
-    check_smooth,
     report_without_length,
 )
-from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -93,7 +92,7 @@ def precursor_lengths(
     numpy.ndarray or LengthDerivatives
         ℓ, float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where it was given
         up, with a warning. With ``derivatives=1`` a `LengthDerivatives`: the derivatives of `precursor_length` (its kinks at
-        whole contacts included) in every parameter of slider and interface, or of slider and smooth rule, and of the ends.
+        whole contacts included) in every parameter of slider, interface, smooth rule and ends.
 
     Notes
     -----
@@ -126,9 +125,8 @@ def lengths(
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
+    check_at_once(interface, rule)
     smooth = isinstance(rule, SmoothBreak)
-    if smooth:
-        check_smooth(interface, ends)
     columns, shape, kind = _columns(slider, interface, rule, ends)
     simple = _is_simple(interface, ends)
     if smooth or (derivatives and not simple) or (interface is not None and interface.repin_delay):
@@ -153,11 +151,11 @@ def lengths(
         return found.reshape(shape)
     length, *slopes = (column.reshape(shape) for column in found)
     by_slider, by_interface, by_rule, by_ends = jax.tree.unflatten(kind, slopes)
-    numbers = by_slider.height, by_slider.stiffness, by_slider.poisson
-    more = {"sites": by_ends.sites, "machine": by_ends.machine}
+    numbers = [by_slider.height, by_slider.stiffness, by_slider.poisson]
     if interface is not None:
-        return LengthDerivatives(length, *numbers, by_interface.prestress, by_interface.threshold_slope, **more)
-    return LengthDerivatives(length, *numbers, rule=by_rule if smooth else None, **more)
+        numbers += [by_interface.prestress, by_interface.threshold_slope]
+    more = {"sites": by_ends.sites, "machine": by_ends.machine, "rule": by_rule if smooth else None}
+    return LengthDerivatives(length, *numbers, **more)
 
 
 def _whole(
@@ -218,13 +216,11 @@ def general_arrest_kernel(kind: Any, max_contacts: int) -> Kernel:
 
 @functools.cache
 def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
-    """ℓ of such lanes, or ℓ_w under a smooth rule; with derivatives an array of rows: ℓ, and its slope in every number."""
+    """ℓ of such lanes; with derivatives an array of rows: ℓ, and its slope in every number."""
 
     def one(lane: Array) -> Array:
         slider, interface, rule, ends = jax.tree.unflatten(kind, list(lane))
-        if isinstance(rule, SmoothBreak):
-            return smooth_length(slider, rule, max_contacts=max_contacts)[0]
-        return jnp.asarray(arrest(slider, interface, ends, max_contacts).length)
+        return jnp.asarray(arrest(slider, interface, ends, max_contacts, rule).length)
 
     mapped = jax.vmap(with_jacobian(one) if derivatives else one, in_axes=1, out_axes=-1)
     return lambda lanes: (mapped(lanes),)

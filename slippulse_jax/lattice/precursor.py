@@ -2,6 +2,7 @@
 
 import functools
 import math
+import operator
 import warnings
 from functools import partial
 from types import NoneType
@@ -13,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
@@ -22,7 +22,7 @@ from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks, delayed, front
 from slippulse_jax.lattice.blocks import BlockPrecursor
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, EventKind, Passage, check_event
+from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts, EventKind, check_event
 from slippulse_jax.lattice.modes import (
     ENDLESS,
     Ends,
@@ -33,7 +33,6 @@ from slippulse_jax.lattice.modes import (
     equilibrium_fields,
     lattice_modes,
 )
-from slippulse_jax.lattice.smooth import smooth_length
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider, of_one_type
@@ -48,57 +47,60 @@ class FrontNotArrested(NotConverged):
     """The front was still running after the allowed number of breaks: there is no length to return."""
 
 
-def passage(modes: Modes, contacts: Contacts) -> Passage:
-    """How the front passes over the contacts, repinned at once or after a delay."""
-    return front.passage(modes, contacts) if contacts is None or not contacts.repin_delay else delayed.passage(modes, contacts)
-
-
-def front_stress(modes: Modes, count: int, contacts: Contacts) -> Array:
-    """Stress on each contact once all before it have broken, repinned at once or after a delay."""
-    if contacts is None or not contacts.repin_delay:
-        return front.front_stress(modes, count, contacts)
-    return delayed.front_stress(modes, count, contacts)
-
-
 def arrest(
     slider: Slider,
     interface: Contacts = None,
     ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
+    rule: BreakRule = HARD,
 ) -> Arrest:
     """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
-    modes = lattice_modes(slider, ends)
-    valid = front.in_domain(slider) if interface is None else front.in_domain(slider) & interface.in_domain()
+    modes, late = lattice_modes(slider, ends), None if interface is None or not interface.repin_delay else interface
+    over = front.passage(modes, interface, rule) if late is None else delayed.passage(modes, late)
+    # where a front counts as one that never stops, or is given up; and how many contacts there are
+    end, contacts = front.never_stops_after(modes, interface, rule), ends.contacts
+    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
+    before_last = limit if contacts is None else jnp.minimum(limit, contacts - 1)
+    at, (stress, threshold), part, length = front.follow(rule, *over, before_last)
+
+    through = last = jnp.zeros((), bool)
+    if contacts is not None:
+        last = (at.position == contacts - 1) & (at.position < limit)
+        through = last & (part > 0.5)
+        at = jax.tree.map(lambda new, old: jnp.where(through, new, old), over[2](at, part, stress), at)
+    edge = at.edge[0] if late is None else delayed.edge(modes, late, at)
+    numbers = [x.in_domain() for x in (interface, rule) if x is not None]
     if ends.machine is not None:
-        valid = valid & (jnp.asarray(ends.machine) > 0)
-    end = front.never_stops_after(modes, interface)
-    return front.let_run(passage(modes, interface), valid, end, ends.contacts, max_contacts)
-
-
-def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Array:
-    """One number of the `arrest` of one slider; the length with derivatives of every order in every mode."""
-    numbers, together = ravel_pytree((slider, interface, ends))
-
-    def one(numbers: Array) -> Array:
-        slider, interface, ends = together(numbers)
-        return getattr(arrest(slider, interface, ends, max_contacts), name)
-
-    return by_forward_mode(one)(numbers) if name == "length" else one(lax.stop_gradient(numbers))
+        numbers.append(jnp.asarray(ends.machine) > 0)
+    status = front.outcome(
+        at.position,
+        (part > front.FADED) & ~last,
+        edge - front.contact_at(modes, interface, 0)[0],
+        valid=functools.reduce(operator.and_, numbers, front.in_domain(slider) & jnp.isfinite(stress - threshold)),
+        through=through,
+        endless=at.position.astype(end.dtype) >= end,
+    )
+    return Arrest(at.position, front.length_or_reason(status, length), status, edge)
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))
-def _each(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int) -> Array:
-    """`quantity` of every slider of a batch, or of one slider on a profile."""
-    if isinstance(interface, Profile):
-        return quantity(name, slider, interface, ends, max_contacts)
-    kind = jax.tree.structure((slider, interface, ends))
-    numbers = of_one_type(slider, *jax.tree.leaves((interface, ends)))
+def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int, rule: BreakRule = HARD) -> Array:
+    """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
 
-    def one(*lane: Array) -> Array:
-        slider, interface, ends = jax.tree.unflatten(kind, lane)
-        return quantity(name, slider, interface, ends, max_contacts)
+    The length has derivatives of every order in every mode; the other numbers have none.
+    """
+    kind = jax.tree.structure((slider, interface, ends, rule))
 
-    return jnp.vectorize(one)(*numbers)
+    def one(*numbers: Array) -> Array:
+        slider, interface, ends, rule = jax.tree.unflatten(kind, numbers)
+        return getattr(arrest(slider, interface, ends, max_contacts, rule), name)
+
+    numbers = of_one_type(slider, *jax.tree.leaves((interface, ends, rule)))
+    if name == "length":
+        one = by_forward_mode(one)
+    else:
+        numbers = lax.stop_gradient(numbers)
+    return one(*numbers) if isinstance(interface, Profile) else jnp.vectorize(one)(*numbers)
 
 
 class FirstPrecursor(eqx.Module):
@@ -194,8 +196,8 @@ def precursor_length(
         broadcasts with the slider; a `Profile` belongs to one slider.
     rule : HardBreak or SmoothBreak, or one derived from it
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
-        length has no kinks, a bias that the documentation gives, and a derivative in the width too; for semi-infinite chains,
-        and for blocks on which the event begins at the edge.
+        length has no kinks, a bias that the documentation gives, and a derivative in the width too; for contacts that repin at
+        once, and blocks on which the event begins at the edge.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : array_like, optional
@@ -259,20 +261,15 @@ def precursor_length(
         return _whole(slider, interface, rule=rule, right=right, sites=sites, machine=machine, max_contacts=max_contacts)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
-    check_rule(rule)
+    check_rule(rule, one=isinstance(interface, Profile))
+    check_at_once(interface, rule)
     warn_single_precision(slider)
-    if isinstance(rule, SmoothBreak):
-        check_smooth(interface, ends)
-        length, status = _smooth(slider, rule, max_contacts)
-    else:
-        if isinstance(interface, Profile):
-            check_single("a Profile", slider=slider)
-        length = _each("length", slider, interface, ends, max_contacts)
-        status = None
+    if isinstance(interface, Profile):
+        check_single("a Profile", slider=slider)
+    length = quantity("length", slider, interface, ends, max_contacts, rule)
     if not isinstance(length, Tracer) and np.isnan(length).any():
-        if status is None:  # only looked at where a length is missing
-            status = _each("status", slider, interface, ends, max_contacts)
-        report_without_length(np.asarray(status), max_contacts, raises=length.ndim == 0)
+        status = np.asarray(quantity("status", slider, interface, ends, max_contacts, rule))
+        report_without_length(status, max_contacts, raises=length.ndim == 0)
     return length
 
 
@@ -383,7 +380,7 @@ def first_precursor(
     return FirstPrecursor(
         slider=slider,
         contacts_broken=jnp.asarray(ended.contacts_broken),
-        length=_each("length", slider, interface, ends, max_contacts),
+        length=quantity("length", slider, interface, ends, max_contacts),
         load=load,
         status=jnp.asarray(ended.status),
         front_stress=stress,
@@ -398,10 +395,8 @@ _counted = jax.jit(arrest, static_argnums=3)
 @partial(jax.jit, static_argnames="sites")
 def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
-    return front.nucleation_load(modes, interface), front_stress(modes, sites, interface)
-
-
-_smooth = jax.jit(smooth_length, static_argnums=2)
+    repinning = front if interface is None or not interface.repin_delay else delayed
+    return front.nucleation_load(modes, interface), repinning.front_stress(modes, sites, interface)
 
 
 def _check_of_block(interface: Contacts, **given: Any) -> None:
@@ -414,12 +409,13 @@ def _check_of_block(interface: Contacts, **given: Any) -> None:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")
 
 
-def check_smooth(interface: Contacts, ends: Ends) -> None:
-    """Refuse what the recursion does not have under a smooth rule."""
-    if ends.right != "semi-infinite" or ends.machine is not None or interface is not None:
-        of_ends = f"right = {ends.right!r}" if ends.machine is None else f"machine = {ends.machine}"
-        given = of_ends if interface is None else f"interface = {interface!r}"
-        raise ValueError(f"{given}: a smooth rule in the fast recursion needs a relaxed, semi-infinite chain; use sp.rupture")
+def check_at_once(interface: Contacts, rule: BreakRule) -> None:
+    """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
+    if isinstance(rule, SmoothBreak) and interface is not None and interface.repin_delay:
+        raise ValueError(
+            f"interface.repin_delay = {interface.repin_delay}: a contact that repins after a delay is detached as a whole, but "
+            "under a smooth rule only a part of it breaks; use HardBreak()"
+        )
 
 
 def check_max_contacts(max_contacts: int) -> None:

@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.lattice.front import Front, advance, echo_at, nucleate, stress_ahead
+from slippulse_jax.lattice.front import sweep
 from slippulse_jax.lattice.modes import ENDLESS, Ends, equilibrium_fields, lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -48,16 +47,10 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
         Right end and drive; beyond a free end the fields have no meaning.
     """
     modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
-
-    def breaks(front: Front, site: Array) -> tuple[Front, Array]:
-        # the edge is loaded until contact 0 carries its threshold, which rounding must not spoil
-        echo = echo_at(modes, site)
-        stress = jnp.where(site == 0, 1, prestress + stress_ahead(front, echo)[0])
-        part = jnp.clip(position - site, 0, 1)
-        moved = stress * (part**2 * (3 - 2 * part))
-        return advance(modes, front, moved, echo), moved
-
-    moved = lax.scan(breaks, nucleate(modes, 1 - prestress), site)[1]
+    part = jnp.clip(position - site, 0, 1)
+    broken = part**2 * (3 - 2 * part)
+    loaded = jnp.ones_like(modes.load)  # contact 0 carries its threshold
+    moved = broken * sweep(modes, loaded, prestress + 0 * site, lambda _, broken: broken, broken)
     slip = equilibrium_fields(modes, jnp.zeros_like(modes.load), moved).layer
     driven = (1 - prestress) * jax.vmap(modes.profile)(site) @ modes.drive
     return Readings(slip, prestress + driven + slip - moved)

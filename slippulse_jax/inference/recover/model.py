@@ -22,11 +22,10 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.lattice.front import Front, advance, nucleate, straight_line, stress_ahead
+from slippulse_jax.lattice.front import straight_line, sweep
 from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
@@ -128,7 +127,7 @@ def _along_the_front(function: Callable[[Array, Array, Array], Array]) -> Callab
         def value(theta: Array, phi: Array, log_factor: Array) -> tuple[Array, Any]:
             modes = lattice_modes(Slider(height, stiffness * jnp.exp(log_factor), poisson))
             load, first = edge_load(modes, theta, phi)
-            stress = _stress(modes, load, phi)
+            stress = sweep(modes, load + phi[0], phi)
             excess = stress - theta
             return function(excess, at, first), (stress, _between(excess, at)[1])
 
@@ -148,16 +147,6 @@ def edge_load(modes: Modes, theta: Array, phi: Array) -> tuple[Array, Array]:
     drive = jax.vmap(modes.profile)(jnp.arange(theta.size, dtype=theta.dtype)) @ modes.drive
     load = (theta - phi) / drive
     return load.min(), load.argmin()
-
-
-def _stress(modes: Modes, load: Array, phi: Array) -> Float[Array, " sites"]:
-    """Stress on every contact with all before it broken in turn, past the arrest too."""
-
-    def breaks(front: Front, prestress: Array) -> tuple[Front, Array]:
-        stress = prestress + stress_ahead(front)[0]
-        return advance(modes, front, stress), stress
-
-    return lax.scan(breaks, nucleate(modes, load)._replace(reach=None), phi)[1]
 
 
 def _length(excess: Array, first: Array) -> Array:
