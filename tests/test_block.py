@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
 from slippulse_jax.lattice.catalogue import SeriesStatus
+from slippulse_jax.lattice.event import first_event
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, Stopping, of_contacts
 from slippulse_jax.rules import HARD
@@ -49,7 +50,7 @@ def slider_as_a_waveguide(slider):
     """Its response at 80 contacts, its modes with the edge driven, and the first event."""
     found, modes = waveguide.response(slider_guide(slider), slider.stiffness, 80), lattice_modes(slider)
     driven = jax.vmap(modes.profile)(jnp.arange(80.0)) @ modes.drive / modes.load
-    return found, modes, driven, blocks.first_event(found, jnp.ones(80), jnp.zeros(80))
+    return found, modes, driven, first_event(found, jnp.ones(80), jnp.zeros(80))
 
 
 @pytest.mark.parametrize(
@@ -393,7 +394,7 @@ def test_lengths_on_finer_meshes():
     @functools.partial(jax.jit, static_argnums=1)
     def length(block, finer):
         found = waveguide.response(blocks.guide_of(block, finer), block.stiffness, 96)
-        ended, *_ = blocks.first_event(found, jnp.ones(96), jnp.zeros(96))
+        ended, *_ = first_event(found, jnp.ones(96), jnp.zeros(96))
         return ended.length(ended.contacts.stress[0], 95)
 
     usual, twice, four = (float(length(block, finer)) for finer in (0, 1, 2))
@@ -651,7 +652,7 @@ def test_both_events_of_the_slider_as_a_waveguide(b, again):
     slider = sp.Slider(50.0, b / 130, 0.3)
     for event in KINDS:
         found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
-        ended, *_ = blocks.first_event(found, jnp.ones(160), jnp.zeros(160), kind=event)
+        ended, *_ = first_event(found, jnp.ones(160), jnp.zeros(160), kind=event)
         reached = ended.length(ended.contacts.stress[0], 159)
         assert float(reached) == pytest.approx(float(sp.precursor_length(slider, event=event)), abs=1e-8)
     front, whole = (float(sp.precursor_length(slider, event=event)) for event in KINDS)

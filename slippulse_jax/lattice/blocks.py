@@ -30,7 +30,7 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import NORMAL_STIFFNESS
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import elements, waveguide
-from slippulse_jax.lattice.event import BREAKS_PER_SITE, Event, event
+from slippulse_jax.lattice.event import first_event, nucleated
 from slippulse_jax.lattice.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.lattice.response import Response
 from slippulse_jax.lattice.waveguide import Guide
@@ -128,41 +128,6 @@ def guide_of(block: Block, finer: int = 0) -> Guide:
     contact, length = jnp.asarray(block.stiffness), None if block.length is None else jnp.asarray(block.length)
     slab = waveguide.attached(elements.slab(block, finer), contact)
     return waveguide.guide(slab, elements.loaded(block, finer), length)
-
-
-def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress: Float[Array, " N"]) -> tuple[Array, Array]:
-    """Find the contact that reaches its threshold first, and the load at which it does."""
-    needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
-    first = jnp.argmin(needed)
-    return first, needed[first]
-
-
-def first_event(
-    response: Response,
-    threshold: Float[Array, " N"],
-    prestress: Float[Array, " N"],
-    last: Int[Array, ""] | int = -1,
-    limit: Int[Array, ""] | int | None = None,
-    kind: EventKind = "domino",
-) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
-    """Load the body until a contact is at its threshold, and break contacts until none is, or the last has broken.
-
-    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one. Returns too the
-    contact that broke first, and the load and the stress at nucleation.
-    """
-    sites = threshold.size
-    first, load = nucleated(response.push[0], threshold, prestress)
-    start = prestress + load * response.push[0]
-    found = event(
-        response,
-        start[None],
-        threshold[None],
-        limit=BREAKS_PER_SITE * sites if limit is None else limit,
-        renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.dtype),
-        trigger=first,
-        last=jnp.asarray(last) % sites,
-    )
-    return found, first, load, start
 
 
 class BlockContacts(NamedTuple):

@@ -24,6 +24,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.bulk.compiler import solve_without_pivots
+from slippulse_jax.lattice.front import EventKind
 from slippulse_jax.lattice.response import Response, carried, within
 
 SLACK_DIGITS = 4096
@@ -206,6 +207,41 @@ def event(
 
     unknown = jnp.zeros((blocks, size, size), stress.dtype), jnp.zeros(blocks, bool)
     return lax.while_loop(lambda carry: going(carry[2]), in_known_blocks, (*unknown, begin))[2].event
+
+
+def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Find the contact that reaches its threshold first, and the load at which it does."""
+    needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
+    first = jnp.argmin(needed)
+    return first, needed[first]
+
+
+def first_event(
+    response: Response,
+    threshold: Float[Array, " N"],
+    prestress: Float[Array, " N"],
+    last: Int[Array, ""] | int = -1,
+    limit: Int[Array, ""] | int | None = None,
+    kind: EventKind = "domino",
+) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
+    """Load a body of one block until a contact is at its threshold; break contacts until none is, or the last has broken.
+
+    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one. Returns too the
+    contact that broke first, and the load and the stress at nucleation.
+    """
+    sites = threshold.size
+    first, load = nucleated(response.push[0], threshold, prestress)
+    start = prestress + load * response.push[0]
+    found = event(
+        response,
+        start[None],
+        threshold[None],
+        limit=BREAKS_PER_SITE * sites if limit is None else limit,
+        renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.dtype),
+        trigger=first,
+        last=jnp.asarray(last) % sites,
+    )
+    return found, first, load, start
 
 
 def stresses(response: Response, event: Event) -> Float[Array, " N"]:

@@ -232,7 +232,6 @@ def follow(
     length : array
         ℓ.
     """
-
     whole = isinstance(rule, HardBreak)  # then every step but the last adds 1, and no quotient is taken for it
 
     def way(here: tuple[Array, Array], after: tuple[Array, Array]) -> Array:

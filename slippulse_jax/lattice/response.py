@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
+from slippulse_jax.lattice.modes import Modes
 
 
 class Response(NamedTuple):
@@ -258,6 +259,15 @@ def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"], edge_stif
         spill=none((1, 4)),
         edge_stiffness=jnp.asarray(edge_stiffness, transfer.dtype),
     )
+
+
+@in_full
+def of_slider(modes: Modes, sites: int) -> Response:
+    """Response of the first contacts of a semi-infinite slider, as a matrix: directly, and by way of the edge."""
+    site = jnp.arange(sites, dtype=modes.gap.dtype)
+    y, rate = jax.vmap(modes.profile)(site), jnp.log1p(-modes.gap)
+    direct = (modes.weight * jnp.exp(jnp.abs(site[:, None] - site[None])[..., None] * rate)).sum(-1)
+    return of_matrix(direct + y @ modes.reflection @ y.T, y @ modes.drive / modes.load)
 
 
 @in_full

@@ -1,134 +1,75 @@
-"""Events on given profiles, in NumPy: many profiles by their fronts, one profile contact by contact.
+"""Events on given profiles: many profiles by their fronts, a few contact by contact.
 
 `fronts` breaks the contacts from the edge on, as `slippulse_jax.inference.recover.model` does, for many profiles at once.
-`follow` breaks the most overloaded contact again and again, wherever it lies, and so finds what the first leaves out: events
-that start far inside, stop short of the edge, or break a contact twice.
+`followed` breaks the most overloaded contact again and again, wherever it lies (`slippulse_jax.lattice.event`), and so finds
+what the first leaves out: events that start far inside, stop short of the edge, or break a contact twice.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jax import lax
+from jaxtyping import Array, Float, Int
 
-from slippulse_jax.lattice.front import Front, advance, straight_line, stress_ahead
+from slippulse_jax.inference.recover.model import front_length
+from slippulse_jax.lattice.event import first_event
 from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.lattice.response import of_slider
 from slippulse_jax.slider import Slider
 
-MOST_BREAKS = 20
-"""Breaks per contact followed at most."""
+Sliders = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""H/λc, k/K and ν, of shapes that broadcast with the profiles without their contacts."""
 
 
-class Blocks(NamedTuple):
-    """Responses of blocks; the leading axes run over the modes, the others over the blocks."""
+class Events(NamedTuple):
+    """One per profile."""
 
-    gap: Float[np.ndarray, "2 ..."]  # 1 − r_m
-    weight: Float[np.ndarray, "2 ..."]
-    reflection: Float[np.ndarray, "2 2 ..."]
-    amplitude: Float[np.ndarray, "2 ..."]  # C_m
-
-    def profile(self, sites: int) -> Float[np.ndarray, "2 sites ..."]:
-        """r_m^s."""
-        site = np.arange(sites).reshape(-1, *(1,) * (self.gap.ndim - 1))
-        return np.exp(site * np.log1p(-self.gap)[:, None])
-
-    def drive(self, sites: int) -> Float[np.ndarray, "sites ..."]:
-        """D(s), the stress that the edge puts on contact s per stress on contact 0."""
-        return (self.amplitude[:, None] * self.profile(sites)).sum(axis=0)
-
-    def take(self, which: Any) -> "Blocks":
-        """Some of the blocks."""
-        which = which if isinstance(which, tuple) else (which,)
-        return Blocks(*(x[(..., *which)] for x in self))
-
-
-class Fronts(NamedTuple):
-    """One per block and profile."""
-
-    length: Float[np.ndarray, "..."]  # ℓ, in λc; NaN where the front does not stop
+    length: Float[np.ndarray, "..."]  # ℓ, in λc; NaN where the event does not stop within the contacts followed
     start: Int[np.ndarray, "..."]  # contact that breaks first
 
 
-class Event(NamedTuple):
-    """One event, followed contact by contact."""
-
-    length: float  # ℓ, in λc; NaN where it does not stop within the contacts followed
-    start: int
-    left: int  # the leftmost contact that broke
-    again: bool  # whether a contact broke twice
-
-
-def blocks(height: np.ndarray, stiffness: np.ndarray, poisson: np.ndarray) -> Blocks:
-    """Responses of blocks, given by arrays that broadcast."""
-    numbers = np.broadcast_arrays(height, stiffness, poisson)
-    shape, count = numbers[0].shape, numbers[0].size
-    padded = np.resize(np.arange(count), 4 ** int(np.ceil(np.log(max(count, 16)) / np.log(4) - 1e-9)))  # few shapes to compile
-    with jax.enable_x64(True):
-        found = _modes(Slider(*(x.ravel()[padded] for x in numbers)))
-    return Blocks(*(np.moveaxis(np.asarray(x)[:count], 0, -1).reshape(*x.shape[1:], *shape) for x in found))
-
-
-@jax.jit
-def _modes(slider: Slider) -> tuple[jax.Array, ...]:
-    found = jax.vmap(lattice_modes)(slider)
-    return found.gap, found.weight, found.reflection, found.drive
-
-
-def fronts(of: Blocks, theta: Float[np.ndarray, "... sites"], phi: Float[np.ndarray, "... sites"]) -> Fronts:
+def fronts(sliders: Sliders, theta: Float[np.ndarray, "... sites"], phi: Float[np.ndarray, "... sites"]) -> Events:
     """Follow fronts whose contacts break from the edge on, under the load at which the first contact breaks.
 
     Parameters
     ----------
-    of : Blocks
+    sliders : tuple of array
     theta, phi : array, shape (..., sites)
-        Threshold and prestress of every contact, in σ_s; their leading axes broadcast with the blocks.
+        Threshold and prestress of every contact, in σ_s.
     """
-    theta, phi = np.moveaxis(theta, -1, 0), np.moveaxis(phi, -1, 0)
-    wait = (theta - phi) / of.drive(len(phi))
-    start, load = wait.argmin(axis=0), wait.min(axis=0)
-    at = Front(of.amplitude * load, of.reflection, None, 0, 0, None)
-    length, behind = np.full(load.shape, np.nan), np.zeros(load.shape)
-    for site in range(len(phi)):
-        stress = phi[site] + stress_ahead(at)[0]
-        ahead = stress - theta[site]
-        stops = np.isnan(length) & (ahead < 0) & (site > start)
-        # contact 0 breaks at its threshold exactly
-        length[stops] = straight_line(site - 1, behind[stops] if site > 1 else 0.0, ahead[stops])
-        if not np.isnan(length).any():
-            break
-        behind, at = ahead, advance(of, at, stress)
-    return Fronts(length, start)
+    return _each(_fronts, sliders, theta, phi)
 
 
-def follow(of: Blocks, theta: Float[np.ndarray, " sites"], phi: Float[np.ndarray, " sites"]) -> Event:
-    """Break the most overloaded contact of one block until none is at its threshold, starting with the first to reach it."""
-    sites = len(theta)
-    profile, drive = of.profile(sites), of.drive(sites)
-    wait = (theta - phi) / drive
-    start = site = int(wait.argmin())
-    stress = phi + wait[start] * drive
-    excess, overload, again = stress - theta, np.full(sites, np.nan), False
-    for _ in range(MOST_BREAKS * sites):
-        if np.isnan(overload[site]):
-            overload[site] = excess[site]
-        else:
-            again = True
-        released = stress[site]
-        stress = stress + released * transfer(of, profile, site)
-        stress[site] -= released
-        excess = stress - theta
-        site = int(excess.argmax())
-        if excess[site] < 0:
-            break
-    broken = np.flatnonzero(~np.isnan(overload))
-    last = int(broken[-1])
-    stopped = excess[site] < 0 and last < sites - 1
-    # as `event_length`, in double precision whatever the flag
-    length = float(straight_line(last, max(overload[last], 0.0), excess[last + 1])) if stopped else np.nan
-    return Event(length, start, int(broken[0]), bool(again))
+def followed(sliders: Sliders, theta: Float[np.ndarray, "... sites"], phi: Float[np.ndarray, "... sites"]) -> Events:
+    """Follow events in the order in which their contacts break, the most overloaded next.
+
+    Parameters as for `fronts`.
+    """
+    return _each(_ruptures, sliders, theta, phi)
 
 
-def transfer(of: Blocks, profile: Float[np.ndarray, "2 sites"], site: int) -> Float[np.ndarray, " sites"]:
-    """Stress on every contact of one block per stress released at one: directly, and by way of the edge."""
-    direct = np.concatenate([profile[:, site:0:-1], profile[:, : profile.shape[1] - site]], axis=1)
-    return of.weight @ direct + (of.reflection @ profile[:, site]) @ profile
+def _each(function: Callable[..., tuple[Array, Array]], sliders: Sliders, theta: np.ndarray, phi: np.ndarray) -> Events:
+    shape, sites = theta.shape[:-1], theta.shape[-1]
+    numbers = [np.broadcast_to(x, shape).ravel() for x in sliders]
+    with jax.enable_x64(True):
+        found = function(*numbers, theta.reshape(-1, sites), phi.reshape(-1, sites))
+    return Events(*(np.asarray(x).reshape(shape) for x in found))
+
+
+_fronts = jax.jit(jax.vmap(front_length))
+
+
+@jax.jit
+def _ruptures(*lanes: Array) -> tuple[Array, Array]:
+    def one(lane: tuple[Array, ...]) -> tuple[Array, Array]:
+        height, stiffness, poisson, theta, phi = lane
+        response = of_slider(lattice_modes(Slider(height, stiffness, poisson)), theta.size)
+        found, first, _, _ = first_event(response, theta, phi, kind="full")
+        stress = found.contacts.stress[0]
+        stopped = (stress < theta).all() & (found.rightmost < theta.size - 1)
+        return jnp.where(stopped, found.length(stress, theta.size - 1), jnp.nan), first
+
+    return lax.map(one, lanes)

@@ -120,14 +120,25 @@ def profile_model(
     )
 
 
+def _stress(slider: Slider, theta: Array, phi: Array) -> tuple[Array, Array]:
+    """Stress on every contact as a front from the edge comes to it, and the contact whose threshold sets the load."""
+    modes = lattice_modes(slider)
+    load, first = edge_load(modes, theta, phi)
+    return sweep(modes, load + phi[0], phi), first
+
+
+def front_length(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
+    """ℓ of a front from the edge, and the contact that breaks first."""
+    stress, first = _stress(Slider(height, stiffness, poisson), theta, phi)
+    return _length(stress - theta, first), first
+
+
 def _along_the_front(function: Callable[[Array, Array, Array], Array]) -> Callable[..., tuple[Array, ...]]:
     """A function of the excess stress and the measured arrest, with its derivatives in θ, φ and ln k, for `LANES` fronts."""
 
     def one(height: Array, stiffness: Array, poisson: Array, at: Array, theta: Array, phi: Array) -> tuple[Array, ...]:
         def value(theta: Array, phi: Array, log_factor: Array) -> tuple[Array, Any]:
-            modes = lattice_modes(Slider(height, stiffness * jnp.exp(log_factor), poisson))
-            load, first = edge_load(modes, theta, phi)
-            stress = sweep(modes, load + phi[0], phi)
+            stress, first = _stress(Slider(height, stiffness * jnp.exp(log_factor), poisson), theta, phi)
             excess = stress - theta
             return function(excess, at, first), (stress, _between(excess, at)[1])
 

@@ -32,7 +32,7 @@ from scipy.special import chdtrc
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
-from slippulse_jax.inference.recover.events import blocks, follow, fronts
+from slippulse_jax.inference.recover.events import followed, fronts
 from slippulse_jax.inference.recover.inversion import LEVEL, Found, Inversion, Smoothness, invert, mixture, quantile
 from slippulse_jax.inference.recover.model import Look, ProfileKind, profile_model
 from slippulse_jax.inference.recover.report import report, to_dict
@@ -269,25 +269,20 @@ def _simulated(problem: Inversion, found: Found, u: np.ndarray) -> tuple[Nucleat
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
     model, (height, stiffness, poisson) = problem.model, problem.model.lanes
     theta, phi = model.contacts(u)
-    those = blocks(height, stiffness * np.exp(u[-1]), poisson)
-    events = [follow(those.take(i), theta[i], phi[i]) for i in range(len(height))]
+    event = followed((height, stiffness * np.exp(u[-1]), poisson), theta, phi)
     draws = _draws(problem, found)
-    length, start = np.empty((DRAWS, len(height))), np.empty((DRAWS, len(height)), int)
-    at_once = max(1, ELEMENTS // theta.size)
-    known = not problem.log_stiffness_sd
-    drawn = blocks(height, stiffness * np.exp(draws[: 1 if known else None, -1:]), poisson)
-    for first in range(0, DRAWS, at_once):
-        rows = slice(first, first + at_once)
-        theta, phi = model.contacts(draws[rows])
-        length[rows], start[rows] = fronts(drawn if known else drawn.take((rows, slice(None))), theta, phi)
+    # parts of equal size share a compiled program
+    least = theta.size * DRAWS / ELEMENTS
+    parts = np.split(draws, next(n for n in range(1, DRAWS + 1) if n >= least and DRAWS % n == 0))
+    those = [fronts((height, stiffness * np.exp(part[:, -1:]), poisson), *model.contacts(part)) for part in parts]
+    length, start = (np.concatenate(column) for column in zip(*those, strict=True))
     linear = found.at.value + (draws - problem.mean - found.place) @ found.at.derivative.T
     with np.errstate(invalid="ignore"):
         chi2, linear_chi2 = ((((x - model.measured) / problem.sigma) ** 2).sum(axis=1) for x in (length, linear))
     log_weight = np.where(np.isfinite(chi2), linear_chi2 - chi2, -np.inf) / 2
     weight = np.exp(log_weight - max(log_weight.max(), -1e300))
     agreement = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300) / DRAWS)
-    contact = np.array([event.start for event in events])
-    return Nucleation(contact, (start == 0).mean(axis=0), np.array([event.length for event in events])), agreement
+    return Nucleation(event.start, (start == 0).mean(axis=0), event.length), agreement
 
 
 def _draws(problem: Inversion, found: Found) -> np.ndarray:
