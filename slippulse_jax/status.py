@@ -22,9 +22,9 @@ class Status(enum.IntEnum):
 
 
 class Outcome(Status):
-    """How an event ended: a first precursor, a rupture of any chain, an event with inertia.
+    """How a computation ended: a first precursor, a rupture, an event with inertia, a series of events, an equilibrium.
 
-    Up to `REBREAK` and for `NOTHING_BROKE` the length is finite, for `RAN_THROUGH` and `RUN_AWAY` inf, for the rest NaN.
+    Of an event, the length is finite up to `REBREAK` and for `NOTHING_BROKE`, inf for `RAN_THROUGH` and `RUN_AWAY`, else NaN.
     """
 
     ARRESTED = 0, "arrested: the first contact ahead stayed below its threshold"
@@ -39,6 +39,10 @@ class Outcome(Status):
     INVALID = 5, "invalid: a value outside its domain, or too large for the precision (length NaN)"
     RUN_AWAY = 6, "run-away: no contact ahead will ever stop the front, so it has no length (inf)"
     NOTHING_BROKE = 7, "nothing broke: no contact was at its threshold"
-    NOT_CONVERGED = 8, "not converged: the search for the arrest was given up (length NaN)"
-    SINGULAR = 9, "no equilibrium: a part of the chain is held by nothing (length NaN)"
+    NOT_CONVERGED = 8, "not converged: the search was given up (length NaN)"
+    SINGULAR = 9, "no equilibrium: a part of the chain is held by nothing, so its position is arbitrary (length NaN)"
     TIME_OVER = 10, "time over: still moving after the given duration"
+    SOLVED = 11, "solved: every site is in balance"
+    DONE = 12, "done: the series reached the requested number of events or load"
+    SPANNED = 13, "ended by an event that broke the last contact of the body"
+    NOTHING_LEFT = 14, "ended early: no load brings a further contact to its threshold"

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.ageing import next_crossing
-from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.series import Adiabatic
+from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(*PAPER.slider)
 CHAIN = sp.chain(FIG2, sites=SITES)
@@ -72,7 +72,7 @@ def test_time_and_load_are_one_clock_at_constant_velocity():
 def test_with_ageing_precursors_grow_until_one_spans():
     """C14: thresholds reborn at 0.3 σ_s and recovering over 3 u_s of load, N = 150."""
     got = sp.series(sp.chain(FIG2, sites=150), events=3000, ageing=sp.Ageing(0.3, 3.0))
-    assert int(got.status) == SeriesStatus.SPANNED
+    assert int(got.status) == Outcome.SPANNED
     n = int(got.number)
     assert int(got.extent[0]) == 34
     furthest = np.maximum.accumulate(np.asarray(got.extent)[:n])

@@ -12,7 +12,6 @@ from scipy.optimize import brentq
 
 import slippulse_jax as sp
 from slippulse_jax.lattice import blocks, elements, waveguide
-from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.event import first_event
 from slippulse_jax.lattice.modes import ends_of, lattice_modes
 from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, Stopping, of_contacts
@@ -622,7 +621,7 @@ def test_a_series_on_an_interface_and_of_a_batch():
     many = jax.vmap(lambda h: sp.series(block, events=3, interface=sp.Interface(h, 0.01)))(jnp.array([0.0, 0.2]))
     np.testing.assert_array_equal(many.load[1], found.load)
     aged = sp.series(block, events=3, interface=interface, ageing=sp.Ageing(0.5, 1.0), repin_delay=2)
-    assert int(aged.status) in (SeriesStatus.DONE, SeriesStatus.SPANNED)
+    assert int(aged.status) in (Outcome.DONE, Outcome.SPANNED)
     assert aged.energy_drift < 1e-12
 
 

@@ -14,7 +14,6 @@ from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.catalogue import SeriesStatus
 from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.lattice.lengths import general_kernel
 from slippulse_jax.lattice.modes import ENDLESS
@@ -37,7 +36,7 @@ def test_series_against_dense_program(delay):
     plain, chain = rough(delay)
     got = sp.series(chain, events=20, repin_delay=delay, recorded_breaks=4000, stop_when_spanning=False)
     got = jax.tree.map(np.asarray, got)
-    assert int(got.status) == SeriesStatus.DONE
+    assert int(got.status) == Outcome.DONE
     start = plain.energy()
     for e in range(20):
         order = plain.event()

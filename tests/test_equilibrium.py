@@ -11,8 +11,9 @@ from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
 from slippulse_jax.lattice.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
-from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, forces, imbalance
+from slippulse_jax.lattice.equilibrium import equilibrium, forces, imbalance
 from slippulse_jax.lattice.modes import Ends, lattice_modes
+from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
@@ -49,7 +50,7 @@ def test_against_dense_matrices(sites, right):
     rng = np.random.default_rng(sites)
     dense, mine, states = zip(*[random_case(rng, sites, right) for _ in range(25)], strict=True)
     found = solve(batch(mine), batch(states))
-    assert np.all(found.status == EquilibriumStatus.SOLVED)
+    assert np.all(found.status == Outcome.SOLVED)
     assert np.all(found.residual <= balance_bound(batch(mine), found))
     for n, (d, s) in enumerate(zip(dense, states, strict=True)):
         u_t, u = d.at(s.pinning, float(s.load)).fields()
@@ -84,7 +85,7 @@ def test_driver_before_the_first_site(right):
     _, mine, state = random_case(rng, 12, right)
     found = equilibrium(driven(mine, 0.7), State(jnp.append(0.0, state.pinning), state.load))
     alone = equilibrium(mine, State(state.pinning, found.upper[1]))
-    assert found.status == alone.status == EquilibriumStatus.SOLVED
+    assert found.status == alone.status == Outcome.SOLVED
     for name in ("upper", "layer", "stress"):
         np.testing.assert_allclose(getattr(found, name)[1:], getattr(alone, name), rtol=1e-10, atol=1e-11)
     spring = 0.7 * float(state.load - found.upper[1])
@@ -191,7 +192,7 @@ def test_nonlinear_contacts_against_a_general_root_finder(law):
         dense, mine, state = random_case(rng, 12, right)
         nonlinear = Chain(**{**{f: getattr(mine, f) for f in mine.__dataclass_fields__}, "law": Partial(law)})
         found = equilibrium(nonlinear, state)
-        assert found.status == EquilibriumStatus.SOLVED
+        assert found.status == Outcome.SOLVED
         one = jax.tree.map(lambda x: x[None], (nonlinear, found))
         assert np.all(found.residual <= balance_bound(*one))
 
@@ -350,7 +351,7 @@ def with_cut(cut_upper, detached_from, sites=8):
 def test_detaching_everything_moves_the_chain_as_one():
     c = with_cut(None, 0)
     found = equilibrium(c, c.relaxed(2.0))
-    assert found.status == EquilibriumStatus.SOLVED
+    assert found.status == Outcome.SOLVED
     np.testing.assert_allclose(found.layer, 2.0, rtol=1e-13)
     np.testing.assert_array_equal(found.stress, 0.0)
     np.testing.assert_allclose(found.push, 0.0, atol=1e-13)
@@ -359,7 +360,7 @@ def test_detaching_everything_moves_the_chain_as_one():
 def test_a_floating_part_is_a_status_and_never_a_nan():
     floating, whole = with_cut(4, 5), with_cut(4, 8)
     found = solve(batch([floating, whole]), batch([floating.relaxed(2.0)] * 2))
-    np.testing.assert_array_equal(found.status, [EquilibriumStatus.SINGULAR, EquilibriumStatus.SOLVED])
+    np.testing.assert_array_equal(found.status, [Outcome.SINGULAR, Outcome.SOLVED])
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
     alone = solve(batch([whole]), batch([whole.relaxed(2.0)]))
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b[0]), found, alone)
@@ -371,7 +372,7 @@ def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
     c = chain(FIG2, sites=30)
     states = State(jnp.zeros((3, 30)), jnp.array([1.0, jnp.nan, 3.0]))
     found = jax.jit(jax.vmap(equilibrium, (None, 0)))(c, states)
-    np.testing.assert_array_equal(found.status, [0, EquilibriumStatus.INVALID, 0])
+    np.testing.assert_array_equal(found.status, [0, Outcome.INVALID, 0])
     good = jax.jit(jax.vmap(equilibrium, (None, 0)))(c, State(jnp.zeros((3, 30)), jnp.array([1.0, 2.0, 3.0])))
     np.testing.assert_array_equal(np.asarray(found.layer)[[0, 2]], np.asarray(good.layer)[[0, 2]])
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
@@ -381,7 +382,7 @@ def test_no_number_is_called_solved_that_is_none():
     """Light contacts on stiff bodies, whose forces are less than the last digits of the bonds'; and numbers that overflow."""
     rigid = chain(sp.Slider(25.0, 1e-12, -0.9999999999), sites=4, right="free")
     found = equilibrium(rigid, rigid.relaxed(1000.0))
-    assert found.status == EquilibriumStatus.SOLVED
+    assert found.status == Outcome.SOLVED
     assert found.residual < 1e-14
     np.testing.assert_allclose(found.push, 4e-9, rtol=1e-6)  # four contacts of k/K = 1e-12 at u = 1000
     np.testing.assert_allclose(found.stress, 1000.0, rtol=1e-6)
@@ -392,8 +393,8 @@ def test_no_number_is_called_solved_that_is_none():
             c = chain(slider, sites=30)
             one = solve(batch([c]), batch([c.relaxed(load)]))
             whole = all(np.isfinite(x).all() for x in jax.tree.leaves(one))
-            assert one.status[0] == (EquilibriumStatus.SOLVED if whole else EquilibriumStatus.INVALID)
-            assert one.residual[0] < 1e-8 or one.status[0] != EquilibriumStatus.SOLVED
+            assert one.status[0] == (Outcome.SOLVED if whole else Outcome.INVALID)
+            assert one.residual[0] < 1e-8 or one.status[0] != Outcome.SOLVED
             solved += whole
     assert 20 < solved < 80
 
@@ -403,7 +404,7 @@ def test_newton_on_laws_that_stiffen(law):
     """Whole steps of Newton's method overshoot by ever more there; a third program finds the equilibrium from forces alone."""
     c = chain(FIG2, sites=3, law=law, right="free")
     found = equilibrium(c, c.relaxed(10.0))
-    assert found.status == EquilibriumStatus.SOLVED
+    assert found.status == Outcome.SOLVED
 
     def forces(x):
         upper, layer = np.array([10.0, *x[:2]]), x[2:]
@@ -421,7 +422,7 @@ def test_an_equilibrium_between_two_sides_of_a_small_jump_is_none():
     plain = chain(FIG2, sites=5)
     stretch = equilibrium(plain, plain.relaxed(0.7)).layer[0]
     c = chain(FIG2, sites=5, law=lambda z: z + jnp.where(z > stretch, 1e-7, -1e-7) * (jnp.arange(5) == 0))
-    assert equilibrium(c, c.relaxed(0.7)).status == EquilibriumStatus.NOT_CONVERGED
+    assert equilibrium(c, c.relaxed(0.7)).status == Outcome.NOT_CONVERGED
 
 
 @pytest.mark.parametrize("right", ENDS)
@@ -441,14 +442,14 @@ def test_residual_compares_with_what_the_springs_exert_by_themselves(right):
         net[sites:] -= fields["contact"] * np.where(stretch > 0, 1, -1)
         gross[sites:] += fields["contact"] * (1 + np.abs(found.layer) + np.abs(state.pinning))
         net[0] = 0
-        assert found.status == EquilibriumStatus.NOT_CONVERGED
+        assert found.status == Outcome.NOT_CONVERGED
         assert found.residual == pytest.approx(np.abs(net).max() / gross.max(), rel=1e-9)
 
 
 def test_newton_that_cannot_converge_says_so():
     c = chain(FIG2, sites=5, law=lambda z: 0 * z + jnp.where(z > 0, 1.0, -1.0))  # a law that jumps has no slope to follow
     found = equilibrium(c, c.relaxed(0.7))
-    assert found.status == EquilibriumStatus.NOT_CONVERGED
+    assert found.status == Outcome.NOT_CONVERGED
     assert found.residual > 1e-6
 
 
@@ -505,5 +506,5 @@ def test_a_long_chain_is_in_balance_to_rounding(n):
     rng = np.random.default_rng(4)
     c = chain(FIG2, sites=n, contact=0.03 * rng.uniform(0, 2, n))
     found = jax.jit(equilibrium)(c, State(jnp.asarray(rng.uniform(-1, 1, n)), jnp.asarray(3.0)))
-    assert found.status == EquilibriumStatus.SOLVED
+    assert found.status == Outcome.SOLVED
     assert found.residual < 1e-12

@@ -8,8 +8,9 @@ from oracles.dense_chain import DenseChain
 from problems import PAPER
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.catalogue import EventClass, SeriesStatus
+from slippulse_jax.lattice.catalogue import EventClass
 from slippulse_jax.lattice.series import Adiabatic
+from slippulse_jax.status import Outcome
 
 FIG2 = PAPER.slider
 CHAIN = sp.chain(sp.Slider(*FIG2), sites=SITES)
@@ -62,7 +63,7 @@ def test_state_of_a_short_chain_against_dense_program(right):
     plain = DenseChain.uniform(slider, theta, phi, right)
     chain = sp.chain(sp.Slider(*slider), sites=30, right=right, threshold=theta, prestress=phi)
     got = sp.series(chain, events=25, recorded_breaks=4000, stop_when_spanning=False)
-    assert int(got.status) == SeriesStatus.DONE
+    assert int(got.status) == Outcome.DONE
     assert list(got.break_site[got.break_event >= 0]) == [site for _ in range(25) for site in plain.event()]
     assert abs(got.state.pinning - plain.pinning).max() < 1e-9
     assert abs(got.stored[-1] - plain.energy()) < 1e-9
@@ -130,7 +131,7 @@ def test_a_series_ends_at_a_load():
     """With the first event at or beyond it; the events before it are the same."""
     whole, cut = long_series(CHAIN), sp.series(CHAIN, events=400, until=4.2)
     count = int(cut.number)
-    assert cut.status == SeriesStatus.DONE
+    assert cut.status == Outcome.DONE
     assert cut.load[count - 2] < 4.2 <= cut.load[count - 1]
     assert np.array_equal(cut.load[:count], whole.load[:count])
     assert np.isnan(cut.load[count:]).all()
@@ -195,10 +196,10 @@ def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
 def test_endings_are_reported():
     slider = sp.Slider(*FIG2)
     free = sp.chain(slider, sites=SITES, right="free")
-    assert int(sp.series(free, events=400, until=100.0).status) == SeriesStatus.SPANNED
-    assert int(sp.series(CHAIN, events=400, max_breaks=5).status) == SeriesStatus.LIMIT
-    assert int(long_series(sp.chain(slider, sites=SITES, prestress=1.5)).status) == SeriesStatus.INVALID
-    assert int(long_series(sp.chain(slider, sites=SITES, contact=0.0)).status) == SeriesStatus.NOTHING_LEFT
+    assert int(sp.series(free, events=400, until=100.0).status) == Outcome.SPANNED
+    assert int(sp.series(CHAIN, events=400, max_breaks=5).status) == Outcome.LIMIT
+    assert int(long_series(sp.chain(slider, sites=SITES, prestress=1.5)).status) == Outcome.INVALID
+    assert int(long_series(sp.chain(slider, sites=SITES, contact=0.0)).status) == Outcome.NOTHING_LEFT
 
 
 def test_refusals():

@@ -58,10 +58,11 @@ def command(
     import jax
 
     from slippulse_jax.lattice.ageing import Ageing
-    from slippulse_jax.lattice.catalogue import SeriesStatus, table, to_csv, write_series
+    from slippulse_jax.lattice.catalogue import table, to_csv, write_series
     from slippulse_jax.lattice.chain import chain
     from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, series
     from slippulse_jax.slider import Slider
+    from slippulse_jax.status import Outcome
 
     with jax.enable_x64(True):
         try:
@@ -76,7 +77,7 @@ def command(
                 found = run(recorded_breaks=breaks)
         except ValueError as error:
             refuse(error)
-        status = SeriesStatus(int(found.status))
+        status = Outcome(int(found.status))
         if out is not None:
             write_series(out, found)
         if figure is not None:
@@ -86,7 +87,7 @@ def command(
         elif out is None:
             click.echo(to_csv(found), nl=False)
     click.echo(status.message, err=True)
-    if status == SeriesStatus.LIMIT:
+    if status == Outcome.LIMIT:
         click.get_current_context().exit(NOT_CONVERGED)
 
 

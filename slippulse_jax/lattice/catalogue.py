@@ -12,20 +12,10 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from slippulse_jax.files import write_atomically
 from slippulse_jax.lattice.chain import State
 from slippulse_jax.shown import html, short
-from slippulse_jax.status import Status
+from slippulse_jax.status import Outcome, Status
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-class SeriesStatus(Status):
-    """How a series ended."""
-
-    DONE = 0, "done: reached the requested number of events or load"
-    SPANNED = 1, "ended by an event that broke the last contact of the chain"
-    NOTHING_LEFT = 2, "ended early: no load brings a further contact to its threshold"
-    LIMIT = 3, "given up: contacts were still over threshold after max_breaks breaks of one event"
-    INVALID = 4, "no such chain: a part is held by nothing, or a value is outside its domain"
 
 
 class EventClass(Status):
@@ -65,7 +55,7 @@ class Catalogue(NamedTuple):
     state: State  # at the end
     drift: Float[Array, ""]  # largest error of a stress, accumulated over all breaks, in σ_s
     energy_drift: Float[Array, ""]  # difference of `stored` at the end from the energy of the chain solved afresh
-    status: Int[Array, ""]  # a SeriesStatus
+    status: Int[Array, ""]  # an Outcome
 
     def table(self) -> dict[str, np.ndarray]:
         """Return the columns of the catalogue, without its empty rows."""
@@ -84,7 +74,7 @@ class Catalogue(NamedTuple):
             [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
             for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)
         ]
-        return html("Catalogue of events", rows, _heads(frame), SeriesStatus(int(self.status)).message)
+        return html("Catalogue of events", rows, _heads(frame), Outcome(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the events as a pandas.DataFrame, one per row, with the class of each in words and units in ``attrs``."""
@@ -121,10 +111,10 @@ class Catalogue(NamedTuple):
         """
         events, status, asked = table(self), int(self.status), np.asarray(load, np.float64)
         loads, lengths = events["load"], events["length"]
-        if status == SeriesStatus.LIMIT:
+        if status == Outcome.LIMIT:
             loads, lengths, known = loads[:-1], lengths[:-1], asked < loads[-1]
         else:
-            known = (asked <= loads.max(initial=0)) | (status == SeriesStatus.NOTHING_LEFT)
+            known = (asked <= loads.max(initial=0)) | (status == Outcome.NOTHING_LEFT)
         farther = lengths > np.maximum.accumulate(np.append(0, lengths))[:-1]
         stopped, spanned = farther & np.isfinite(lengths), loads[np.isinf(lengths)].min(initial=np.inf)
         found = np.interp(asked, loads[stopped], lengths[stopped], left=0.0) if stopped.any() else np.zeros(asked.shape)
@@ -189,7 +179,7 @@ def to_dataset(catalogue: Catalogue) -> Any:
         name: ("event", values, {"units": COLUMNS[name][0], "long_name": COLUMNS[name][1]})
         for name, values in table(catalogue).items()
     }
-    status = SeriesStatus(int(catalogue.status))
+    status = Outcome(int(catalogue.status))
     attributes = {
         "status": status.name.lower(),
         "message": status.message,

@@ -16,31 +16,13 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.domains import check_kind
 from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
-from slippulse_jax.status import Status
+from slippulse_jax.status import Outcome
 
 T = TypeVar("T")
 
 MAX_NEWTON_STEPS = 50
 DAMPING = tuple(0.5**n for n in range(12))
 """Fractions of a Newton step that are tried; the one with the least imbalance is taken."""
-
-
-class EquilibriumStatus(Status):
-    """How the search for an equilibrium ended."""
-
-    SOLVED = 0, "solved: every site is in balance"
-    SINGULAR = (
-        1,
-        "singular: a part of the chain is held by no spring or contact, so its position is arbitrary; it is reported at zero",
-    )
-    NOT_CONVERGED = 2, "not converged: sites were left out of balance; see the residual"
-    INVALID = (
-        3,
-        (
-            "no such chain or state: a stiffness, pinning point or load is not a number or too large for the precision, or a "
-            "stiffness is negative"
-        ),
-    )
 
 
 class Equilibrium(NamedTuple):
@@ -70,7 +52,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     Returns
     -------
     Equilibrium
-        It carries a status (`EquilibriumStatus`) instead of raising an exception, so that a bad lane of ``jax.vmap`` does not
+        It carries a status (`Outcome`) instead of raising an exception, so that a bad lane of ``jax.vmap`` does not
         affect the others. Where a part floats or a value is not a number the fields are finite but meaningless. The status is
         SOLVED only where all results are finite and the residual is at most the root of the precision's ε.
 
@@ -114,8 +96,8 @@ def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> E
     balanced = converged & (residual <= jnp.finfo(residual.dtype).eps ** 0.5)
     status = jnp.select(
         [~valid, right.floating, ~finite, ~balanced],
-        [EquilibriumStatus.INVALID, EquilibriumStatus.SINGULAR, EquilibriumStatus.INVALID, EquilibriumStatus.NOT_CONVERGED],
-        EquilibriumStatus.SOLVED,
+        [Outcome.INVALID, Outcome.SINGULAR, Outcome.INVALID, Outcome.NOT_CONVERGED],
+        Outcome.SOLVED,
     ).astype(jnp.int32)
     return Equilibrium(upper, layer, stress, push, residual, status)
 

@@ -27,7 +27,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_domain
 from slippulse_jax.lattice.chain import Chain, State, check_linear, potential_energy
-from slippulse_jax.lattice.equilibrium import EquilibriumStatus, equilibrium, forces
+from slippulse_jax.lattice.equilibrium import equilibrium, forces
 from slippulse_jax.lattice.front import first_of
 from slippulse_jax.lattice.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
@@ -281,7 +281,7 @@ def _simulate(
     extent = jnp.where(broke, sites + 1, 0).max()
     work, broken, damped, rubbed = now.books
     moving = kinetic(now.v)
-    finite = valid & jnp.isfinite(moving) & (start.status == EquilibriumStatus.SOLVED)
+    finite = valid & jnp.isfinite(moving) & (start.status == Outcome.SOLVED)
     endings = {Outcome.INVALID: ~finite, Outcome.RAN_THROUGH: extent == chain.sites, Outcome.TIME_OVER: now.n >= steps}
     return Motion(
         state=State(now.pinning, now.x[0][0]),

@@ -29,7 +29,6 @@ from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.lattice.chain import Chain, Elimination, State, check_linear, eliminate
 from slippulse_jax.lattice.equilibrium import (
     Equilibrium,
-    EquilibriumStatus,
     all_numbers,
     equilibrium,
     in_balance,
@@ -216,7 +215,7 @@ def _or_closest(chain: Chain, stress: Array, trigger: Array) -> Array:
 
 
 def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
-    return (before.status == EquilibriumStatus.INVALID) | (after.status == EquilibriumStatus.INVALID)
+    return (before.status == Outcome.INVALID) | (after.status == Outcome.INVALID)
 
 
 # --- the hard rule ---
@@ -244,7 +243,7 @@ def one_rupture(
     before = in_balance(valid, safe, state, right)
     trigger = _or_closest(safe, before.stress, trigger)
     meant = _can_break(safe, before.stress, trigger)
-    good = (before.status == EquilibriumStatus.SOLVED) & meant
+    good = (before.status == Outcome.SOLVED) & meant
     n, size = chain.sites, resp.push.shape[1]
     # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
@@ -265,7 +264,7 @@ def one_rupture(
     status = first_of(
         {
             Outcome.INVALID: _invalid(before, after) | ~meant,
-            Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
+            Outcome.SINGULAR: before.status == Outcome.SINGULAR,
             Outcome.NOT_CONVERGED: ~good,
             Outcome.NOTHING_BROKE: record.breaks == 0,
             Outcome.LIMIT: (stress >= threshold).any(),
@@ -330,7 +329,7 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     right = eliminate(safe, safe.contact)
     before = in_balance(valid, safe, state, right)
     meant = _can_break(safe, before.stress, trigger)
-    good = (before.status == EquilibriumStatus.SOLVED) & meant
+    good = (before.status == Outcome.SOLVED) & meant
     links, n = propagators(safe, right), chain.sites
     attached = safe.contact > 0
 
@@ -361,7 +360,7 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     most = p > 0.5
     endings = {
         Outcome.INVALID: _invalid(before, after) | ~meant,
-        Outcome.SINGULAR: before.status == EquilibriumStatus.SINGULAR,
+        Outcome.SINGULAR: before.status == Outcome.SINGULAR,
         Outcome.NOT_CONVERGED: ~good,
         Outcome.NOTHING_BROKE: ~most.any(),
         Outcome.RAN_THROUGH: most[-1],

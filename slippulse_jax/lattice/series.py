@@ -30,11 +30,12 @@ from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lattice import blocks
 from slippulse_jax.lattice.ageing import Ageing, next_crossing
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
+from slippulse_jax.lattice.catalogue import Catalogue, EventClass
 from slippulse_jax.lattice.chain import Chain, State, check_linear, driven, potential_energy
 from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
 from slippulse_jax.lattice.event import BREAKS_PER_SITE, event, most, stresses
 from slippulse_jax.lattice.response import Response, into_blocks, of_matrix, shared_response
+from slippulse_jax.status import Outcome
 
 
 class Adiabatic(eqx.Module):
@@ -121,7 +122,7 @@ def series(
     Returns
     -------
     Catalogue
-        It carries a status (`SeriesStatus`) instead of raising an exception. Composes with ``jit`` and ``vmap``.
+        It carries a status (`Outcome`) instead of raising an exception. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------
@@ -332,7 +333,7 @@ class Now(NamedTuple):
     stored: Array  # potential energy
     number: Array  # of events
     total: Array  # of breaks
-    ending: Int[Array, ""]  # a `SeriesStatus`, or −1
+    ending: Int[Array, ""]  # an `Outcome`, or −1
     rows: dict[str, Array]  # columns of the catalogue, of length E + 1; the last row is scratch space
     order: Int[Array, " L+1"]  # site of every break; likewise
 
@@ -360,7 +361,7 @@ def load_through(shape: Shape, by: Loading) -> Now:
         stored=zero,
         number=none,
         total=none,
-        ending=jnp.where(by.valid, -1, SeriesStatus.INVALID).astype(jnp.int32),
+        ending=jnp.where(by.valid, -1, Outcome.INVALID).astype(jnp.int32),
         rows={name: jnp.full(events + 1, x, jnp.int32 if isinstance(x, int) else zero.dtype) for name, x in EMPTY_ROW.items()},
         order=jnp.full(recorded + 1, -1, jnp.int32),
     )
@@ -413,10 +414,10 @@ def _next_event(by: Loading, delay: int, sites: int, now: Now) -> Now:
     }
     over = (record.breaks >= stopping.max_breaks) & (after >= found.contacts.threshold.reshape(-1)).any()
     endings = {
-        SeriesStatus.NOTHING_LEFT: ~begins,
-        SeriesStatus.LIMIT: over,
-        SeriesStatus.SPANNED: stopping.when_spanning & spans,
-        SeriesStatus.DONE: (now.number == now.rows["load"].size - 2) | (load >= stopping.until),
+        Outcome.NOTHING_LEFT: ~begins,
+        Outcome.LIMIT: over,
+        Outcome.SPANNED: stopping.when_spanning & spans,
+        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= stopping.until),
     }
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
     return Now(

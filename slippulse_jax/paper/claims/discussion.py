@@ -6,7 +6,7 @@ import numpy as np
 
 from slippulse_jax.interface import Interface
 from slippulse_jax.lattice.ageing import Ageing
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass, SeriesStatus
+from slippulse_jax.lattice.catalogue import Catalogue, EventClass
 from slippulse_jax.lattice.chain import Chain, chain
 from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.lattice.front import runaway_prestress
@@ -20,6 +20,7 @@ from slippulse_jax.paper import FIG2
 from slippulse_jax.paper.claims.claim import Finding, claim, judge
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
 
 ROUGHLY = 0.2
 """Largest relative difference from a number that the paper gives as rough."""
@@ -227,7 +228,7 @@ def with_ageing() -> Finding:
     n = int(aged.number)
     extent, breaks = np.asarray(aged.extent)[:n], np.asarray(aged.breaks)[:n]
     records = np.unique(np.maximum.accumulate(extent[breaks >= 10]))
-    spans = int(aged.status) == SeriesStatus.SPANNED
+    spans = int(aged.status) == Outcome.SPANNED
     text = (
         f"thresholds reborn at 0.3 σ_s, recovering over 3 u_s of load, N = 150: the record extents of events of 10 breaks and more are "
         f"{', '.join(map(str, records))}; " + (f"event {n} spans" if spans else f"none of {n} spans")
