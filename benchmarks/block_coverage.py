@@ -12,8 +12,8 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
+from slippulse_jax.events.block import BlockNumbers, tall_lengths
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
-from slippulse_jax.lattice.blocks import BlockNumbers, tall_lengths
 
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3
 

@@ -17,10 +17,10 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
+from slippulse_jax.bodies.chain import State, eliminate
+from slippulse_jax.bodies.response import into_blocks, propagators, response
 from slippulse_jax.bulk.compiler import compile_loops_whole, lane_by_lane
-from slippulse_jax.lattice.chain import State, eliminate
-from slippulse_jax.lattice.event import event
-from slippulse_jax.lattice.response import into_blocks, propagators, response
+from slippulse_jax.events.event import event
 from slippulse_jax.paper import FIG2
 
 compile_loops_whole()

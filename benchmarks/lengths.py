@@ -20,8 +20,8 @@ from benchmarks import rivals
 from benchmarks.timing import in_turns, side_by_side
 from slippulse_jax import Slider, precursor_length, precursor_lengths
 from slippulse_jax.bulk import chunks as batch
-from slippulse_jax.lattice import lanes
-from slippulse_jax.lattice.lengths import LENGTHS
+from slippulse_jax.front import lanes
+from slippulse_jax.lengths import LENGTHS
 
 HERE = Path(__file__).resolve().parent
 RESULTS, PAGE, FIGURE = (

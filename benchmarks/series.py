@@ -13,9 +13,9 @@ from numba import njit, prange
 
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
+from slippulse_jax.bodies.chain import State, eliminate
+from slippulse_jax.bodies.response import dense, response
 from slippulse_jax.bulk.compiler import compile_loops_whole
-from slippulse_jax.lattice.chain import State, eliminate
-from slippulse_jax.lattice.response import dense, response
 
 
 @njit(cache=True)

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.precursor import arrest
+from slippulse_jax.front.arrest import arrest
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent

@@ -1,6 +1,6 @@
 r"""The solution of the front's recursion as a double power series, for any number of fronts at once.
 
-The recursion of `slippulse_jax.lattice.front`, written for the two parts V_m of the stress t = φ + V_1 + V_2 ahead of the
+The recursion of `slippulse_jax.front.front`, written for the two parts V_m of the stress t = φ + V_1 + V_2 ahead of the
 front (φ a uniform prestress), is a linear q-difference system,
 
     V(s+1) = A V(s) + r w φ + Σ_mn r_m R_mn (r_m r_n)^s t(s) e_m,      A = diag(r) (1 + w 1ᵀ),

@@ -36,18 +36,18 @@ KEPT = ROOT / ".pytest_cache" / "mutation"
 TABLE = ROOT / "docs" / "tables" / "mutation.md"
 
 MODULES = {
-    "lattice/modes": "tests/test_front.py tests/test_ends.py tests/test_fields.py tests/test_derivatives.py "
+    "bodies/modes": "tests/test_front.py tests/test_ends.py tests/test_fields.py tests/test_derivatives.py "
     "-k 'not semi-infinite-300 and not million and not hessian'",
-    "lattice/front": "tests/test_front.py tests/test_interface.py tests/test_bulk.py "
+    "front/front": "tests/test_front.py tests/test_interface.py tests/test_bulk.py "
     "-k '(not semi-infinite-300 and test_front) or profile_against or profile_that or soft_short or under_prestress or (test_interface and dense_chain) or sensitivity_takes or company or test_bulk'",
-    "lattice/crossing": "tests/test_exact.py tests/test_exact_lanes.py "
+    "exact/crossing": "tests/test_exact.py tests/test_exact_lanes.py "
     "-k 'not sixty and not hessian and not resonan and not gradient and not modes and not exponents'",
     "double_series": "tests/test_exact.py tests/test_exact_fields.py tests/test_rebreaking.py "
     "-k 'not lanes and not every_mode and (not test_rebreaking or edge_stress_of_random)'",
-    "lattice/chain": "tests/test_cascade.py tests/test_equilibrium.py "
+    "bodies/chain": "tests/test_cascade.py tests/test_equilibrium.py "
     "-k 'inverse or dense_matrices or lattice_modes or floating or (refus and not differentiated) or interface or slopes or driver or by_default'",
-    "lattice/equilibrium": "tests/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
-    "lattice/rupture": "tests/test_cascade.py tests/test_surrogate.py "
+    "bodies/equilibrium": "tests/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
+    "events/rupture": "tests/test_cascade.py tests/test_surrogate.py "
     "-k '(test_cascade and not hundred_thousand and not devices and not size_of and not surrogate) or chain_approaches or same_smooth'",
     "inference/likelihood": "tests/test_fit_parameters.py tests/test_fit_ends.py "
     "-k 'gradient_is or of_a_count or counts_of or huber or traced_density or least_density or parts_of or losses_and'",
@@ -55,18 +55,18 @@ MODULES = {
 """Modules, and the tests that should see a change there, quick ones first."""
 
 EQUIVALENT: dict[tuple[str, str], str] = {
-    ("lattice/modes", 'MACHINE.check("machine", np.where(known >= np.inf, 1, known))'): "nothing exceeds inf",
+    ("bodies/modes", 'MACHINE.check("machine", np.where(known >= np.inf, 1, known))'): "nothing exceeds inf",
     (
-        "lattice/front",
+        "front/front",
         "return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 1, jnp.abs(length))))",
     ): "a factor on 0, inf or NaN",
-    ("lattice/front", "reach = modes.weight + (modes.echo_factor(0 / one)[:, None] * modes.reflection).sum(0)"): "0/1 is 0",
+    ("front/front", "reach = modes.weight + (modes.echo_factor(0 / one)[:, None] * modes.reflection).sum(0)"): "0/1 is 0",
     (
-        "lattice/front",
+        "front/front",
         "stress = stress_ahead(front, echo)[ 1] + contact_at(modes, contacts, front.position)[1]",
     ): "of one element, JAX takes the last",
     (
-        "lattice/front",
+        "front/front",
         "threshold, prestress = contact_at(modes, contacts, since * 1)",
     ): "beyond its last site a profile stays as it is there",
     (
@@ -74,42 +74,42 @@ EQUIVALENT: dict[tuple[str, str], str] = {
         "slope = self(around.reshape(- 2, p), np.repeat(lane, around.shape[1]), 1).gradient",
     ): "NumPy takes any negative size for the one that is left",
     (
-        "lattice/chain",
+        "bodies/chain",
         "return (bonds + sites + end) / 2 - chain.stiffness * (chain.prestress * pinning).sum(where=chain.contact != 0)",
     ): "no contact has a negative stiffness",
-    ("lattice/chain", "attached = self.contact != 0"): "no contact has a negative stiffness",
+    ("bodies/chain", "attached = self.contact != 0"): "no contact has a negative stiffness",
     (
-        "lattice/chain",
+        "bodies/chain",
         "floating = determinant(Springs(B + site.upper, K + site.layer, site.across)) == 0",
     ): "no stiffness is negative where it is asked",
     (
-        "lattice/chain",
+        "bodies/chain",
         "first = beside(Springs(*(x[ -1] for x in beyond)), chain.across[0], contact[0])",
     ): "K_T > 0 alone holds the first site",
     (
-        "lattice/rupture",
+        "events/rupture",
         "per_load = jnp.where(chain.contact > -1, equilibrium(chain, State(state.pinning, state.load + 1)).stress - now, 0)",
     ): "a detached contact carries no stress at any load",
-    ("lattice/rupture", "pulled = per_load != 0"): "no stress falls as the load rises, not even by rounding",
+    ("events/rupture", "pulled = per_load != 0"): "no stress falls as the load rises, not even by rounding",
     (
-        "lattice/rupture",
+        "events/rupture",
         "overloaded = ((now >= chain.threshold) & (chain.contact >= 0)).any()",
     ): "a detached contact carries no stress, and thresholds are positive",
     (
-        "lattice/rupture",
+        "events/rupture",
         "overloaded = ((now >= chain.threshold) & (chain.contact > -1)).any()",
     ): "a detached contact carries no stress, and thresholds are positive",
     (
-        "lattice/rupture",
+        "events/rupture",
         "slip = done.given.reshape(-1)[:n] * safe.stiffness / jnp.where(safe.contact != 0, safe.contact, jnp.inf)",
     ): "no contact has a negative stiffness",
-    ("lattice/rupture", "t = stress + contact * arriving[ 2]"): "of two elements, JAX takes the last",
+    ("events/rupture", "t = stress + contact * arriving[ 2]"): "of two elements, JAX takes the last",
     (
         "double_series",
         "z0, z1 = jnp.where(small, z, 1), jnp.where(small, 1, z)",
     ): "the sum of z0 is taken only where z is small",
     (
-        "lattice/crossing",
+        "exact/crossing",
         "gone = ~checked & ((loss <= 0) & ~(bend < 0) | (s * found.system.rate[1] >= 60))",
     ): "at 60 already, e⁻⁶⁰ is left of what decays",
 }

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax import theory
+from slippulse_jax import lengths, theory
 from slippulse_jax.bulk import chunks
 from slippulse_jax.bulk.compiler import local_devices, platform
-from slippulse_jax.lattice import crack, exact, lengths, readings
+from slippulse_jax.exact import crack
+from slippulse_jax.exact import front as exact
+from slippulse_jax.front import readings
 
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
 BLOCK = sp.Block(20.0, 1 / 52, 0.3, sp.Push(0.3))

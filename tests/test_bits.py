@@ -4,9 +4,11 @@ import numpy as np
 from strategies import random_sliders
 
 import slippulse_jax as sp
+from slippulse_jax import lengths
 from slippulse_jax.bulk.chunks import Layout, over_lanes
-from slippulse_jax.lattice import exact_lanes, lanes, lengths
-from slippulse_jax.lattice.exact_lanes import exact_fronts
+from slippulse_jax.exact import bulk as exact_lanes
+from slippulse_jax.exact.bulk import exact_fronts
+from slippulse_jax.front import lanes
 
 
 def alike(f, columns):

@@ -11,10 +11,11 @@ from oracles.finite_elements import WholeBlock, break_all, events_of, rectangle
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
-from slippulse_jax.lattice import blocks, elements, waveguide
-from slippulse_jax.lattice.event import first_event
-from slippulse_jax.lattice.modes import ends_of, lattice_modes
-from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, Stopping, of_contacts
+from slippulse_jax.bodies import elements, waveguide
+from slippulse_jax.bodies.modes import ends_of, lattice_modes
+from slippulse_jax.events import block as blocks
+from slippulse_jax.events.event import first_event
+from slippulse_jax.events.series import Adiabatic, Spring, Steps, Stopping, of_contacts
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax import lengths as bulk
+from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk import chunks as batch
-from slippulse_jax.lattice import exact_lanes, lanes
-from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.front import FRONT_OUTCOMES
-from slippulse_jax.lattice.modes import ENDLESS
+from slippulse_jax.exact import bulk as exact_lanes
+from slippulse_jax.front import lanes
+from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 

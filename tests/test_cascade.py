@@ -13,10 +13,10 @@ import pytest
 from chains import batch, both_chains
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import State, chain, eliminate
-from slippulse_jax.lattice.precursor import arrest
-from slippulse_jax.lattice.response import dense, response
-from slippulse_jax.lattice.rupture import _can_break, nucleate, rupture
+from slippulse_jax.bodies.chain import State, chain, eliminate
+from slippulse_jax.bodies.response import dense, response
+from slippulse_jax.events.rupture import _can_break, nucleate, rupture
+from slippulse_jax.front.arrest import arrest
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.status import Outcome
 
@@ -210,8 +210,8 @@ DEALT = """
     import jax, jax.numpy as jnp, numpy as np
     jax.config.update("jax_enable_x64", True)
     import slippulse_jax as sp
-    from slippulse_jax.lattice.rupture import rupture
-    from slippulse_jax.lattice.chain import State, chain, eliminate
+    from slippulse_jax.events.rupture import rupture
+    from slippulse_jax.bodies.chain import State, chain, eliminate
     devices = jax.devices()
     assert len(devices) == 2
     c = chain(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3), sites=60)

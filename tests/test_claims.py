@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slippulse_jax.lattice.catalogue import EventClass
+from slippulse_jax.events.catalogue import EventClass
 from slippulse_jax.paper.claims import CLAIMS, FAILS, HOLDS, WITHIN, discussion, examine, front, page, row
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "claims.md"

@@ -7,7 +7,7 @@ import pytest
 from oracles.sliding_chain import dense, nucleated
 
 import slippulse_jax as sp
-from slippulse_jax.lattice import crack
+from slippulse_jax.exact import crack
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import macroscopic_crack_length
 

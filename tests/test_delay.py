@@ -13,10 +13,10 @@ from oracles import dense_chain
 from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
+from slippulse_jax.bodies.modes import ENDLESS
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.lattice.lengths import general_kernel
-from slippulse_jax.lattice.modes import ENDLESS
+from slippulse_jax.lengths import general_kernel
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 

@@ -7,7 +7,7 @@ import pytest
 from oracles import dense_chain
 
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.lattice.lengths import arrests
+from slippulse_jax.lengths import arrests
 
 STEP = 1e-30
 

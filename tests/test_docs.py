@@ -15,12 +15,12 @@ import jax
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.bodies.chain import Chain
+from slippulse_jax.bodies.modes import Fields
+from slippulse_jax.events.catalogue import Catalogue, EventClass
+from slippulse_jax.events.inertia import Motion
+from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass
-from slippulse_jax.lattice.chain import Chain
-from slippulse_jax.lattice.front import FRONT_OUTCOMES
-from slippulse_jax.lattice.inertia import Motion
-from slippulse_jax.lattice.modes import Fields
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -110,10 +110,11 @@ def test_statuses_and_fields_have_words():
     assert described(sp.Slider) == []  # its docstring lists them
 
 
-def test_the_map_of_the_lattice_has_every_module():
-    lattice = module_of("slippulse_jax.lattice")
-    on_the_map = re.findall(r"`(\w+)`", lattice.__doc__)
-    assert sorted(on_the_map) == sorted(m.name for m in pkgutil.iter_modules(lattice.__path__))
+@pytest.mark.parametrize("room", ["bodies", "front", "exact", "events"])
+def test_the_map_of_a_room_has_every_module(room):
+    of_room = module_of(f"slippulse_jax.{room}")
+    on_the_map = re.findall(r"^ *`(\w+)`", of_room.__doc__, flags=re.MULTILINE)
+    assert sorted(on_the_map) == sorted(m.name for m in pkgutil.iter_modules(of_room.__path__))
 
 
 def sections(doc):

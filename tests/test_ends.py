@@ -8,9 +8,9 @@ from chains import SITES, long_series
 from oracles import dense_chain
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.lengths import arrests
-from slippulse_jax.lattice.modes import Ends, lattice_modes
-from slippulse_jax.lattice.series import Spring
+from slippulse_jax.bodies.modes import Ends, lattice_modes
+from slippulse_jax.events.series import Spring
+from slippulse_jax.lengths import arrests
 from slippulse_jax.status import Outcome
 
 MACHINES = (0.1, 1.0, 10.0, 1e3)

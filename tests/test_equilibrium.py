@@ -10,9 +10,9 @@ from oracles.dense_chain import end_stiffness, stiffness_matrix, uniform_springs
 from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
-from slippulse_jax.lattice.equilibrium import equilibrium, forces, imbalance
-from slippulse_jax.lattice.modes import Ends, lattice_modes
+from slippulse_jax.bodies.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
+from slippulse_jax.bodies.equilibrium import equilibrium, forces, imbalance
+from slippulse_jax.bodies.modes import Ends, lattice_modes
 from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")

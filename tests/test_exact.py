@@ -15,11 +15,11 @@ from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series
-from slippulse_jax.lattice import crossing
-from slippulse_jax.lattice.crossing import system_of
-from slippulse_jax.lattice.exact import exact_fields, exact_front, exact_front_stress, exact_length
-from slippulse_jax.lattice.front import front_stress
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.exact import crossing
+from slippulse_jax.exact.crossing import system_of
+from slippulse_jax.exact.front import exact_fields, exact_front, exact_front_stress, exact_length
+from slippulse_jax.front.front import front_stress
 from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)

@@ -9,7 +9,7 @@ import pytest
 from oracles.dense_chain import chain_matrix
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
+from slippulse_jax.exact.front import exact_fields, exact_front_stress
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 

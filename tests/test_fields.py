@@ -14,14 +14,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import slippulse_jax as sp
 from benchmarks import recover_coverage
+from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.recover.events import blocks, follow, fronts
 from slippulse_jax.inference.recover.inversion import LEVEL, Smoothness, condition, mixture, quantile, squared_exponential
 from slippulse_jax.inference.recover.model import profile_model
 from slippulse_jax.inference.recover.recovery import Determination
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.front import front_stress
-from slippulse_jax.lattice.modes import lattice_modes
 
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 64
 HEIGHTS = np.linspace(6, 26, 8)

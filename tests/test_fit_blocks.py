@@ -17,13 +17,13 @@ from reports import section, unfolded
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
+from slippulse_jax.events.block import tall_length
 from slippulse_jax.inference import interpolation
 from slippulse_jax.inference.interpolation import block_grid, block_lengths
 from slippulse_jax.inference.model import recursion_status
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.lattice.blocks import tall_length
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 

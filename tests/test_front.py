@@ -11,13 +11,12 @@ from oracles import dense_chain
 from oracles.lattice_mp import Chain
 from problems import PAPER, REFERENCE
 
-from slippulse_jax import Slider, first_precursor, precursor_length, precursor_lengths
-from slippulse_jax.lattice import precursor
-from slippulse_jax.lattice.exact import exact_front_stress, exact_length
-from slippulse_jax.lattice.front import Front, advance, front_stress, slowest_approach, straight_line, stress_ahead
-from slippulse_jax.lattice.lengths import arrests
-from slippulse_jax.lattice.modes import Ends, lattice_modes
-from slippulse_jax.lattice.precursor import FrontNotArrested, arrest
+from slippulse_jax import Slider, first_precursor, precursor, precursor_length, precursor_lengths
+from slippulse_jax.bodies.modes import Ends, lattice_modes
+from slippulse_jax.exact.front import exact_front_stress, exact_length
+from slippulse_jax.front.arrest import FrontNotArrested, arrest
+from slippulse_jax.front.front import Front, advance, front_stress, slowest_approach, straight_line, stress_ahead
+from slippulse_jax.lengths import arrests
 from slippulse_jax.status import Outcome
 
 

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
+from slippulse_jax.front.readings import readings
 from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.model import slips, stresses
@@ -26,7 +27,6 @@ from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import Inputs, parameter_set
 from slippulse_jax.inference.tables import read_measurements
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.lattice.readings import readings
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11
 RATIO = AREAL * LC / YOUNG

@@ -14,7 +14,7 @@ from jax import lax
 
 import slippulse_jax as sp
 from slippulse_jax.bulk import compiler as kernel
-from slippulse_jax.lattice import lanes
+from slippulse_jax.front import lanes
 
 CHAIN = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=80)
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.precursor import FirstPrecursor
+from slippulse_jax.precursor import FirstPrecursor
 
 
 @pytest.fixture(scope="module")

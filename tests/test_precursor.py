@@ -6,10 +6,10 @@ import pytest
 from oracles import dense_chain
 
 from slippulse_jax import Interface, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import lengths as bulk
+from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk.chunks import over_lanes
-from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.front import Arrest
-from slippulse_jax.lattice.modes import ENDLESS
+from slippulse_jax.front.front import Arrest
 from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 

@@ -25,10 +25,12 @@ PACKAGE = Path(slippulse_jax.__file__).parent
 LAYERS = {
     "plain": -1, "shown": -1, "bulk": -1, "units": 0, "derivatives": 0, "domains": 0, "files": 0, "status": 0, "double_series": 0,
     "slider": 1, "rules": 1, "interface": 1, "block": 2,
-    "lattice": 3, "theory": 3,
-    "inference": 4, "sweeps": 4,
-    "plot": 5, "paper": 6,
-    "cli": 7,
+    "bodies": 3, "theory": 3,
+    "front": 4, "exact": 5, "events": 5,
+    "lengths": 6, "precursor": 7,
+    "inference": 8, "sweeps": 8,
+    "plot": 9, "paper": 10,
+    "cli": 11,
 }  # fmt: skip
 
 

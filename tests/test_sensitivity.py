@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.chain import chain
-from slippulse_jax.lattice.precursor import arrest
-from slippulse_jax.lattice.rupture import nucleate, rupture
-from slippulse_jax.lattice.sensitivity import sensitivity
+from slippulse_jax.bodies.chain import chain
+from slippulse_jax.events.rupture import nucleate, rupture
+from slippulse_jax.front.arrest import arrest
+from slippulse_jax.front.sensitivity import sensitivity
 from slippulse_jax.rules import HardBreak, SmoothBreak
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)

@@ -8,8 +8,8 @@ from oracles.dense_chain import DenseChain
 from problems import PAPER
 
 import slippulse_jax as sp
-from slippulse_jax.lattice.catalogue import EventClass
-from slippulse_jax.lattice.series import Adiabatic
+from slippulse_jax.events.catalogue import EventClass
+from slippulse_jax.events.series import Adiabatic
 from slippulse_jax.status import Outcome
 
 FIG2 = PAPER.slider

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import slippulse_jax as sp
 from slippulse_jax.cli import claims as claims_command
 from slippulse_jax.cli import series as series_command
-from slippulse_jax.lattice.catalogue import COLUMNS, EventClass, write_series
+from slippulse_jax.events.catalogue import COLUMNS, EventClass, write_series
 from slippulse_jax.plot import friction_curve, space_time
 
 SMALL = ["--height", "10", "--stiffness", "0.03", "--poisson", "0.3", "--sites", "40", "--events", "12"]

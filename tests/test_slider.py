@@ -9,7 +9,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import Slider, precursor_length
-from slippulse_jax.lattice.exact import exact_front_stress
+from slippulse_jax.exact.front import exact_front_stress
 from slippulse_jax.units import quantities
 
 

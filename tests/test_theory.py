@@ -9,7 +9,7 @@ from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import theory
-from slippulse_jax.lattice.exact import exact_front_stress
+from slippulse_jax.exact.front import exact_front_stress
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 

@@ -101,9 +101,9 @@ def _in_sites(block_length_mm: float, sites: int | None, form: dict[str, float])
 def _length(form: dict[str, float], poisson: float, right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
     import jax
 
-    from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-    from slippulse_jax.lattice.modes import ends_of, lattice_modes
-    from slippulse_jax.lattice.precursor import arrest
+    from slippulse_jax.bodies.modes import ends_of, lattice_modes
+    from slippulse_jax.front.arrest import arrest
+    from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
     from slippulse_jax.status import NotConverged, Outcome
 
     try:
@@ -150,8 +150,8 @@ def _slider(form: dict[str, float], poisson: float) -> "Slider":
 
 def _block_length(form: dict[str, float], poisson: float, height: float, width: float | None, control: Any) -> dict[str, Any]:
     from slippulse_jax.block import Block, Push
-    from slippulse_jax.lattice.exact import exact_length
-    from slippulse_jax.lattice.precursor import precursor_length
+    from slippulse_jax.exact.front import exact_length
+    from slippulse_jax.precursor import precursor_length
 
     slider = _slider(form, poisson)
     try:

@@ -19,7 +19,7 @@ from slippulse_jax.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from slippulse_jax.lattice.catalogue import Catalogue
+    from slippulse_jax.events.catalogue import Catalogue
 
 BREAKS_AN_EVENT = 50
 """Initial capacity of the record of breaks, where they are drawn."""
@@ -57,10 +57,10 @@ def command(
         compile_loops_whole()
     import jax
 
-    from slippulse_jax.lattice.ageing import Ageing
-    from slippulse_jax.lattice.catalogue import table, to_csv, write_series
-    from slippulse_jax.lattice.chain import chain
-    from slippulse_jax.lattice.series import Adiabatic, Spring, Steps, series
+    from slippulse_jax.bodies.chain import chain
+    from slippulse_jax.events.ageing import Ageing
+    from slippulse_jax.events.catalogue import table, to_csv, write_series
+    from slippulse_jax.events.series import Adiabatic, Spring, Steps, series
     from slippulse_jax.slider import Slider
     from slippulse_jax.status import Outcome
 

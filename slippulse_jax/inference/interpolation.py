@@ -21,11 +21,11 @@ from jaxtyping import Float, Int
 from tqdm.auto import tqdm
 
 from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.events.block import BlockNumbers, tall_lengths
+from slippulse_jax.exact.bulk import NEVER
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.blocks import BlockNumbers, tall_lengths
-from slippulse_jax.lattice.exact_lanes import NEVER
-from slippulse_jax.lattice.lengths import lengths
+from slippulse_jax.lengths import lengths
 from slippulse_jax.slider import Slider
 
 ON_NODE = 1e-9

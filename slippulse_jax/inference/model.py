@@ -15,18 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax import lengths as bulk
+from slippulse_jax.bodies.modes import NO_END, Ends, lattice_modes
 from slippulse_jax.bulk.chunks import Layout, distinct_rows, over_lanes
+from slippulse_jax.exact import crack
+from slippulse_jax.exact.bulk import exact_fronts
+from slippulse_jax.exact.front import exact_length
+from slippulse_jax.front.arrest import quantity
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.front.readings import Readings, readings
 from slippulse_jax.inference.interpolation import block_lengths, whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, MeasuredEvent, ParameterSet
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import crack
-from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.exact import exact_length
-from slippulse_jax.lattice.exact_lanes import exact_fronts
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.lattice.modes import NO_END, Ends, lattice_modes
-from slippulse_jax.lattice.precursor import quantity
-from slippulse_jax.lattice.readings import Readings, readings
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged, Outcome

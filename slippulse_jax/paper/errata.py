@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from slippulse_jax import theory
+from slippulse_jax.exact.bulk import exact_lengths, rebreaking_onset
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.exact_lanes import exact_lengths, rebreaking_onset
 from slippulse_jax.paper import FIG2
 from slippulse_jax.slider import Slider
 

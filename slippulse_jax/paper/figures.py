@@ -10,10 +10,10 @@ import jax
 import numpy as np
 
 from slippulse_jax import theory
+from slippulse_jax.exact.bulk import exact_lengths
+from slippulse_jax.exact.front import exact_fields, exact_front_stress
 from slippulse_jax.files import FIGURE_FORMATS, write_atomically
-from slippulse_jax.lattice.exact import exact_fields, exact_front_stress
-from slippulse_jax.lattice.exact_lanes import exact_lengths
-from slippulse_jax.lattice.lengths import arrests, precursor_lengths
+from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.style import LIGHT

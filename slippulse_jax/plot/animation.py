@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.bodies.modes import Fields
+from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.files import write_atomically
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.blocks import BlockPrecursor
-from slippulse_jax.lattice.modes import Fields
-from slippulse_jax.lattice.precursor import FirstPrecursor
 from slippulse_jax.plot import style
 from slippulse_jax.plot.blocks import Frames, draw_block, frames_of
 from slippulse_jax.plot.labels import DISTANCE, axis_label
+from slippulse_jax.precursor import FirstPrecursor
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation

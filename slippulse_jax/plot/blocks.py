@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.events import block as blocks
+from slippulse_jax.events.block import BlockPrecursor, Stages
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import blocks
-from slippulse_jax.lattice.blocks import BlockPrecursor, Stages
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import axes, colours, drawn
 

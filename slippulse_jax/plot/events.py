@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass, table
+from slippulse_jax.events.catalogue import Catalogue, EventClass, table
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 

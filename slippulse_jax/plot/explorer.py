@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.precursor import first_precursor, precursor_length
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
+from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.lattice.chain import Chain
-from slippulse_jax.lattice.equilibrium import Equilibrium
-from slippulse_jax.lattice.rupture import Rupture
-from slippulse_jax.lattice.sensitivity import Sensitivity
+from slippulse_jax.bodies.chain import Chain
+from slippulse_jax.bodies.equilibrium import Equilibrium
+from slippulse_jax.events.rupture import Rupture
+from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 

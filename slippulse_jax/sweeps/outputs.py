@@ -8,14 +8,14 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from slippulse_jax import lengths as bulk
 from slippulse_jax import theory
+from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.events import block as blocks
+from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
+from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import blocks
-from slippulse_jax.lattice import lengths as bulk
-from slippulse_jax.lattice.exact_lanes import ARREST_OUTCOMES, exact_arrests
-from slippulse_jax.lattice.front import FRONT_OUTCOMES
-from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome

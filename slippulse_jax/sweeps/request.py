@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.block import OF_SIDE, Control, Push, has_push
+from slippulse_jax.bodies.modes import RightEnd, check_right_end
+from slippulse_jax.front.arrest import check_max_contacts
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.lattice.modes import RightEnd, check_right_end
-from slippulse_jax.lattice.precursor import check_max_contacts
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import Quantity, quantities

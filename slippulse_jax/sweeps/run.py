@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.block import Control
+from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.bulk.chunks import in_this_thread
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.sweeps.dataset import labelled, processor
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
 from slippulse_jax.sweeps.request import (

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slippulse_jax import double_series as series
+from slippulse_jax import double_series
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode, crossing
 from slippulse_jax.slider import Slider, each_slider
@@ -63,8 +63,8 @@ def _line(slider: Slider) -> _Line:
     return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load, released.sum())
 
 
-def _solution(line: _Line) -> series.Series:
-    return series.solve(series.system_of(line.rate, line.weight, line.reflection, line.start))
+def _solution(line: _Line) -> double_series.Series:
+    return double_series.solve(double_series.system_of(line.rate, line.weight, line.reflection, line.start))
 
 
 def _differentiable(function: Any) -> Any:
@@ -76,7 +76,7 @@ def _differentiable(function: Any) -> Any:
 @jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
-    return each_slider(_differentiable(lambda x, y: series.stress(_solution(_line(x)), y)[0]), slider, s)
+    return each_slider(_differentiable(lambda x, y: double_series.stress(_solution(_line(x)), y)[0]), slider, s)
 
 
 @jax.jit
@@ -89,10 +89,10 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     def one(slider: Slider) -> Array:
         line, about = _line(slider), leading_length(slider)
 
-        def excess(x: tuple[series.Series, Array], s: Array) -> Array:
+        def excess(x: tuple[double_series.Series, Array], s: Array) -> Array:
             """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
             solution, first = x
-            return first + series.rise(solution, s)[0]
+            return first + double_series.rise(solution, s)[0]
 
         return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(about), 4 * about + 4)
 
@@ -116,8 +116,8 @@ def _fields(slider: Slider, s: Array, x: Array) -> Float[Array, "3"]:
     line = _line(slider)
     solution = _solution(line)
     behind, beyond = jnp.where(x < s, x, s), jnp.where(x < s, 0, x - s)  # not min and max: one-sided derivatives at x = s
-    near = jnp.where(s == 0, line.initial, series.parts(solution, behind))
-    later = series.stress_sums(solution, behind, s)
+    near = jnp.where(s == 0, line.initial, double_series.parts(solution, behind))
+    later = double_series.stress_sums(solution, behind, s)
     ahead = jnp.exp(-beyond * line.rate) * near
     back = line.weight * later
     echo = jnp.exp(-x * line.rate) * (line.reflection @ (jnp.exp(-x * line.rate) * later))

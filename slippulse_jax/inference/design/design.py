@@ -18,12 +18,12 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.block import Control, Push, has_push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_choice, check_domain
+from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
 from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
-from slippulse_jax.lattice.front import EventKind
 from slippulse_jax.shown import html
 
 MOST_EXPERIMENTS = 12

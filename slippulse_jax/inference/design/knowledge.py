@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
+from slippulse_jax.front.front import EventKind, check_event
 from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.model import lengths
@@ -24,7 +25,6 @@ from slippulse_jax.inference.parameters import (
     softest,
     stiffest,
 )
-from slippulse_jax.lattice.front import EventKind, check_event
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult

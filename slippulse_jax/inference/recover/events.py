@@ -1,7 +1,7 @@
 """Events on given profiles: many profiles by their fronts, a few contact by contact.
 
 `fronts` breaks the contacts from the edge on, as `slippulse_jax.inference.recover.model` does, for many profiles at once.
-`followed` breaks the most overloaded contact again and again, wherever it lies (`slippulse_jax.lattice.event`), and so finds
+`followed` breaks the most overloaded contact again and again, wherever it lies (`slippulse_jax.events.event`), and so finds
 what the first leaves out: events that start far inside, stop short of the edge, or break a contact twice.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.bodies.response import of_slider
+from slippulse_jax.events.event import first_event
 from slippulse_jax.inference.recover.model import front_length
-from slippulse_jax.lattice.event import first_event
-from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.lattice.response import of_slider
 from slippulse_jax.slider import Slider
 
 Sliders = tuple[np.ndarray, np.ndarray, np.ndarray]

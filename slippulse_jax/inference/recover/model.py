@@ -24,9 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.modes import Modes, lattice_modes
+from slippulse_jax.front.front import straight_line, sweep
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.lattice.front import straight_line, sweep
-from slippulse_jax.lattice.modes import Modes, lattice_modes
 from slippulse_jax.slider import Slider
 
 ProfileKind = Literal["threshold", "prestress"]

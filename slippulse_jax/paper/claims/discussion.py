@@ -4,20 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.bodies.chain import Chain, chain
+from slippulse_jax.bodies.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
+from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.events.ageing import Ageing
+from slippulse_jax.events.catalogue import Catalogue, EventClass
+from slippulse_jax.events.inertia import quasi_static_break_time, simulate_inertial
+from slippulse_jax.events.rupture import nucleate, rupture
+from slippulse_jax.events.series import Steps, series
+from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.ageing import Ageing
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass
-from slippulse_jax.lattice.chain import Chain, chain
-from slippulse_jax.lattice.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
-from slippulse_jax.lattice.front import runaway_prestress
-from slippulse_jax.lattice.inertia import quasi_static_break_time, simulate_inertial
-from slippulse_jax.lattice.lengths import precursor_lengths
-from slippulse_jax.lattice.modes import lattice_modes
-from slippulse_jax.lattice.precursor import first_precursor, precursor_length
-from slippulse_jax.lattice.rupture import nucleate, rupture
-from slippulse_jax.lattice.series import Steps, series
+from slippulse_jax.lengths import precursor_lengths
 from slippulse_jax.paper import FIG2
 from slippulse_jax.paper.claims.claim import Finding, claim, judge
+from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome

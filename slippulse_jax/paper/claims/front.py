@@ -4,10 +4,10 @@ import numpy as np
 
 from slippulse_jax import theory
 from slippulse_jax.interface import Profile
-from slippulse_jax.lattice.lengths import arrests, precursor_lengths
-from slippulse_jax.lattice.precursor import first_precursor
+from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
 from slippulse_jax.paper.claims.claim import Finding, Verdict, claim, judge
+from slippulse_jax.precursor import first_precursor
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
+from slippulse_jax.bodies.waveguide import Loaded, Slab, joined_slabs
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.lattice.waveguide import Loaded, Slab, joined_slabs
 
 GAUSS = 3**-0.5
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bodies.response import Response, of_matrix
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.lattice.response import Response, of_matrix
 
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""

@@ -3,7 +3,7 @@ r"""The first precursor with a repinning delay of n sites.
 A contact that carries the prestress φ and is pinned at p carries t = u − p + φ, in σ_s; when it breaks and repins, p grows by
 t. A detached contact carries t = 0, as one pinned at p = u + φ does. So with a delay of n sites the n contacts behind the front
 are pinning points that follow the layer, p = u + φ, and those before them are at rest: a front of
-`slippulse_jax.lattice.front` that has passed only those. A break costs the solution of n equations for the others.
+`slippulse_jax.front.front` that has passed only those. A break costs the solution of n equations for the others.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bodies.modes import Modes
+from slippulse_jax.front.front import Front, advance, contact_at, echo_at
+from slippulse_jax.front.front import nucleate as at_rest
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.front import Front, advance, contact_at, echo_at
-from slippulse_jax.lattice.front import nucleate as at_rest
-from slippulse_jax.lattice.modes import Modes
 
 
 class DelayedFront(NamedTuple):

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
+from slippulse_jax.bodies.modes import Modes
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
-from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
-from slippulse_jax.lattice.modes import Modes
 
 
 class Response(NamedTuple):
@@ -265,8 +265,8 @@ def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"], edge_stif
 def of_slider(modes: Modes, sites: int) -> Response:
     """Response of the first contacts of a semi-infinite slider, as a matrix: directly, and by way of the edge."""
     site = jnp.arange(sites, dtype=modes.gap.dtype)
-    y, rate = jax.vmap(modes.profile)(site), jnp.log1p(-modes.gap)
-    direct = (modes.weight * jnp.exp(jnp.abs(site[:, None] - site[None])[..., None] * rate)).sum(-1)
+    y, apart = jax.vmap(modes.profile)(site), jnp.abs(site[:, None] - site[None])
+    direct = sum(modes.weight[m] * jnp.exp(apart * jnp.log1p(-modes.gap[m])) for m in (0, 1))
     return of_matrix(direct + y @ modes.reflection @ y.T, y @ modes.drive / modes.load)
 
 

@@ -1,8 +1,8 @@
 """First precursors of a block under two-dimensional elasticity: any contacts, in any order.
 
-The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.lattice.event`), with all
+The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.events.event`), with all
 contacts in one block. In the first front every contact breaks at most once, as on a slider. Every contact stays attached to the
-body, so a break costs one row of a matrix (`slippulse_jax.lattice.waveguide`), and derivatives at a fixed order of breaks are
+body, so a break costs one row of a matrix (`slippulse_jax.bodies.waveguide`), and derivatives at a fixed order of breaks are
 those of the sums.
 
 Everything is computed in double precision (`in_double`): single precision loses several per cent of a length at H/λc = 400,
@@ -25,15 +25,15 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.block import Block, Control, Push
+from slippulse_jax.bodies import elements, waveguide
+from slippulse_jax.bodies.response import Response
+from slippulse_jax.bodies.waveguide import Guide
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import NORMAL_STIFFNESS
+from slippulse_jax.events.event import first_event, nucleated
+from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import elements, waveguide
-from slippulse_jax.lattice.event import first_event, nucleated
-from slippulse_jax.lattice.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
-from slippulse_jax.lattice.response import Response
-from slippulse_jax.lattice.waveguide import Guide
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import NotConverged, Outcome

@@ -1,6 +1,6 @@
 """One event of any body: contacts break one after another at a fixed load, the most overloaded first.
 
-A break changes every stress by a known amount (`slippulse_jax.lattice.response`). Within the block of the broken contact the
+A break changes every stress by a known amount (`slippulse_jax.bodies.response`). Within the block of the broken contact the
 stresses are updated at once. Every other block only adds up what arrives at its edges, and bounds its largest overload by
 
     overload ≤ (largest overload when the block was last opened) + (arrived) · (largest reading of a contact).
@@ -23,9 +23,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from slippulse_jax.bodies.response import Response, carried, within
 from slippulse_jax.bulk.compiler import solve_without_pivots
-from slippulse_jax.lattice.front import EventKind
-from slippulse_jax.lattice.response import Response, carried, within
+from slippulse_jax.front.front import EventKind
 
 SLACK_DIGITS = 4096
 """Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""

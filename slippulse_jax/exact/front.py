@@ -7,7 +7,7 @@ The stress t(s) that the front meets at contact s extends from whole numbers to 
 
     t(ℓ*) = 1 + ε ℓ*,
 
-so that ceil(ℓ*) contacts break. Unlike the ℓ of `slippulse_jax.lattice.front`, which joins t(s) at whole s by straight
+so that ceil(ℓ*) contacts break. Unlike the ℓ of `slippulse_jax.front.front`, which joins t(s) at whole s by straight
 lines, ℓ* has no kinks: it has derivatives of every order, in every mode, at a cost that does not grow with Λ.
 
 Nothing like it is in the paper. The prestress φ and the threshold slope ε are those of its Discussion: φ = σ_0/σ_s on every
@@ -23,15 +23,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax import double_series as series
+from slippulse_jax import double_series
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_domain, check_kind
+from slippulse_jax.exact import crack
+from slippulse_jax.exact.crossing import crossing, excess, length_of, system_of
+from slippulse_jax.front.front import in_domain
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice import crack
-from slippulse_jax.lattice.crossing import crossing, excess, length_of, system_of
-from slippulse_jax.lattice.front import in_domain
-from slippulse_jax.lattice.modes import lattice_modes
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
@@ -73,7 +73,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
         before. The closed form has no repinning delay and no `Profile`.
     rule : CrackLike, optional
         Length of the quasi-static crack-like front instead, behind which contacts slide at constant friction, on thresholds
-        that are level; its friction broadcasts too (`slippulse_jax.lattice.crack`).
+        that are level; its friction broadcasts too (`slippulse_jax.exact.crack`).
 
     Returns
     -------
@@ -149,7 +149,9 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
 
 
 def _stress(plain: Plain, *arguments: Array) -> Array:
-    return by_forward_mode(lambda theta, s: series.stress(_solve(plain, theta), s)[0])(jnp.stack(arguments[:-1]), arguments[-1])
+    return by_forward_mode(lambda theta, s: double_series.stress(_solve(plain, theta), s)[0])(
+        jnp.stack(arguments[:-1]), arguments[-1]
+    )
 
 
 def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> ExactFields:
@@ -190,8 +192,8 @@ def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:
         modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
         solution = _solve(plain, theta)
         rate, behind = solution.system.mode_rate, site < s
-        ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * series.parts(solution, jnp.minimum(site, s))
-        later = jnp.where(behind, series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
+        ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * double_series.parts(solution, jnp.minimum(site, s))
+        later = jnp.where(behind, double_series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
         back = modes.weight * later
         echo = jnp.exp(-site * rate) * (modes.reflection @ (jnp.exp(-site * rate) * later))
         mode = ahead + back + echo
@@ -246,9 +248,9 @@ def _is_zero(value: Any) -> bool:
     return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
 
 
-def _solve(plain: Plain, theta: Float[Array, " n"]) -> series.Series:
+def _solve(plain: Plain, theta: Float[Array, " n"]) -> double_series.Series:
     """The series of θ = (H/λc, k/K, ν, φ, …)."""
-    return series.solve(system_of(theta, not plain[0]))
+    return double_series.solve(system_of(theta, not plain[0]))
 
 
 def _length(plain: Plain, *theta: Array) -> Array:
@@ -262,7 +264,7 @@ def _front(plain: Plain, *theta: Array) -> tuple[Array, Array, Array, Array]:
     if not plain[0]:
         load = (1 - theta[3]) * load
     finite = jnp.isfinite(length)
-    count = jnp.where(finite, series.whole_contacts(jnp.where(finite, length, 0)), -1).astype(jnp.int32)
+    count = jnp.where(finite, double_series.whole_contacts(jnp.where(finite, length, 0)), -1).astype(jnp.int32)
     return length, count, jnp.where(status == Outcome.INVALID, jnp.nan, load), status
 
 
@@ -281,7 +283,7 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = Fals
         length = length_of(length, status)
         if rebreaks:
             arrested = status == Outcome.ARRESTED
-            edge = series.edge_stress(found, series.whole_contacts(jnp.where(arrested, length, 1)))
+            edge = double_series.edge_stress(found, double_series.whole_contacts(jnp.where(arrested, length, 1)))
             status = jnp.where(arrested & (edge >= 1), Outcome.REBREAK, status).astype(status.dtype)
         return length, status
 

@@ -12,20 +12,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
+from slippulse_jax.events.whole import event_lengths
+from slippulse_jax.exact import bulk as exact_lanes
+from slippulse_jax.front import lanes
+from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.lattice import exact_lanes, lanes
-from slippulse_jax.lattice.events import event_lengths
-from slippulse_jax.lattice.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
-from slippulse_jax.lattice.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
-from slippulse_jax.lattice.precursor import (
-    arrest,
-    check_at_once,
-    check_max_contacts,
-    report_without_length,
-)
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -227,7 +223,7 @@ def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
 
 
 def _is_simple(interface: Interface | None, ends: Ends) -> bool:
-    """Whether `slippulse_jax.lattice.lanes` has a loop for these arguments."""
+    """Whether `slippulse_jax.front.lanes` has a loop for these arguments."""
     return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
 
 

@@ -1,6 +1,6 @@
 r"""Fronts of many sliders at once, a chunk of lanes in step.
 
-The step is `slippulse_jax.lattice.front.advance`, given NumPy arrays of single numbers, one array per quantity with the
+The step is `slippulse_jax.front.front.advance`, given NumPy arrays of single numbers, one array per quantity with the
 modes as its leading axis. What else a loop over lanes costs was read off the compiled program:
 
 - A turn is one loop over the lanes that computes every number once (`slippulse_jax.bulk.compiler.in_one_loop`).
@@ -27,11 +27,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from slippulse_jax.bodies.modes import Number, RightEnd, echoes, lattice_modes, mode_numbers
 from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
+from slippulse_jax.front.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
-from slippulse_jax.lattice.modes import Number, RightEnd, echoes, lattice_modes, mode_numbers
 from slippulse_jax.slider import Slider
 
 BREAKS = 6

@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.bodies.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
 from slippulse_jax.domains import check_kind
-from slippulse_jax.lattice.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
 from slippulse_jax.status import Outcome
 
 T = TypeVar("T")

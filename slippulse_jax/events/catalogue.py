@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from slippulse_jax.bodies.chain import State
 from slippulse_jax.files import write_atomically
-from slippulse_jax.lattice.chain import State
 from slippulse_jax.shown import html, short
 from slippulse_jax.status import Outcome, Status
 

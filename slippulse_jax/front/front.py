@@ -7,7 +7,7 @@ on. With all contacts before s broken in turn, contact s carries, in σ_s and be
 
     t(s) = φ_s + Σ_m e_m(s) Z_m,    Z_m = w_m S_m + r_m^s (A C_m + Σ_n R_mn T_n),    A = θ_0 − φ_0,
 
-with the modes of `slippulse_jax.lattice.modes`, the prestress φ_s, and two sums over what the contacts behind gave up,
+with the modes of `slippulse_jax.bodies.modes`, the prestress φ_s, and two sums over what the contacts behind gave up,
 S_m = Σ_{j<s} r_m^{s−j} t(j) and T_n = Σ_{j<s} e_n(j) r_n^j t(j). Only the n numbers Z_m are carried: breaking contact s maps
 
     Z_m → r_m [Z_m + v_m t],    v_m = w_m + Σ_n Q_mn e_n(s),    Q_mn = r_m^s R_mn r_n^s → r_m r_n Q_mn.
@@ -34,7 +34,7 @@ still breaks, the front never stops.
 Notes
 -----
 `advance` and `stress_ahead` use only sums and products and the leading axis of the modes. So they also take the NumPy arrays
-of single numbers of the loop over lanes (`slippulse_jax.lattice.lanes`). Q is carried, rather than r_m^s, because its tangent
+of single numbers of the loop over lanes (`slippulse_jax.front.lanes`). Q is carried, rather than r_m^s, because its tangent
 costs two products per number.
 """
 
@@ -49,9 +49,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
+from slippulse_jax.bodies.modes import Modes
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.modes import Modes
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome

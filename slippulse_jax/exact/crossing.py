@@ -15,10 +15,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from slippulse_jax import double_series as series
+from slippulse_jax import double_series
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.double_series import FarSeries, Lanes, Series, System
-from slippulse_jax.lattice.front import runaway_prestress
-from slippulse_jax.lattice.modes import lattice_modes
+from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -48,7 +48,7 @@ def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
     phi = theta[3] if prestressed else None
     start = modes.drive if phi is None else (1 - phi)[None] * modes.drive
     coupling, reflected = modes.ratio * modes.weight, modes.ratio[:, None] * modes.reflection
-    return series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
+    return double_series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
 
 
 def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -> tuple[Lanes, Lanes]:
@@ -63,7 +63,7 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
     careful : bool
         Whether some lanes may be other than simple.
     """
-    slope, edge = theta[4], series.at_edge(found)
+    slope, edge = theta[4], double_series.at_edge(found)
     moves, zero = edge > slope, jnp.zeros_like(edge)
     simple = _simple(found, slope) if careful else jnp.ones_like(moves)
     start = jnp.where(simple & moves, _start(found, theta), 0)
@@ -75,7 +75,7 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
         start = jnp.where(in_dip & (dip - low > 2 * _tiny(slope) * jnp.maximum(dip, 1)), dip, start)
         low = jnp.where(simple, 0, low)
     tolerance = max(CLOSE, _tiny(slope))
-    s, before = _newton(partial(series.rise, found), slope, start, low, tolerance=tolerance, most=STEPS)
+    s, before = _newton(partial(double_series.rise, found), slope, start, low, tolerance=tolerance, most=STEPS)
     settled = jnp.abs(s - before) <= ROUNDED * jnp.maximum(s, 1)
     s = jnp.where(in_dip & (start == 0), dip, s)
     none = jnp.where(simple, ~moves, in_dip & (dip == 0))
@@ -100,15 +100,15 @@ def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[La
     if found.amplitude.shape[0] > 2:
         length, status = crossing(found, theta, careful=True)
         from_there = jnp.where(_simple(found, slope) & (status == Outcome.ARRESTED), length, 0)
-        known = found.sound & series.died_out(found, from_there)
+        known = found.sound & double_series.died_out(found, from_there)
         return jnp.where(known, length, jnp.nan), jnp.where(known, status, jnp.asarray(Outcome.NOT_CONVERGED, status.dtype))
-    moves = series.at_edge(found) > slope
+    moves = double_series.at_edge(found) > slope
     regular = found.sound & _simple(found, slope)
     start = jnp.where(moves & regular, _start(found, theta), 0)
     low = jnp.zeros_like(start)
-    s, _ = _newton(partial(series.rise, found, blocks=1), slope, start, low, tolerance=1e-4, most=TURNS)
-    s, before = _newton(partial(series.rise, found), slope, s, low, tolerance=CLOSE, most=TURNS)
-    settled = regular & (~moves | _close(s, before, CLOSE) & series.died_out(found, s))
+    s, _ = _newton(partial(double_series.rise, found, blocks=1), slope, start, low, tolerance=1e-4, most=TURNS)
+    s, before = _newton(partial(double_series.rise, found), slope, s, low, tolerance=CLOSE, most=TURNS)
+    settled = regular & (~moves | _close(s, before, CLOSE) & double_series.died_out(found, s))
     status = jnp.where(settled, jnp.where(moves, Outcome.ARRESTED, Outcome.NO_DOMINO), Outcome.NOT_CONVERGED).astype(s.dtype)
     return length_of(s, status), status
 
@@ -118,7 +118,7 @@ def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lan
 
     Such a front is simple: the crossing lies beyond `begins` if, and only if, the stress there is above the threshold.
     """
-    rise = partial(series.rise_far, found)
+    rise = partial(double_series.rise_far, found)
     slope, low = jnp.zeros_like(found.begins), found.begins
     beyond = found.sound & (rise(low)[0] > 0)
     start = jnp.where(beyond, jnp.maximum(_start(found, theta), low), 0)
@@ -130,7 +130,7 @@ def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lan
 
 def excess(found: Series, theta: Float[Array, "5 *lanes"], s: Lanes) -> tuple[Lanes, Lanes]:
     """t(s) − 1 − εs, and its slope in s."""
-    rise, slope = series.rise(found, s)
+    rise, slope = double_series.rise(found, s)
     return rise - theta[4] * s, slope - theta[4]
 
 
@@ -153,7 +153,9 @@ def _start(found: Series | FarSeries, theta: Array) -> Lanes:
     return jnp.log1p(jnp.where(by_tail, excess, b / (2 + b))) / jnp.where(by_tail, found.system.rate[1], slider.kappa_2)
 
 
-def _newton(rise: series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int) -> tuple[Lanes, Lanes]:
+def _newton(
+    rise: double_series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int
+) -> tuple[Lanes, Lanes]:
     """Iterate by Newton's method, inside a bracket from `low` on, until every lane is close; return s and the s before it.
 
     A lane that is close stays as it is; s = 0 marks a lane without a crossing.
@@ -210,7 +212,7 @@ def _first_dip(found: Series, slope: Lanes, wanted: Array, moves: Array) -> tupl
 
     def turn(carry: Any) -> Any:
         s, low, seen, stopped, passed, count = carry
-        (excess, rate), (_, bend) = jax.jvp(lambda x: series.rise(found, x), (s,), (jnp.ones_like(s),))
+        (excess, rate), (_, bend) = jax.jvp(lambda x: double_series.rise(found, x), (s,), (jnp.ones_like(s),))
         above, loss = excess - slope * s, slope - rate
         checked = (seen >= 0) & (above < 0)
         # the step to the zero of above − loss h + ½ min(bend, 0) h²

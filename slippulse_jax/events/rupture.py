@@ -1,9 +1,9 @@
 """One rupture of any chain, under the hard or a smooth rule.
 
 Under the hard rule the most overloaded contact breaks and repins, again and again, until none is overloaded
-(`slippulse_jax.lattice.event`). Under a smooth rule the front sweeps once from left to right. The stress released behind it
+(`slippulse_jax.events.event`). Under a smooth rule the front sweeps once from left to right. The stress released behind it
 reaches the next site as two displacements, u_t and u, carried from site to site by the 2×2 propagators of
-`slippulse_jax.lattice.response`.
+`slippulse_jax.bodies.response`.
 
 Notes
 -----
@@ -23,20 +23,20 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.compiler import lane_by_lane
-from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.lattice.chain import Chain, Elimination, State, check_linear, eliminate
-from slippulse_jax.lattice.equilibrium import (
+from slippulse_jax.bodies.chain import Chain, Elimination, State, check_linear, eliminate
+from slippulse_jax.bodies.equilibrium import (
     Equilibrium,
     all_numbers,
     equilibrium,
     in_balance,
     or_harmless,
 )
-from slippulse_jax.lattice.event import BREAKS_PER_SITE, event, most, stresses
-from slippulse_jax.lattice.front import first_of, length_or_reason
-from slippulse_jax.lattice.response import Response, into_blocks, propagators, shared_response
+from slippulse_jax.bodies.response import Response, into_blocks, propagators, shared_response
+from slippulse_jax.bulk.compiler import lane_by_lane
+from slippulse_jax.derivatives import without_derivative
+from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, stresses
+from slippulse_jax.front.front import first_of, length_or_reason
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
 
@@ -121,7 +121,7 @@ def rupture(
     Notes
     -----
     Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
-    that of a first precursor to any event (`slippulse_jax.lattice.event.Event.length`): it interpolates between the overload of
+    that of a first precursor to any event (`slippulse_jax.events.event.Event.length`): it interpolates between the overload of
     the rightmost broken contact when it first broke and the final overload of its right neighbour.
     """
     check_kind("chain", chain, Chain)

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.modes import ENDLESS, Ends, equilibrium_fields, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.lattice.front import sweep
-from slippulse_jax.lattice.modes import ENDLESS, Ends, equilibrium_fields, lattice_modes
+from slippulse_jax.front.front import sweep
 from slippulse_jax.slider import Slider
 
 

@@ -18,9 +18,9 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice.modes import RightEnd
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, quantity_field
 

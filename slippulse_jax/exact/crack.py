@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.modes import Modes, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
-from slippulse_jax.lattice.front import first_of, in_domain, length_or_reason
-from slippulse_jax.lattice.modes import Modes, lattice_modes
+from slippulse_jax.front.front import first_of, in_domain, length_or_reason
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 

@@ -4,13 +4,13 @@ Between events every stress grows linearly with the load, so the next break is f
 after another at a fixed load, the most overloaded first. All sums are updated from break to break. The chain is solved afresh
 only at the end, to measure the accumulated rounding errors.
 
-* A break at j that releases the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.lattice.response`).
+* A break at j that releases the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.bodies.response`).
 * By reciprocity it lowers the force on the left edge by k t_j du_j/dU.
 * It releases the energy (k t_j)²/2k_j of the broken contact's own stretch, and a further (k t_j)(k t_j')/2k_j as the chain
   relaxes to equilibrium, where the contact carries t_j'.
 * The rest of the work of the drive is stored.
 
-Within an event a break costs O(√N) (`slippulse_jax.lattice.event`); between two events every stress is computed, in O(N).
+Within an event a break costs O(√N) (`slippulse_jax.events.event`); between two events every stress is computed, in O(N).
 """
 
 from functools import partial
@@ -24,17 +24,17 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.block import Block
+from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, potential_energy
+from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
+from slippulse_jax.bodies.response import Response, into_blocks, of_matrix, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
+from slippulse_jax.events import block as blocks
+from slippulse_jax.events.ageing import Ageing, next_crossing
+from slippulse_jax.events.catalogue import Catalogue, EventClass
+from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, stresses
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lattice import blocks
-from slippulse_jax.lattice.ageing import Ageing, next_crossing
-from slippulse_jax.lattice.catalogue import Catalogue, EventClass
-from slippulse_jax.lattice.chain import Chain, State, check_linear, driven, potential_energy
-from slippulse_jax.lattice.equilibrium import all_numbers, equilibrium
-from slippulse_jax.lattice.event import BREAKS_PER_SITE, event, most, stresses
-from slippulse_jax.lattice.response import Response, into_blocks, of_matrix, shared_response
 from slippulse_jax.status import Outcome
 
 

@@ -1,7 +1,7 @@
 """How far events go in which contacts break again.
 
-Beyond an onset of the areal stiffness (`slippulse_jax.lattice.exact_lanes`) contact 0 breaks again before the front stops, and
-others after it: the event is a cascade in which the most overloaded contact breaks next (`slippulse_jax.lattice.rupture`), on
+Beyond an onset of the areal stiffness (`slippulse_jax.exact.bulk`) contact 0 breaks again before the front stops, and
+others after it: the event is a cascade in which the most overloaded contact breaks next (`slippulse_jax.events.rupture`), on
 the chain of which enough sites are resolved. Everywhere else the event is its front.
 """
 
@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bodies.chain import chain, eliminate
+from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
+from slippulse_jax.bodies.response import response
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
+from slippulse_jax.events.event import BREAKS_PER_SITE
+from slippulse_jax.events.rupture import one_rupture
+from slippulse_jax.front.front import nucleation_load
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.chain import chain, eliminate
-from slippulse_jax.lattice.event import BREAKS_PER_SITE
-from slippulse_jax.lattice.front import nucleation_load
-from slippulse_jax.lattice.modes import Ends, RightEnd, lattice_modes
-from slippulse_jax.lattice.response import response
-from slippulse_jax.lattice.rupture import one_rupture
 from slippulse_jax.slider import Slider
 
 ROOM = 1.25

@@ -22,13 +22,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from slippulse_jax import double_series as series
+from slippulse_jax import double_series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
+from slippulse_jax.exact.crossing import crossing, crossing_far, crossing_in_bulk, excess, system_of
+from slippulse_jax.exact.front import uniform
+from slippulse_jax.front.front import LengthDerivatives, straight_line
 from slippulse_jax.interface import Interface
-from slippulse_jax.lattice.crossing import crossing, crossing_far, crossing_in_bulk, excess, system_of
-from slippulse_jax.lattice.exact import uniform
-from slippulse_jax.lattice.front import LengthDerivatives, straight_line
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -154,7 +154,7 @@ def exact_fronts(
 
 
 def _far(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = series.solve_far(system_of(theta, prestressed=False))
+    found = double_series.solve_far(system_of(theta, prestressed=False))
     return (jnp.stack(crossing_far(found, theta)),)
 
 
@@ -166,12 +166,12 @@ def _prestressed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
     return (jnp.stack(crossing_in_bulk(_plain(theta, True), theta)),)
 
 
-def _plain(theta: Float[Array, "n lanes"], prestressed: bool) -> series.Series:
-    return series.solve(system_of(theta, prestressed=prestressed), regular=False)
+def _plain(theta: Float[Array, "n lanes"], prestressed: bool) -> double_series.Series:
+    return double_series.solve(system_of(theta, prestressed=prestressed), regular=False)
 
 
 def _careful(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = series.solve(system_of(theta, prestressed=True))
+    found = double_series.solve(system_of(theta, prestressed=True))
     return (jnp.stack(crossing(found, theta, careful=True)),)
 
 
@@ -181,7 +181,7 @@ def _derivatives(count: int, order: int) -> Kernel:
 
     def slopes(theta: Float[Array, "5 lanes"], length: Float[Array, " lanes"]) -> Float[Array, "{count} lanes"]:
         def at_length(theta: Array) -> tuple[Array, Array]:
-            return excess(series.solve(system_of(theta, prestressed=count > 3)), theta, length)
+            return excess(double_series.solve(system_of(theta, prestressed=count > 3)), theta, length)
 
         def along(direction: Array) -> tuple[Array, Array]:
             (_, slope), (change, _) = jax.jvp(at_length, (theta,), (direction,))
@@ -271,12 +271,12 @@ def _long(far: bool, max_contacts: int) -> Kernel:
 
     def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array]:
         if far:
-            beyond = series.solve_far(system_of(parameters, prestressed=False))
-            rise, (exact, status) = partial(series.rise_far, beyond), crossing_far(beyond, parameters)
+            beyond = double_series.solve_far(system_of(parameters, prestressed=False))
+            rise, (exact, status) = partial(double_series.rise_far, beyond), crossing_far(beyond, parameters)
         else:
             found = _plain(parameters, False)
             relaxed = jnp.concatenate([parameters, jnp.zeros((2, parameters.shape[1]))])
-            rise, (exact, status) = partial(series.rise, found), crossing_in_bulk(found, relaxed)
+            rise, (exact, status) = partial(double_series.rise, found), crossing_in_bulk(found, relaxed)
         last = jnp.floor(exact)  # the last contact that breaks
         length = straight_line(last, rise(last)[0], rise(last + 1)[0])
         return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
@@ -354,8 +354,8 @@ def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[n
 
 
 def _edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
-    return (series.edge_stress(_plain(lanes[:5], True), lanes[5]),)
+    return (double_series.edge_stress(_plain(lanes[:5], True), lanes[5]),)
 
 
 def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
-    return (series.edge_stress(series.solve(system_of(lanes[:5], prestressed=True)), lanes[5]),)
+    return (double_series.edge_stress(double_series.solve(system_of(lanes[:5], prestressed=True)), lanes[5]),)

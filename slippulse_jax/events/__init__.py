@@ -1,0 +1,11 @@
+"""Events in which contacts break in any order, the most overloaded next, on any body.
+
+`event`             break after break at a fixed load: the one loop
+`rupture`           nucleation and one rupture of a chain, under the hard rule or a smooth one
+`whole`             lengths of whole events of sliders, in which contacts break again
+`block`             the first precursor of a block under two-dimensional elasticity
+`ageing`            thresholds that grow with age
+`catalogue`         the record of a series of events, and its files
+`series`            one event after another, as the load grows
+`inertia`           the chain with masses
+"""

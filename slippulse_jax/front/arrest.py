@@ -1,0 +1,112 @@
+"""Where and how the front of one slider ends: its length, count, status and edge stress."""
+
+import functools
+import operator
+import warnings
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from slippulse_jax.bodies.modes import ENDLESS, Ends, lattice_modes
+from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.domains import check_whole
+from slippulse_jax.front import delayed, front
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts
+from slippulse_jax.interface import Profile
+from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.slider import Slider, of_one_type
+from slippulse_jax.status import NotConverged, Outcome
+
+
+class FrontNotArrested(NotConverged):
+    """The front was still running after the allowed number of breaks: there is no length to return."""
+
+
+def arrest(
+    slider: Slider,
+    interface: Contacts = None,
+    ends: Ends = ENDLESS,
+    max_contacts: int = DEFAULT_MAX_CONTACTS,
+    rule: BreakRule = HARD,
+) -> Arrest:
+    """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
+    modes, late = lattice_modes(slider, ends), None if interface is None or not interface.repin_delay else interface
+    over = front.passage(modes, interface, rule) if late is None else delayed.passage(modes, late)
+    # where a front counts as one that never stops, or is given up; and how many contacts there are
+    end, contacts = front.never_stops_after(modes, interface, rule), ends.contacts
+    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
+    before_last = limit if contacts is None else jnp.minimum(limit, contacts - 1)
+    at, (stress, threshold), part, length = front.follow(rule, *over, before_last)
+
+    through = last = jnp.zeros((), bool)
+    if contacts is not None:
+        last = (at.position == contacts - 1) & (at.position < limit)
+        through = last & (part > 0.5)
+        at = jax.tree.map(lambda new, old: jnp.where(through, new, old), over[2](at, part, stress), at)
+    edge = at.edge[0] if late is None else delayed.edge(modes, late, at)
+    numbers = [x.in_domain() for x in (interface, rule) if x is not None]
+    if ends.machine is not None:
+        numbers.append(jnp.asarray(ends.machine) > 0)
+    status = front.outcome(
+        at.position,
+        (part > front.FADED) & ~last,
+        edge - front.contact_at(modes, interface, 0)[0],
+        valid=functools.reduce(operator.and_, numbers, front.in_domain(slider) & jnp.isfinite(stress - threshold)),
+        through=through,
+        endless=at.position.astype(end.dtype) >= end,
+    )
+    return Arrest(at.position, front.length_or_reason(status, length), status, edge)
+
+
+@partial(jax.jit, static_argnames=("name", "max_contacts"))
+def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int, rule: BreakRule = HARD) -> Array:
+    """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
+
+    The length has derivatives of every order in every mode; the other numbers have none.
+    """
+    kind = jax.tree.structure((slider, interface, ends, rule))
+
+    def one(*numbers: Array) -> Array:
+        slider, interface, ends, rule = jax.tree.unflatten(kind, numbers)
+        return getattr(arrest(slider, interface, ends, max_contacts, rule), name)
+
+    numbers = of_one_type(slider, *jax.tree.leaves((interface, ends, rule)))
+    if name == "length":
+        one = by_forward_mode(one)
+    else:
+        numbers = lax.stop_gradient(numbers)
+    return one(*numbers) if isinstance(interface, Profile) else jnp.vectorize(one)(*numbers)
+
+
+def check_at_once(interface: Contacts, rule: BreakRule) -> None:
+    """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
+    if isinstance(rule, SmoothBreak) and interface is not None and interface.repin_delay:
+        raise ValueError(
+            f"interface.repin_delay = {interface.repin_delay}: a contact that repins after a delay is detached as a whole, but "
+            "under a smooth rule only a part of it breaks; use HardBreak()"
+        )
+
+
+def check_max_contacts(max_contacts: int) -> None:
+    """Check the cap on breaks, which a 32-bit count must hold."""
+    check_whole("max_contacts", max_contacts, 1)
+    if max_contacts >= 2**31 - 1:
+        raise ValueError(f"max_contacts = {max_contacts!r}: must be below 2**31 - 1")
+
+
+def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:
+    """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
+    for kind in (Outcome.LIMIT, Outcome.INVALID):
+        lanes = status == kind
+        if not lanes.any():
+            continue
+        why = kind.message + (f"; max_contacts = {max_contacts}" if kind is Outcome.LIMIT else "")
+        if raises:
+            raise FrontNotArrested(why) if kind is Outcome.LIMIT else ValueError(why)
+        first = tuple(int(i) for i in np.argwhere(lanes)[0])
+        message = f"{int(lanes.sum())} of {lanes.size} fronts, the first at index {first}, have no length (NaN): {why}"
+        warnings.warn(message, RuntimeWarning, stacklevel=stacklevel)
