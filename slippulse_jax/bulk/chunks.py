@@ -132,7 +132,7 @@ def _plan(count: int, layout: Layout, in_step: bool, devices: int) -> tuple[int,
     """Lanes per chunk, most chunks per call, and the number of calls side by side."""
     if in_step:
         return layout.chunk * (NARROW if count <= NARROW * layout.chunk else WIDE), 1, devices
-    if count <= layout.few:
+    if 0 < count <= layout.few:
         return layout.few, 1, 1
     chunks = -(-count // layout.chunk)  # a part of a chunk takes as long as a whole one
     return layout.chunk, PIECE, max(1, min(workers(), chunks // layout.worth_a_thread))
@@ -167,7 +167,7 @@ def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distinct rows, and the index of each row among them; several times as fast as ``numpy.unique``."""
     order = np.lexsort(rows.T)
     in_order = rows[order]
-    is_new = np.append(True, (in_order[1:] != in_order[:-1]).any(axis=1))
+    is_new = np.append(True, (in_order[1:] != in_order[:-1]).any(axis=1))[: len(rows)]
     own = np.empty(len(rows), int)
     own[order] = np.cumsum(is_new) - 1
     return in_order[is_new], own
