@@ -132,7 +132,7 @@ def watch(frame, event, argument):
     name = frame.f_globals.get("__name__", "")
     if event == "call" and name.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<":
         if not seen or seen[-1] != name: seen.append(name)
-        if name.split(".")[1] in ("bodies", "front", "exact", "events", "lengths", "precursor"):
+        if (name + ".").split(".")[1] in ("bodies", "front", "exact", "events", "lengths", "precursor"):
             above = []
             while frame is not None:
                 where = frame.f_globals.get("__name__", "")

@@ -1,7 +1,7 @@
 """Promises of the project as a whole: layers, README, examples, what importing does."""
 
 import ast
-import importlib
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -11,11 +11,13 @@ from pathlib import Path
 
 import documented
 import nbformat
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from nbclient import NotebookClient
 
 import slippulse_jax
+import slippulse_jax as sp
 from slippulse_jax.cli.fit import command as fit_command
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -233,3 +235,48 @@ def test_readme_quotes_the_report():
     quoted = quoted[:-1] if quoted[-1].strip() == "…" else quoted
     assert len(quoted) > 5
     assert quoted == said[: len(quoted)]
+
+
+def test_quantities_are_computed_where_the_table_says():
+    """CONTRIBUTING's table: one row per quantity, modules that exist, and independent programs that exist."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.split("## Where each quantity is computed")[1].split("\n## ")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 15
+    quantities = [row[0] for row in rows]
+    assert len(set(quantities)) == len(quantities)
+    for quantity, by, checked in rows:
+        for name in re.findall(r"`([\w.]+)`", by):
+            assert importlib.util.find_spec(f"slippulse_jax.{name}"), (quantity, name)
+        for name in re.findall(r"`(\w+)\.?[\w.]*`", checked):
+            known = [*(ROOT / "tests").glob(f"{name}.py"), *(ROOT / "tests" / "oracles").glob(f"{name}.py")]
+            assert known or name in ("DenseChain", "Chain"), (quantity, name)
+
+
+PATHS = {  # a call, the function whose body holds the line, and the most frames of the package from the one to the other
+    "precursor_length": (lambda: sp.precursor_length(sp.Slider(np.full(3, 25.0), 0.03, 0.3)), "overloaded_length", 7),
+    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "_burst", 10),
+}
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_newcomer_reaches_the_physics_in_few_frames(name):
+    """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
+    call, target, most = PATHS[name]
+    depths = []
+
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code.co_name == target and frame.f_globals["__name__"].startswith("slippulse_jax"):
+            above = 0
+            while frame is not None:
+                above += frame.f_globals.get("__name__", "").startswith("slippulse_jax") and frame.f_code.co_name[0] != "<"
+                frame = frame.f_back
+            depths.append(above)
+
+    sys.setprofile(watch)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    assert depths, "traced before: the test must be the first to ask for these shapes"
+    assert max(depths) <= most
