@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.modes import (
-    Fields,
     Modes,
     RightEnd,
     ends_of,
@@ -41,7 +40,7 @@ from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import precursor_lengths
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Fields, Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
 

@@ -3,7 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +17,15 @@ from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, 
 Real = Array | np.ndarray | np.floating | float
 
 _DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}
+
+
+class Fields(NamedTuple):
+    """Displacements of the two layers in u_s = f_s/k, and stress on the contacts in σ_s, at some sites."""
+
+    upper: Float[Array, "..."]  # u_t
+    layer: Float[Array, "..."]  # u
+    stress: Float[Array, "..."]  # σ_c = k(u − u_b)/λc² (label cra06), and the prestress
+    pinning: Float[Array, "..."] | None = None  # u_b, where each contact holds to the track
 
 
 class Slider(eqx.Module):

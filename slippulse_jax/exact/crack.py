@@ -18,12 +18,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import Modes, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.front.front import first_of, in_domain, length_or_reason
+from slippulse_jax.front.readings import Readings
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -129,19 +130,12 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
     return length_or_reason(status, jnp.where(status == Outcome.ARRESTED, found, 1)), status
 
 
-class Fields(NamedTuple):
-    """After the front has stopped."""
-
-    slip: Float[Array, "..."]  # of the interface while the front ran, in u_s
-    stress: Float[Array, "..."]  # on the contact, in σ_s
-
-
 @in_full
-def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> Fields:
+def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> Readings:
     """Slip and stress at a contact when contacts before `position` slide, or slid until the front stopped; scalars."""
     after = sliding(slider, (friction - prestress) / (1 - prestress), position)
     slides = site < position
     layer = jnp.where(slides, after.behind(jnp.minimum(site, position))[1], after.ahead(jnp.maximum(site, position))[1])
     before = after.modes.profile(site) @ after.modes.drive
     held = prestress + (1 - prestress) * layer
-    return Fields((1 - prestress) * (layer - before), jnp.where(slides, friction, held))
+    return Readings((1 - prestress) * (layer - before), jnp.where(slides, friction, held))

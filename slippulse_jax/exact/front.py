@@ -33,7 +33,7 @@ from slippulse_jax.exact.crossing import crossing, excess, length_of, system_of
 from slippulse_jax.front.front import in_domain
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
-from slippulse_jax.slider import Slider, broadcast, of_one_type
+from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import as_float
 
@@ -48,14 +48,6 @@ class ExactFront(NamedTuple):
     contacts_broken: Int[Array, "..."]  # ceil(ℓ*), at least 1; −1 where the length is not finite
     load: Float[Array, "..."]  # displacement of the left edge at nucleation, in u_s
     status: Int[Array, "..."]  # `Outcome`
-
-
-class ExactFields(NamedTuple):
-    """Displacements in u_s and stress in σ_s at the requested sites."""
-
-    upper: Float[Array, "..."]  # u_t
-    layer: Float[Array, "..."]  # u
-    stress: Float[Array, "..."]  # σ_c
 
 
 def exact_length(slider: Slider, interface: Interface | None = None, *, rule: CrackLike | None = None) -> Float[Array, "..."]:
@@ -154,7 +146,7 @@ def _stress(plain: Plain, *arguments: Array) -> Array:
     )
 
 
-def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> ExactFields:
+def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> Fields:
     """Displacements and stress at `site` when the front has broken contacts 0 … s − 1 and the next has not broken yet.
 
     Parameters
@@ -183,7 +175,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
         check_domain(name, as_float(value), lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     prestress, _ = uniform(interface)
     plain = (_is_zero(prestress), True)
-    return ExactFields(*_each(_fields, plain, *of_one_type(slider, prestress, s, site)))
+    return Fields(*_each(_fields, plain, *of_one_type(slider, prestress, s, site)))
 
 
 def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:

@@ -330,7 +330,7 @@ def _fields_after(slider: Slider, ends: Ends, prestress: Array, stopped: Array, 
 
 
 @partial(jax.jit, static_argnums=4)
-def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopped: Array, count: int) -> crack.Fields:
+def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopped: Array, count: int) -> Readings:
     site = jnp.arange(count, dtype=stopped.dtype)
     return jax.vmap(lambda *one: jax.vmap(partial(crack.fields, *one))(site))(slider, friction, prestress, stopped)
 

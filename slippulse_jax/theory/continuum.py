@@ -19,16 +19,8 @@ from jaxtyping import Array, Float
 from slippulse_jax import double_series
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode, crossing
-from slippulse_jax.slider import Slider, each_slider
+from slippulse_jax.slider import Fields, Slider, each_slider
 from slippulse_jax.theory.frozen import leading_length
-
-
-class ContinuumFields(NamedTuple):
-    """Displacements in u_s, stress in σ_s."""
-
-    upper: Float[Array, "..."]  # u_t
-    layer: Float[Array, "..."]  # u
-    stress: Float[Array, "..."]  # σ_c = u − u_b
 
 
 class _Line(NamedTuple):
@@ -100,7 +92,7 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
 
 
 @jax.jit
-def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
+def continuum_fields(slider: Slider, s: Any, x: Any) -> Fields:
     """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (labels cra17, cra18).
 
     They solve labels cra08, cra09 under the conditions of labels cra14, cra15, cra27, cra34–cra37.
@@ -108,7 +100,7 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> ContinuumFields:
     At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
     X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.
     """
-    return ContinuumFields(*each_slider(lambda *of: tuple(_differentiable(_fields)(*of)), slider, s, x))
+    return Fields(*each_slider(lambda *of: tuple(_differentiable(_fields)(*of)), slider, s, x))
 
 
 @in_full
