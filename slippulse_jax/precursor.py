@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.modes import (
+    ChainFields,
     Modes,
     RightEnd,
     ends_of,
@@ -40,7 +41,7 @@ from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import precursor_lengths
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.slider import Fields, Slider
+from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
 
@@ -63,7 +64,7 @@ class FirstPrecursor(eqx.Module):
     modes: Modes
     interface: Interface | Profile | None = None
 
-    def fields_at(self, front_position: int | Array) -> Fields:
+    def fields_at(self, front_position: int | Array) -> ChainFields:
         """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
         site = jnp.arange(self.front_stress.shape[0])
         prestress = front.contact_at(self.modes, self.interface, site)[1]
@@ -101,12 +102,12 @@ class FirstPrecursor(eqx.Module):
         )
 
     @property
-    def nucleation(self) -> Fields:
+    def nucleation(self) -> ChainFields:
         """Fields when contact 0 carries its threshold and nothing has broken."""
         return self.fields_at(0)
 
     @property
-    def arrest(self) -> Fields:
+    def arrest(self) -> ChainFields:
         """Fields when the front has stopped."""
         return self.fields_at(self.contacts_broken)
 

@@ -24,8 +24,7 @@ class Fields(NamedTuple):
 
     upper: Float[Array, "..."]  # u_t
     layer: Float[Array, "..."]  # u
-    stress: Float[Array, "..."]  # σ_c = k(u − u_b)/λc² (label cra06), and the prestress
-    pinning: Float[Array, "..."] | None = None  # u_b, where each contact holds to the track
+    stress: Float[Array, "..."]  # σ_c and the prestress
 
 
 class Slider(eqx.Module):

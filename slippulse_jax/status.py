@@ -43,6 +43,6 @@ class Outcome(Status):
     SINGULAR = 9, "no equilibrium: a part of the chain is held by nothing, so its position is arbitrary (length NaN)"
     TIME_OVER = 10, "time over: still moving after the given duration"
     SOLVED = 11, "solved: every site is in balance"
-    DONE = 12, "done: the series reached the requested number of events or load"
-    SPANNED = 13, "ended by an event that broke the last contact of the body"
+    DONE = 12, "done: reached the requested number of events or load"
+    SPANNED = 13, "ended by an event that broke the last contact of the chain"
     NOTHING_LEFT = 14, "ended early: no load brings a further contact to its threshold"

@@ -16,7 +16,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import Chain
-from slippulse_jax.bodies.modes import Fields
+from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import Motion
 from slippulse_jax.front.front import FRONT_OUTCOMES
@@ -89,7 +89,7 @@ def classes_in(hint):
 def test_what_users_are_handed_is_in_the_reference():
     handed = [cls for thing in REFERENCE.values() for cls in handed_out(thing)]
     assert Catalogue in handed, "returned by a function"
-    assert Fields in handed, "returned by a property"
+    assert ChainFields in handed, "returned by a property"
     assert {cls.__name__ for cls in handed if cls not in REFERENCE.values()} <= INSIDE
 
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import dense_chain
@@ -15,9 +16,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import slippulse_jax as sp
 from benchmarks import recover_coverage
 from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.bodies.response import of_slider
+from slippulse_jax.events.event import first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.recover.events import blocks, follow, fronts
+from slippulse_jax.inference.recover.events import followed, fronts
 from slippulse_jax.inference.recover.inversion import LEVEL, Smoothness, condition, mixture, quantile, squared_exponential
 from slippulse_jax.inference.recover.model import profile_model
 from slippulse_jax.inference.recover.recovery import Determination
@@ -229,13 +232,17 @@ def ruptures(theta, phi, heights=HEIGHTS):
 def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     """Contact by contact as there; with the contacts from the edge on, off by little where the start is near the edge."""
     length, start, left = ruptures(theta, phi)
-    of = blocks(HEIGHTS, STIFFNESS, POISSON)
-    events = [follow(of.take(i), theta, phi) for i in range(len(HEIGHTS))]
-    np.testing.assert_allclose([event.length for event in events], length, atol=1e-9)
-    assert [event.start for event in events] == start.tolist()
-    assert [event.left for event in events] == left.tolist()
-    assert not any(event.again for event in events)
-    simple = fronts(of, theta[None], phi[None])
+    of = HEIGHTS, STIFFNESS, POISSON
+    profiles = [np.tile(x, (len(HEIGHTS), 1)) for x in (theta, phi)]
+    events = followed(of, *profiles)
+    np.testing.assert_allclose(events.length, length, atol=1e-9)
+    assert events.start.tolist() == start.tolist()
+    for height, leftmost in zip(HEIGHTS, left, strict=True):
+        modes = lattice_modes(sp.Slider(height, STIFFNESS, POISSON))
+        event, *_ = first_event(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi), kind="full")
+        assert int(event.leftmost) == leftmost
+        assert int(event.contacts.times.max()) == 1
+    simple = fronts(of, *profiles)
     assert simple.start.tolist() == start.tolist()
     assert abs(simple.length - length).max() < apart
     assert (start.max() == 0) == (apart < 1e-6)
@@ -243,13 +250,13 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
 
 @pytest.mark.parametrize("kind", ["threshold", "prestress"])
 def test_fronts_are_those_of_the_model(kind):
-    """One in NumPy for many profiles, one in JAX with derivatives; these hold where an event starts inside, too."""
+    """Many profiles at once, and with derivatives; these hold where an event starts inside, too."""
     m = measured(np.full(len(HEIGHTS), 12.3), 0.1)
     model = profile_model(m, kind, np.array(STIFFNESS), m.length, SITES, SITES)
     u = np.append(rise(0.15) if kind == "prestress" else np.log(wave(-0.08)), 0.05)
     at = model.lengths(u)
     theta, phi = model.contacts(u)
-    found = fronts(blocks(HEIGHTS, STIFFNESS * np.exp(0.05), POISSON), theta, phi)
+    found = fronts((HEIGHTS, STIFFNESS * np.exp(0.05), POISSON), theta, phi)
     assert found.start.max() > 2
     np.testing.assert_allclose(at.value, found.length, rtol=1e-10)
     for j in (1, 3, 8, 12, SITES):
@@ -277,7 +284,7 @@ def test_an_event_that_starts_inside_is_recovered_and_reported():
 def test_nothing_is_determined_where_the_order_of_the_breaks_matters(recovered):
     """Lengths that only a weak place far inside explains: the contacts there break first, and not one after another."""
     theta = 1 - 0.25 * np.exp(-(((X - 14) / 4) ** 2))
-    length = fronts(blocks(HEIGHTS, STIFFNESS, POISSON), theta[None], 0 * X[None]).length
+    length = fronts((HEIGHTS, STIFFNESS, POISSON), np.tile(theta, (len(HEIGHTS), 1)), np.zeros((len(HEIGHTS), len(X)))).length
     assert abs(ruptures(theta, 0 * X)[0] - length).max() > 1
     found = sp.recover_profile(measured(length, 0.1), stiffness=STIFFNESS, amplitude=0.2, length_scale=6.0)
     assert found.determination in (Determination.ORDER, Determination.CURVED)

@@ -203,7 +203,7 @@ def test_local_devices_share_a_sweep(reference, tmp_path, count):
         "import jax, numpy as np, slippulse_jax as sp\n"
         f"assert jax.local_device_count() == {count}\n"
         "from slippulse_jax.bulk import chunks\n"
-        "from slippulse_jax.lattice import lengths\n"
+        "from slippulse_jax import lengths\n"
         "lengths.LENGTHS, chunks.PIECE = chunks.Layout(chunk=64), 4\n"
         f"sp.sweep({GRID}, {OUTPUTS}, store={str(store)!r}, chunk=1000)\n"
         f"sp.sweep({GRID}, {OUTPUTS}, store={str(store)!r} + '1', chunk={CHUNK})\n"

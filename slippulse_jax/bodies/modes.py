@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import MACHINE, check_choice
-from slippulse_jax.slider import Fields, Slider, of_one_type
+from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.units import Numbers, as_float
 
 RightEnd = Literal["semi-infinite", "free", "clamped"]
@@ -237,11 +237,25 @@ def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Pair, Pair]:  # 
     return (root, inverse), (along, -inverse * inverse * along)
 
 
+class ChainFields(eqx.Module):
+    """Displacements along a chain with its pinning points, in u_s = f_s/k; the leading axis runs over the sites."""
+
+    upper: Float[Array, " sites"]  # u_t
+    layer: Float[Array, " sites"]  # u
+    pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
+    prestress: Float[Array, " sites"]  # φ_i, what the contact carries when u = u_b, in σ_s
+
+    @property
+    def stress(self) -> Float[Array, " sites"]:
+        """All that the contact carries: σ_c = k(u − u_b)/λc² (label cra06), and its prestress, in σ_s."""
+        return self.layer - self.pinning + self.prestress
+
+
 @in_full
 def equilibrium_fields(
     modes: Modes, load: Array, pinning: Float[Array, " sites"], prestress: Float[Array, " sites"] | None = None
-) -> Fields:
-    """Fields of a uniform chain in equilibrium (labels discr1, discr2, and cra06 of the stress), in O(sites).
+) -> ChainFields:
+    """Fields of a uniform chain in equilibrium (labels discr1, discr2), in O(sites).
 
     Parameters
     ----------
@@ -268,9 +282,8 @@ def equilibrium_fields(
     endless = echo * up_to + from_here - echo * sources
     amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
     in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
-    layer = in_mode.sum(axis=1)
-    stress = layer - pinning if prestress is None else layer - pinning + prestress
-    return Fields(in_mode @ modes.upper, layer, stress, pinning)
+    carried = jnp.zeros_like(pinning) if prestress is None else prestress
+    return ChainFields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning, carried)
 
 
 def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:

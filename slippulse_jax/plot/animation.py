@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slippulse_jax.bodies.modes import Fields
+from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.files import write_atomically
 from slippulse_jax.interface import Interface, Profile
@@ -109,7 +109,7 @@ def animate(
     return movie
 
 
-def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
+def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) -> Any:
     """Draw the first frame, and return the function that draws any other."""
     above, below = panels
     c = style.colours(above)
