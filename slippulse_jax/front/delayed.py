@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.modes import Modes
+from slippulse_jax.bulk.compiler import solve_without_pivots
 from slippulse_jax.front.front import Front, advance, contact_at, echo_at
 from slippulse_jax.front.front import nucleate as at_rest
 from slippulse_jax.interface import Interface, Profile
@@ -90,21 +91,8 @@ def _window(modes: Modes, contacts: Interface | Profile, rest: Front, s: Array) 
         endless = endless * echo[jnp.maximum(offset[:, None], offset[None])]
     edge = ((y[:, :, None] * rest.reflected[None]).sum(1)[:, None] * y[None]).sum(2)
     green = jnp.where(inside[:, None] & inside[None], endless.sum(2) + edge, 0)
-    window = _solve(jnp.eye(n, dtype=base.dtype) - green[:n, :n], jnp.where(inside, base, 0)[:n])
+    window = solve_without_pivots(jnp.eye(n, dtype=base.dtype) - green[:n, :n], jnp.where(inside, base, 0)[:n])
     return window, base[n] + (green[n, :n] * window).sum()
-
-
-def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Solve a system whose diagonal dominates, by elimination without pivots.
-
-    Written out, because a library's solution inside a program that runs beside others can wait for their threads for ever.
-    """
-
-    def eliminate(k: Array, system: Array) -> Array:
-        row = system[k] / system[k, k]
-        return (system - system[:, k][:, None] * row[None]).at[k].set(row)
-
-    return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
 
 
 @partial(jax.jit, static_argnames="count")
