@@ -1,1 +1,1 @@
-"""How many lanes are computed at once: chunks, threads, devices, compiler options. No physics here."""
+"""Chunks of lanes, threads, devices and compiler options. No physics here."""

@@ -1,4 +1,4 @@
-"""How far events go in which contacts break again.
+"""Lengths of whole events, in which contacts break again.
 
 Beyond an onset of the areal stiffness (`slippulse_jax.exact.bulk`) contact 0 breaks again before the front stops, and
 others after it: the event is a cascade in which the most overloaded contact breaks next (`slippulse_jax.events.rupture`), on

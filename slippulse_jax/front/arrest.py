@@ -1,4 +1,4 @@
-"""Where and how the front of one slider ends: its length, count, status and edge stress."""
+"""Length, count, status and edge stress of the front of one slider, and its refusals."""
 
 import functools
 import operator
