@@ -17,7 +17,7 @@ the mirror of a free end at (N − ½) λc from contact 0, a clamped wall at N �
 then those that lie before (N − ½) λc.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -35,7 +35,7 @@ from slippulse_jax.units import Numbers, as_float
 RightEnd = Literal["semi-infinite", "free", "clamped"]
 
 Number = Float[Array, "..."]
-Pair = tuple[Number, Number]  # one number per mode
+Pair = tuple[Number, Number]
 
 
 class Ends(eqx.Module):
@@ -61,13 +61,6 @@ NO_END = 1e30
 """N and M/K that stand for no end and no machine: finite, so that derivatives are."""
 
 
-class Echo(NamedTuple):
-    """What the right end of a finite chain sends back."""
-
-    amplitude: Float[Array, "2"]  # η_m: r_m from a free end, −r_m² from a clamped one
-    last: Float[Array, ""]  # N − 1, index of the last site
-
-
 class Modes(eqx.Module):
     """Everything the response of a uniform chain depends on; the leading axis runs over the two modes.
 
@@ -81,21 +74,22 @@ class Modes(eqx.Module):
     reflection: Float[Array, "2 2"]  # R_mn
     drive: Float[Array, "2"]  # C_m, u at nucleation is Σ C_m y_m(i), in u_s: 1 at i = 0
     load: Float[Array, ""]  # U0, displacement of the drive (without a machine, of the left edge) at nucleation, in u_s
-    echo: Echo | None  # None for a semi-infinite chain
+    echo: Float[Array, "2"] | None = None  # η_m of the right end: r_m if free, −r_m² if clamped; None for a semi-infinite chain
+    last: Float[Array, ""] | None = None  # N − 1, index of the last site; likewise
 
     def echo_factor(self, site: Array) -> Float[Array, "2"]:
         """e_m(i) = 1 + η_m r_m^{2(N−1−i)}."""
-        if self.echo is None:
+        if self.echo is None or self.last is None:
             return jnp.ones_like(self.ratio)
-        beyond = jnp.maximum(self.echo.last - site.astype(self.gap.dtype), -1)  # past the end nothing grows
-        return 1 + self.echo.amplitude * jnp.exp(2 * beyond * jnp.log1p(-self.gap))
+        beyond = jnp.maximum(self.last - site.astype(self.gap.dtype), -1)  # past the end nothing grows
+        return 1 + self.echo * jnp.exp(2 * beyond * jnp.log1p(-self.gap))
 
     def echo_growth(self, site: Array) -> Float[Array, "2"]:
         """e_m(i) − e_m(0), with all its digits."""
-        if self.echo is None:
+        if self.echo is None or self.last is None:
             return jnp.zeros_like(self.ratio)
         rate = 2 * jnp.log1p(-self.gap)
-        return -self.echo.amplitude * jnp.exp((self.echo.last - site) * rate) * jnp.expm1(site * rate)
+        return -self.echo * jnp.exp((self.last - site) * rate) * jnp.expm1(site * rate)
 
     def profile(self, site: Array) -> Float[Array, "2"]:
         """y_m(i) = e_m(i) r_m^i."""
@@ -117,29 +111,7 @@ def lattice_modes(slider: Slider, ends: Ends = ENDLESS) -> Modes:
     machine = None if ends.machine is None else given.pop()
     end = None if ends.sites is None else (ends.right, given.pop())
     numbers = mode_numbers(height, stiffness, poisson, end, machine)
-    r11, r12, r22 = numbers.reflection
-    return Modes(
-        ratio=jnp.stack(numbers.ratio),
-        gap=jnp.stack(numbers.gap),
-        weight=jnp.stack(numbers.weight),
-        upper=jnp.stack(numbers.upper),
-        reflection=jnp.stack([jnp.stack([r11, r12]), jnp.stack([r12, r22])]),
-        drive=jnp.stack(numbers.drive),
-        load=numbers.load,
-        echo=None if end is None else Echo(jnp.stack(echoes(numbers.ratio, ends.right)), end[1] - 1),
-    )
-
-
-class ModeNumbers(NamedTuple):
-    """`Modes`, each number by itself, for a loop over lanes that computes each once."""
-
-    ratio: Pair
-    gap: Pair
-    weight: Pair
-    upper: Pair
-    reflection: tuple[Number, Number, Number]  # R_11, R_12 = R_21, R_22
-    drive: Pair
-    load: Number
+    return Modes(**{name: jnp.array(x) for name, x in numbers.items()})
 
 
 def mode_numbers(
@@ -148,8 +120,10 @@ def mode_numbers(
     poisson: Number,
     end: tuple[RightEnd, Number] | None = None,
     machine: Number | None = None,
-) -> ModeNumbers:
-    """Modes of one slider; `end` is the right end of a finite chain and its number of sites, `machine` is M/K.
+) -> dict[str, Any]:
+    """Fields of the `Modes` of one slider, as tuples of single numbers: a loop over lanes computes each of them once.
+
+    `end` is the right end of a finite chain and its number of sites, `machine` is M/K.
 
     Notes
     -----
@@ -201,15 +175,17 @@ def mode_numbers(
         give = height * _inverse(machine) * (U2 - U1)
         determinant, back1, back2 = determinant - give * s1 * s2, back1 + give * g1 * s2, back2 - give * g2 * s1
     over_determinant, over_edge = _inverse(determinant), _inverse(at_edge)
-    reflection = -w1 * back1 * over_determinant, -w2 * U2 * both * over_determinant, w2 * back2 * over_determinant
-    drive = s2 * over_edge, -s1 * over_edge
-    return ModeNumbers((r1, r2), (g1, g2), (w1, w2), (U1, U2), reflection, drive, determinant * over_edge)
-
-
-def echoes(ratio: Pair, right: RightEnd) -> Pair:
-    """η_m of a free or clamped end."""
-    r1, r2 = ratio
-    return (r1, r2) if right == "free" else (-r1 * r1, -r2 * r2)
+    between = -w2 * U2 * both * over_determinant
+    of_end = {} if end is None else {"echo": (r1, r2) if end[0] == "free" else (-r1 * r1, -r2 * r2), "last": end[1] - 1}
+    return of_end | {
+        "ratio": (r1, r2),
+        "gap": (g1, g2),
+        "weight": (w1, w2),
+        "upper": (U1, U2),
+        "reflection": ((-w1 * back1 * over_determinant, between), (between, w2 * back2 * over_determinant)),
+        "drive": (s2 * over_edge, -s1 * over_edge),
+        "load": determinant * over_edge,
+    }
 
 
 @jax.custom_jvp

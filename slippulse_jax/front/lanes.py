@@ -27,7 +27,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from slippulse_jax.bodies.modes import Number, RightEnd, echoes, lattice_modes, mode_numbers
+from slippulse_jax.bodies.modes import Number, RightEnd, lattice_modes, mode_numbers
 from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
 from slippulse_jax.front.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
@@ -62,11 +62,8 @@ class State(NamedTuple):
     lane: Lane
 
 
-class Now(NamedTuple):
-    """A chunk of lanes, and its tangents along height, stiffness, poisson[, prestress, slope]."""
-
-    state: State
-    rates: tuple[State, ...]
+Now = tuple[State, tuple[State, ...]]
+"""A chunk of lanes, and its tangents along height, stiffness, poisson[, prestress, slope]."""
 
 
 @functools.cache
@@ -76,7 +73,7 @@ def length_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kerne
     Of uniform interfaces without repinning delay. inf where a front never stops or runs through, NaN after `max_contacts`
     breaks.
     """
-    return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts, right=right).state, max_contacts),)
+    return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts, right=right)[0], max_contacts),)
 
 
 @functools.cache
@@ -84,7 +81,7 @@ def arrest_kernel(max_contacts: int) -> Kernel:
     """Contacts broken, ℓ, status and stress on contact 0 of lanes as for `length_kernel`."""
 
     def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        state = _until_all_arrest(parameters, max_contacts, with_edge=True).state
+        state, _ = _until_all_arrest(parameters, max_contacts, with_edge=True)
         length, opened = _length(state, max_contacts), _opened(state)
         (broken,), (edge,) = state.front.position, state.front.edge
         (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
@@ -120,12 +117,12 @@ def _until_all_arrest(
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
 
     def some_go(now: Now) -> Bool[Array, ""]:
-        state = _opened(now.state)
+        state = _opened(now[0])
         (goes,) = _goes(state, _stress_and_excess(state, _echo(state))[1])
-        return jnp.any(goes & (now.state.front.position[0] < max_contacts))
+        return jnp.any(goes & (now[0].front.position[0] < max_contacts))
 
     begun = in_one_loop(nucleate, *parameters, *ends)
-    return lax.while_loop(some_go, lambda now: Now(*in_one_loop(_turn, *in_one_loop(_turn, *now))), begun)
+    return lax.while_loop(some_go, lambda now: in_one_loop(_turn, *in_one_loop(_turn, *now)), begun)
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
@@ -182,16 +179,17 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         sites, machine = numbers[5:] or (None, None)
         modes = mode_numbers(numbers[0], numbers[1], numbers[2], None if sites is None else (right, sites), machine)
         prestress, slope = ([x] for x in numbers[3:5]) if len(numbers) > 3 else (None, None)
-        lane = Lane(list(modes.gap), list(modes.weight), prestress, slope, end, cap)
+        lane = Lane(list(modes["gap"]), list(modes["weight"]), prestress, slope, end, cap)
         if sites is not None:
-            rate = [2 * jnp.log1p(-gap) for gap in modes.gap]
-            lane = lane._replace(echo=list(echoes(modes.ratio, right)), rate=rate, last=[sites - 1])
-        half, drive = _array(modes.reflection), _array(modes.drive)
+            rate = [2 * jnp.log1p(-gap) for gap in modes["gap"]]
+            lane = lane._replace(echo=list(modes["echo"]), rate=rate, last=[modes["last"]])
+        (r11, r12), (_, r22) = modes["reflection"]
+        half, drive = _array((r11, r12, r22)), _array(modes["drive"])
         if prestress is not None:
             drive = drive * _array([1 - prestress[0]])
-        reach = None if most is None else _array(modes.weight) + half[PAIRS].sum(0)
+        reach = None if most is None else _array(modes["weight"]) + half[PAIRS].sum(0)
         before = Front(drive, half[PAIRS], reach, _array([none]), _array([none]), None if most is None else _array([none]))
-        guide = lane._replace(gap=_array(modes.gap), weight=_array(modes.weight))
+        guide = lane._replace(gap=_array(modes["gap"]), weight=_array(modes["weight"]))
         echo = _echo(State(before, Lane(*map(_array, lane))))
         return State(_closed(advance(guide, before, _array([one]), echo)), lane)
 
@@ -206,7 +204,7 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         moves = Front(front.stress, None, None, None, front.behind, None)
         return State(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
 
-    return Now(state, tuple(along(which) for which in range(len(numbers))) if with_rates else ())
+    return state, tuple(along(which) for which in range(len(numbers))) if with_rates else ()
 
 
 def _echo(state: State) -> Any:
@@ -238,7 +236,7 @@ def _turn(state: State, rates: tuple[State, ...]) -> Now:
     for _ in range(BREAKS):
         rates = tuple(State(_tangent(_break, state, rate), rate.lane) for rate in rates)
         state = state._replace(front=_break(state))
-    return Now(state, rates)
+    return state, rates
 
 
 def _break(state: State) -> Front:
