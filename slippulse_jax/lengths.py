@@ -146,12 +146,7 @@ def lengths(
     if not derivatives:
         return found.reshape(shape)
     length, *slopes = (column.reshape(shape) for column in found)
-    by_slider, by_interface, by_rule, by_ends = jax.tree.unflatten(kind, slopes)
-    numbers = [by_slider.height, by_slider.stiffness, by_slider.poisson]
-    if interface is not None:
-        numbers += [by_interface.prestress, by_interface.threshold_slope]
-    more = {"sites": by_ends.sites, "machine": by_ends.machine, "rule": by_rule if smooth else None}
-    return LengthDerivatives(length, *numbers, **more)
+    return LengthDerivatives(length, *jax.tree.unflatten(kind, slopes))
 
 
 def _whole(
@@ -169,13 +164,14 @@ def _whole(
     if ends.machine is not None or sites is not None and not (np.all(ends.sites == sites) and sites.is_integer()):
         raise ValueError("event = 'full': takes no machine, and one whole number of sites")
     front = lengths(slider, interface, ends=ends, max_contacts=max_contacts, derivatives=derivatives)
-    rows = np.stack([x for x in front[:6] if x is not None]) if derivatives else front[None]
+    numbers, kind = jax.tree.flatten(front)  # the length, and its derivatives
+    rows = np.stack(numbers)
     status = arrests(slider, interface, ends=ends, max_contacts=max_contacts).status
     again = status == Outcome.REBREAK
     if again.any():
         columns = np.stack(_columns(slider, interface, rule, ENDLESS)[0])[:, again.ravel()]
         rows[:, again] = event_lengths(columns, rows[0][again], ends.right, None if sites is None else int(sites), derivatives)
-    return LengthDerivatives(*rows) if derivatives else rows[0]
+    return jax.tree.unflatten(kind, list(rows))
 
 
 def arrests(

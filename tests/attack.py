@@ -82,7 +82,7 @@ def lengths(rng: np.random.Generator, count: int) -> Found:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         slopes = sp.precursor_lengths(some, derivatives=1)
-    lost = stopped & ~np.isfinite(np.stack([slopes.height, slopes.stiffness, slopes.poisson])).all(axis=0)
+    lost = stopped & ~np.isfinite(np.stack(jax.tree.leaves(slopes.slider))).all(axis=0)
     fell = _lines(wrong | apart | differ | lost, some.height, some.stiffness, some.poisson, ended.length, exact)
     return Found(count, int((~stopped).sum()), fell)
 

@@ -312,7 +312,7 @@ def test_implicit_and_unrolled_routes_agree(law):
         def step(x, _):
             z = x[1] - state.pinning
             slope = jnp.ones(9) if law is None else jax.vmap(jax.grad(law))(z)
-            dx = respond(c, c.contact * slope, eliminate(c, c.contact * slope).beyond, imbalance(c, state, x))
+            dx = respond(c, c.contact * slope, eliminate(c, c.contact * slope), imbalance(c, state, x))
             return (x[0] + dx[0], x[1] + dx[1]), None
 
         start = (jnp.zeros(9).at[0].set(state.load), jnp.zeros(9))

@@ -26,7 +26,7 @@ def test_standard_error_is_that_of_correlated_lengths(lengths):
     """By generalised least squares: the two errors are covariances of the lengths."""
     result = sp.fit(lengths)
     found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
-    slope = found.stiffness * result.values["stiffness"]
+    slope = found.slider.stiffness * result.values["stiffness"]
     sigma, factor = lengths.sigma, np.exp(result.theta[result.parameters.index("model_factor")])
     shared = MODEL_ERROR * factor * found.length
     covariance = np.diag(sigma**2) + np.median(sigma) ** 2 + np.outer(shared, shared)
@@ -74,7 +74,7 @@ def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
     assert set(result.inputs) == {"model_factor"}
     found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
     factor = result.inputs["model_factor"]
-    slope, shared = factor * found.stiffness * result.values["stiffness"], MODEL_ERROR * factor * found.length
+    slope, shared = factor * found.slider.stiffness * result.values["stiffness"], MODEL_ERROR * factor * found.length
     stderr = 1 / np.sqrt(slope @ np.linalg.solve(np.diag(result.sigma**2) + np.outer(shared, shared), slope))
     assert result.stderrs["stiffness"] / result.values["stiffness"] == pytest.approx(stderr, rel=0.02)
     assert 'fixed={"model_factor": 1} leaves the errors of the lengths alone' in result.report()

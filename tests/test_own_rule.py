@@ -91,7 +91,7 @@ def test_derivatives_in_its_own_numbers():
     np.testing.assert_allclose(bulk.rule.lean.sum(), found.lean, rtol=1e-10)
     np.testing.assert_allclose(bulk.length, sp.precursor_lengths(FIG2, rule=batch), rtol=1e-13)
     up, down = (sp.precursor_lengths(sp.Slider(25.0 + e, 0.03, 0.3), rule=batch) for e in (h, -h))
-    np.testing.assert_allclose(bulk.height, (up - down) / (2 * h), rtol=1e-5)
+    np.testing.assert_allclose(bulk.slider.height, (up - down) / (2 * h), rtol=1e-5)
 
 
 def test_batches_and_bulk():

@@ -124,7 +124,7 @@ def test_length_and_its_derivative_beyond_the_onset():
     assert front.status == Outcome.REBREAK
     np.testing.assert_allclose(front.length, sp.exact_length(slider), rtol=1e-13)
     slope = jax.grad(lambda q: sp.exact_front(sp.Slider(1e4, q, 0.3)).length)(slider.stiffness)
-    assert slope == pytest.approx(float(sp.exact_lengths(slider, derivatives=1).stiffness), rel=1e-8)
+    assert slope == pytest.approx(float(sp.exact_lengths(slider, derivatives=1).slider.stiffness), rel=1e-8)
 
 
 def test_the_slow_decay_length_of_a_slider():

@@ -266,13 +266,6 @@ Pair = tuple[Array, Array]
 """One number per layer: (upper, interfacial)."""
 
 
-class Elimination(NamedTuple):
-    """Equivalent springs of all that lies to the right of each site."""
-
-    beyond: Springs  # (N,): of everything right of site i, including bond i; the last is the chain's end
-    floating: Bool[Array, ""]  # whether a part of the chain is unattached
-
-
 def beside(far: Springs, across: Array, contact: Array) -> Springs:
     """Add the springs of one site to `far`, in parallel."""
     return Springs(far.upper, far.layer + contact, far.across + across)
@@ -303,25 +296,33 @@ def through(bond: Pair, far: Springs) -> Springs:
     return Springs(B * upper, K * layer, B * K * far.across / jnp.where(det > 0, det, jnp.inf))
 
 
-def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Elimination:
+def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Springs:
     """Eliminate a chain from its right end, site by site.
 
-    `contact` holds the (tangent) stiffness of every contact.
+    `contact` holds the (tangent) stiffness of every contact. Returns `beyond`, shape (N,): the springs equivalent to everything
+    right of each site, with the bond next to it; the last are the chain's end.
     """
 
-    def step(far: Springs, bond_and_site: tuple) -> tuple[Springs, tuple]:
+    def step(far: Springs, bond_and_site: tuple) -> tuple[Springs, Springs]:
         B, K, across, contact = bond_and_site
-        site = beside(far, across, contact)
-        floating = determinant(Springs(B + site.upper, K + site.layer, site.across)) <= 0
-        seen = through((B, K), site)
-        return seen, (seen, floating)
+        seen = through((B, K), beside(far, across, contact))
+        return seen, seen
 
     end = Springs(*(jnp.asarray(x, contact.dtype) for x in chain.end))
     bonds_and_sites = (chain.upper, chain.layer, chain.across[1:], contact[1:])
-    _, (beyond, floating) = lax.scan(step, end, bonds_and_sites, reverse=True)
-    beyond = Springs(*(jnp.append(x, e) for x, e in zip(beyond, end, strict=True)))
-    first = beside(Springs(*(x[0] for x in beyond)), chain.across[0], contact[0])
-    return Elimination(beyond, floating.any() | (first.layer + first.across <= 0))
+    _, beyond = lax.scan(step, end, bonds_and_sites, reverse=True)
+    return Springs(*(jnp.append(x, e) for x, e in zip(beyond, end, strict=True)))
+
+
+def floats(chain: Chain, beyond: Springs) -> Bool[Array, ""]:
+    """Whether a part of a chain is attached to nothing, from its elimination."""
+    site = beside(beyond, chain.across, chain.contact)
+    return (determinant(held_from_left(chain, site)) <= 0).any() | (site.layer[0] + site.across[0] <= 0)
+
+
+def held_from_left(chain: Chain, site: Springs) -> Springs:
+    """Springs that hold sites 1 … N − 1, the bond to their left included."""
+    return Springs(site.upper[1:] + chain.upper, site.layer[1:] + chain.layer, site.across[1:])
 
 
 def carried_over(held: Springs, bond: Pair) -> tuple[Pair, Pair]:
@@ -340,7 +341,7 @@ def respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
     determines (`eliminate`, for the same `contact`). The result is zero where a part floats.
     """
     site = beside(beyond, chain.across, contact)
-    held = Springs(site.upper[1:] + chain.upper, site.layer[1:] + chain.layer, site.across[1:])
+    held = held_from_left(chain, site)
     by_upper, by_layer = carried_over(held, (chain.upper, chain.layer))
 
     def collect(arriving: Pair, here: tuple) -> tuple[Pair, Pair]:

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bodies.chain import Chain, Elimination, Pair, Springs, State, eliminate, respond
+from slippulse_jax.bodies.chain import Chain, Pair, Springs, State, eliminate, floats, respond
 from slippulse_jax.domains import check_kind
 from slippulse_jax.status import Outcome
 
@@ -73,7 +73,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     return in_balance(valid, safe, state, eliminate(safe, safe.contact))
 
 
-def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> Equilibrium:
+def in_balance(valid: Array, safe: Chain, state: State, beyond: Springs) -> Equilibrium:
     """Solve for the `equilibrium` of a chain that has been eliminated.
 
     Parameters
@@ -82,10 +82,10 @@ def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> E
         Whether the chain and the state are those that were given, or have been replaced (`or_harmless`).
     safe : Chain
     state : State
-    right : Elimination
-        Of `safe` with its contacts.
+    beyond : Springs
+        Elimination of `safe` with its contacts.
     """
-    (upper, layer), converged = solve(safe, state, lax.stop_gradient(right.beyond))
+    (upper, layer), converged = solve(safe, state, lax.stop_gradient(beyond))
     end = safe.end.upper * upper[-1] + safe.end.layer * layer[-1]
     push = safe.contact_force(layer - state.pinning).sum() + end
     found = lax.stop_gradient((safe, state, (upper, layer)))
@@ -95,7 +95,7 @@ def in_balance(valid: Array, safe: Chain, state: State, right: Elimination) -> E
     finite = jnp.stack([jnp.isfinite(x).all() for x in (upper, layer, stress, push, residual)]).all()
     balanced = converged & (residual <= jnp.finfo(residual.dtype).eps ** 0.5)
     status = jnp.select(
-        [~valid, right.floating, ~finite, ~balanced],
+        [~valid, floats(safe, beyond), ~finite, ~balanced],
         [Outcome.INVALID, Outcome.SINGULAR, Outcome.INVALID, Outcome.NOT_CONVERGED],
         Outcome.SOLVED,
     ).astype(jnp.int32)
@@ -129,7 +129,7 @@ def _implicit_derivative(primals, tangents):
         moved = _solve_linear(chain, chain.contact, beyond, unbalanced)
     else:
         contact = _tangent(chain, x[1] - state.pinning)
-        moved = _solve_linear(chain, contact, eliminate(chain, contact).beyond, unbalanced)
+        moved = _solve_linear(chain, contact, eliminate(chain, contact), unbalanced)
     none = np.zeros(np.shape(converged), jax.dtypes.float0)
     return (x, converged), ((unmoved[0] + moved[0], moved[1]), none)
 
@@ -215,7 +215,7 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
     def step(carry):
         x, now, n, _ = carry
         contact = _tangent(chain, x[1] - state.pinning)
-        dx = respond(chain, contact, eliminate(chain, contact).beyond, imbalance(chain, state, x))
+        dx = respond(chain, contact, eliminate(chain, contact), imbalance(chain, state, x))
         tried = jax.vmap(lambda part: size(jax.tree.map(lambda a, b: a + part * b, x, dx)))(parts)
         best = jnp.nanargmin(tried)
         after = jnp.where(jnp.isnan(tried[best]), jnp.inf, tried[best])

@@ -21,7 +21,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.chain import Chain, Elimination, Pair, Springs, beside, carried_over, eliminate, solve_pair, through
+from slippulse_jax.bodies.chain import (
+    Chain,
+    Pair,
+    Springs,
+    beside,
+    carried_over,
+    eliminate,
+    held_from_left,
+    solve_pair,
+    through,
+)
 from slippulse_jax.bodies.modes import Modes
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 
@@ -68,9 +78,9 @@ def block_size(sites: int) -> int:
     return size
 
 
-def propagators(chain: Chain, right: Elimination) -> Propagators:
+def propagators(chain: Chain, beyond: Springs) -> Propagators:
     """Compute a chain's propagators, given its elimination from the right end."""
-    site = beside(right.beyond, chain.across, chain.contact)
+    site = beside(beyond, chain.across, chain.contact)
 
     def step(near: Springs, here: tuple) -> tuple[Springs, Springs]:
         bond, across, contact = here
@@ -90,10 +100,9 @@ def propagators(chain: Chain, right: Elimination) -> Propagators:
         return jnp.stack([jnp.stack(column, -1) for column in carried_over(held, bond)], -1)
 
     bond = (chain.upper, chain.layer)
-    after = Springs(site.upper[1:] + bond[0], site.layer[1:] + bond[1], site.across[1:])
     site_left = beside(behind, chain.across, chain.contact)
     before = Springs(site_left.upper[:-1] + bond[0], site_left.layer[:-1] + bond[1], site_left.across[:-1])
-    P, Q = columns(after, bond), columns(before, bond)
+    P, Q = columns(held_from_left(chain, site), bond), columns(before, bond)
     held = jnp.zeros((2, 2), P.dtype).at[1, 1].set(share)
     whole = Springs(*(a + b for a, b in zip(behind, site, strict=True)))
     source = jnp.stack(solve_pair(whole, (jnp.zeros_like(ground), jnp.ones_like(ground))), -1)
@@ -102,13 +111,13 @@ def propagators(chain: Chain, right: Elimination) -> Propagators:
     zero = jnp.zeros((1, 2, 2), P.dtype)
     follow = site.across[0] * at_edge[1]
     # u_t[0] − u[0] per load, from positive terms
-    apart = (chain.contact[0] + right.beyond.layer[0]) * at_edge[1]
+    apart = (chain.contact[0] + beyond.layer[0]) * at_edge[1]
     return Propagators(
         right=jnp.concatenate([P, zero]),
         left=jnp.concatenate([zero, Q.at[0].set(held)]),
         source=source.at[0].set(at_edge),
         follow=follow,
-        edge_stiffness=right.beyond.upper[0] + site.across[0] * apart,
+        edge_stiffness=beyond.upper[0] + site.across[0] * apart,
     )
 
 
@@ -119,12 +128,12 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain, right: Elimination, *, near: bool = True) -> Response:
+def response(chain: Chain, beyond: Springs, *, near: bool = True) -> Response:
     """Compute the response of a chain with linear contacts, given its elimination from the right end.
 
     It does not depend on thresholds and prestress. Without `near`, the response inside a block is left to `within`.
     """
-    sites = propagators(chain, right)
+    sites = propagators(chain, beyond)
     size = block_size(chain.sites)
     q = into_blocks(chain.contact, size)
     P, Q, source = (into_blocks(x, size) for x in sites[:3])
@@ -156,15 +165,15 @@ def response(chain: Chain, right: Elimination, *, near: bool = True) -> Response
     )
 
 
-def shared_response(chain: Chain, *, near: bool = True) -> tuple[Elimination, Response]:
+def shared_response(chain: Chain, *, near: bool = True) -> tuple[Springs, Response]:
     """Eliminate a chain and compute its response, once for lanes that share their springs.
 
     Such lanes differ in thresholds or prestress only.
     """
 
-    def of_springs(springs: Chain) -> tuple[Elimination, Response]:
-        right = eliminate(springs, springs.contact)
-        return right, response(springs, right, near=near)
+    def of_springs(springs: Chain) -> tuple[Springs, Response]:
+        beyond = eliminate(springs, springs.contact)
+        return beyond, response(springs, beyond, near=near)
 
     none = jnp.ones(chain.sites, chain.contact.dtype)
     return lane_by_lane(of_springs, eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none)))

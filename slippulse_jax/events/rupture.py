@@ -23,7 +23,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bodies.chain import Chain, Elimination, State, check_linear, eliminate
+from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, eliminate
 from slippulse_jax.bodies.equilibrium import (
     Equilibrium,
     all_numbers,
@@ -222,7 +222,7 @@ def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
 
 
 def one_rupture(
-    limits: tuple[int, int], resp: Response, right: Elimination, chain: Chain, state: State, trigger: Array
+    limits: tuple[int, int], resp: Response, beyond: Springs, chain: Chain, state: State, trigger: Array
 ) -> Rupture:
     """Follow the rupture of one chain.
 
@@ -232,15 +232,15 @@ def one_rupture(
         Largest number of breaks, and the delay.
     resp : Response
         Of the chain.
-    right : Elimination
-        Of the chain from its right end.
+    beyond : Springs
+        Elimination of the chain from its right end.
     chain, state, trigger
         As for `rupture`.
     """
     max_breaks, delay = limits
     valid = all_numbers(chain, state)
-    safe, state, right = or_harmless(valid, (chain, state, right))
-    before = in_balance(valid, safe, state, right)
+    safe, state, beyond = or_harmless(valid, (chain, state, beyond))
+    before = in_balance(valid, safe, state, beyond)
     trigger = _or_closest(safe, before.stress, trigger)
     meant = _can_break(safe, before.stress, trigger)
     good = (before.status == Outcome.SOLVED) & meant
@@ -260,7 +260,7 @@ def one_rupture(
     slip = (found.contacts.released * resp.soft).reshape(-1)[:n]
     after_state = State(state.pinning + slip, state.load)
     finite = jnp.isfinite(slip).all()
-    after = in_balance(finite, safe, or_harmless(finite, after_state), right)
+    after = in_balance(finite, safe, or_harmless(finite, after_state), beyond)
     status = first_of(
         {
             Outcome.INVALID: _invalid(before, after) | ~meant,
@@ -292,8 +292,8 @@ def one_rupture(
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    right, resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
-    return lane_by_lane(partial(one_rupture, limits), resp, right, chain, state, trigger)
+    beyond, resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
+    return lane_by_lane(partial(one_rupture, limits), resp, beyond, chain, state, trigger)
 
 
 _undifferentiated = without_derivative(
@@ -326,11 +326,11 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     """
     valid = all_numbers(chain, state)
     safe, state = or_harmless(valid, (chain, state))
-    right = eliminate(safe, safe.contact)
-    before = in_balance(valid, safe, state, right)
+    beyond = eliminate(safe, safe.contact)
+    before = in_balance(valid, safe, state, beyond)
     meant = _can_break(safe, before.stress, trigger)
     good = (before.status == Outcome.SOLVED) & meant
-    links, n = propagators(safe, right), chain.sites
+    links, n = propagators(safe, beyond), chain.sites
     attached = safe.contact > 0
 
     def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
@@ -346,7 +346,7 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     slip = given_up * safe.stiffness / jnp.where(attached, safe.contact, jnp.inf)
     after_state = State(state.pinning + slip, state.load)
     finite = jnp.isfinite(slip).all()
-    after = in_balance(finite, safe, or_harmless(finite, after_state), right)
+    after = in_balance(finite, safe, or_harmless(finite, after_state), beyond)
 
     theta = safe.threshold
     steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])

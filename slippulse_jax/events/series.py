@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, potential_energy
+from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
 from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
 from slippulse_jax.bodies.response import Response, into_blocks, of_matrix, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
@@ -190,9 +190,9 @@ def _series(
     if isinstance(body, Block):
         return lane_by_lane(partial(_of_block, shape), body, interface, spring, protocol, ageing, stopping)
     chain = body if spring is None else driven(body, spring)
-    right, resp = shared_response(chain)
+    beyond, resp = shared_response(chain)
     of_chain = partial(_of_chain, shape, int(spring is not None))
-    return lane_by_lane(of_chain, chain, resp, right.floating, protocol, ageing, stopping)
+    return lane_by_lane(of_chain, chain, resp, floats(chain, beyond), protocol, ageing, stopping)
 
 
 def _of_chain(

@@ -86,7 +86,7 @@ def exact_lengths(
     -------
     numpy.ndarray or LengthDerivatives
         float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where the crossing
-        was not found, with a warning. With derivatives a record of length, slopes and, for the order 2, Hessian.
+        was not found, with a warning. With derivatives also these and, for the order 2, the Hessian.
 
     Notes
     -----
@@ -123,7 +123,8 @@ def exact_lengths(
     elsewhere = np.where(status == Outcome.NO_DOMINO, 0, np.nan)
     first, *second = (np.where(status == Outcome.ARRESTED, x, elsewhere) for x in found)
     hessian = np.moveaxis(second[0], -1, 0).reshape(*shape, count, count) if second else None
-    return LengthDerivatives(length, *(x.reshape(shape) for x in first), hessian=hessian)
+    slopes = jax.tree.unflatten(jax.tree.structure((slider, interface)), [x.reshape(shape) for x in first])
+    return LengthDerivatives(length, *slopes, hessian=hessian)
 
 
 def exact_fronts(

@@ -24,7 +24,6 @@ from slippulse_jax.bodies.modes import Modes, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import crossing
 from slippulse_jax.front.front import first_of, in_domain, length_or_reason
-from slippulse_jax.front.readings import Readings
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -131,11 +130,11 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
 
 
 @in_full
-def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> Readings:
+def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> tuple[Array, Array]:
     """Slip and stress at a contact when contacts before `position` slide, or slid until the front stopped; scalars."""
     after = sliding(slider, (friction - prestress) / (1 - prestress), position)
     slides = site < position
     layer = jnp.where(slides, after.behind(jnp.minimum(site, position))[1], after.ahead(jnp.maximum(site, position))[1])
     before = after.modes.profile(site) @ after.modes.drive
     held = prestress + (1 - prestress) * layer
-    return Readings((1 - prestress) * (layer - before), jnp.where(slides, friction, held))
+    return (1 - prestress) * (layer - before), jnp.where(slides, friction, held)

@@ -49,7 +49,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.modes import Modes
+from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields, lattice_modes
+from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
@@ -83,21 +84,18 @@ def check_event(event: str) -> None:
 
 
 class LengthDerivatives(NamedTuple):
-    """Lengths of a batch and their derivatives, NumPy float64 of the shape of the batch; in λc per unit of the parameter.
+    """Lengths of a batch, and their derivatives in the places of the numbers of the arguments, as of ``jax.grad``.
 
-    The derivatives are NaN where the length is not finite, and 0 where no domino starts.
+    ``slider.stiffness`` is dℓ/d(k/K), ``interface.prestress`` dℓ/dφ, ``ends.sites`` dℓ/dN. All are NumPy float64 of the shape
+    of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
     """
 
     length: np.ndarray  # ℓ or ℓ*
-    height: np.ndarray  # dℓ/d(H/λc)
-    stiffness: np.ndarray  # dℓ/d(k/K)
-    poisson: np.ndarray  # dℓ/dν
-    prestress: np.ndarray | None = None  # dℓ/dφ, with an interface
-    threshold_slope: np.ndarray | None = None  # dℓ/dε, with an interface
-    rule: Any = None  # the break rule with the derivatives in the places of its numbers, with a smooth rule
-    hessian: np.ndarray | None = None  # (..., n, n), second derivatives in the order of the fields above
-    sites: np.ndarray | None = None  # dℓ/dN, of a finite chain
-    machine: np.ndarray | None = None  # dℓ/d(M/K), with a machine
+    slider: Slider
+    interface: Interface | None = None
+    rule: BreakRule | None = None
+    ends: Ends | None = None
+    hessian: np.ndarray | None = None  # (..., n, n), in the order of the numbers of slider and interface
 
 
 class Arrest(NamedTuple):
@@ -358,6 +356,40 @@ def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[A
     s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)
     steps = jax.vmap(rule.overloaded_length)(stress[1:-1], stress[2:], threshold[1:-1], threshold[2:])
     return part[1:2].sum() + jnp.where(site[1:-1] < s0, steps, 0).sum(), (s0 > 0) & (part[s0] <= FADED)
+
+
+@in_full
+def readings(slider: Slider, prestress: Array, position: Array, count: int, ends: Ends = ENDLESS) -> tuple[Array, Array]:
+    r"""Slip, in u_s, and contact stress, in σ_s, at the first `count` contacts after a front that stopped at `position`.
+
+    How far the interfacial layer moved while the front ran, and what each contact carries (label cra06). When the contacts
+    before `position` have broken in turn, pinning points have moved by p_j, and at contact i
+
+        slip(i)   = Σ_j G_ij p_j,
+        stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ.
+
+    Parameters
+    ----------
+    slider : Slider
+        One slider.
+    prestress : array, shape ()
+        φ, in σ_s.
+    position : array, shape ()
+        Contacts broken, at most `count`. Of the last a part may be: f²(3 − 2f) of it for a fraction f, so that fields change
+        smoothly from one whole number to the next.
+    count : int
+        Contact i lies at x = i λc.
+    ends : Ends
+        Right end and drive; beyond a free end the fields have no meaning.
+    """
+    modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
+    part = jnp.clip(position - site, 0, 1)
+    broken = part**2 * (3 - 2 * part)
+    loaded = jnp.ones_like(modes.load)  # contact 0 carries its threshold
+    moved = broken * sweep(modes, loaded, prestress + 0 * site, lambda _, broken: broken, broken)
+    slip = equilibrium_fields(modes, jnp.zeros_like(modes.load), moved).layer
+    driven = (1 - prestress) * jax.vmap(modes.profile)(site) @ modes.drive
+    return slip, prestress + driven + slip - moved
 
 
 @partial(jax.jit, static_argnames="count")

@@ -22,8 +22,7 @@ from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
 from slippulse_jax.front.arrest import quantity
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
-from slippulse_jax.front.readings import Readings, readings
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
 from slippulse_jax.inference.interpolation import block_lengths, whole_over_front
 from slippulse_jax.inference.parameters import STIFFNESSES, Inputs, MeasuredEvent, ParameterSet
 from slippulse_jax.interface import Interface
@@ -322,15 +321,15 @@ def _after(front: Inputs, stopped: np.ndarray, count: int) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnums=4)
-def _fields_after(slider: Slider, ends: Ends, prestress: Array, stopped: Array, count: int) -> Readings:
-    def one(slider: Slider, ends: Ends, prestress: Array, stopped: Array) -> Readings:
+def _fields_after(slider: Slider, ends: Ends, prestress: Array, stopped: Array, count: int) -> tuple[Array, Array]:
+    def one(slider: Slider, ends: Ends, prestress: Array, stopped: Array) -> tuple[Array, Array]:
         return readings(slider, prestress, stopped, count, ends)
 
     return jax.vmap(one)(slider, ends, prestress, stopped)
 
 
 @partial(jax.jit, static_argnums=4)
-def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopped: Array, count: int) -> Readings:
+def _fields_after_crack(slider: Slider, friction: Array, prestress: Array, stopped: Array, count: int) -> tuple[Array, Array]:
     site = jnp.arange(count, dtype=stopped.dtype)
     return jax.vmap(lambda *one: jax.vmap(partial(crack.fields, *one))(site))(slider, friction, prestress, stopped)
 
@@ -382,7 +381,7 @@ def traced(observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) ->
     else:
         at = partial(crack.fields, slider, inputs.friction, inputs.prestress, stopped)
         fields = jax.vmap(at)(jnp.arange(sites, dtype=place.dtype))
-    field = getattr(fields, observable)
+    field = fields[("slip", "stress").index(observable)]
     known = (stopped < sites) & (place + 1 < sites)
     return jnp.where(known, field[left] + (place - left) * (field[left + 1] - field[left]), jnp.inf)
 

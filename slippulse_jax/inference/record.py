@@ -19,7 +19,7 @@ from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges,
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.plain import plain, shortened
+from slippulse_jax.shown import plain, shortened
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 

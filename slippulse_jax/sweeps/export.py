@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.plain import plain
+from slippulse_jax.shown import plain
 from slippulse_jax.sweeps.dataset import current_versions
 
 ROWS = 1 << 18

@@ -242,8 +242,9 @@ def _front(request: Request, columns: Columns) -> Columns:
 
 def _gradient(request: Request, columns: Columns) -> Columns:
     def gradients(slider: Slider, **options: Any) -> Columns:
-        found = bulk.lengths(slider, derivatives=1, **options)._asdict()
-        return {f"dlength_d{name}": values for name, values in found.items() if values is not None and name != "length"}
+        found = bulk.lengths(slider, derivatives=1, **options)
+        numbers = vars(found.slider) | ({} if found.interface is None else vars(found.interface))
+        return {f"dlength_d{name}": slope for name, slope in numbers.items() if name != "repin_delay"}
 
     return _by_delay(request, columns, gradients)
 

@@ -23,7 +23,7 @@ from zarr.codecs import BytesCodec, Crc32cCodec
 from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.plain import plain, shortened
+from slippulse_jax.shown import plain, shortened
 from slippulse_jax.sweeps.dataset import computed_by, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
