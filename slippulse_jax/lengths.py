@@ -12,15 +12,18 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
+from slippulse_jax.bodies.chain import chain, eliminate
+from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of, lattice_modes
+from slippulse_jax.bodies.response import response
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
-from slippulse_jax.events.whole import event_lengths
+from slippulse_jax.events.event import BREAKS_PER_SITE
+from slippulse_jax.events.rupture import one_rupture
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event, nucleation_load
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
@@ -29,6 +32,13 @@ from slippulse_jax.units import Numbers
 
 LENGTHS, WITH_MORE, ENDED, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504), Layout(chunk=256)
 """Layouts: of the loops of `lanes` for the length alone, with more results, and with ends; of the general recursion."""
+
+ROOM = 1.25
+"""Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
+FEW_SITES, GROWTH, MOST_SITES = 128, 4, 2**21
+"""Smallest and largest number of sites, and the factor between two: each number is a program to compile."""
+ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
+"""Each lane is a loop of its own."""
 
 
 class Options(TypedDict, total=False):
@@ -164,7 +174,8 @@ def _whole(
     if ends.machine is not None or sites is not None and not (np.all(ends.sites == sites) and sites.is_integer()):
         raise ValueError("event = 'full': takes no machine, and one whole number of sites")
     front = lengths(slider, interface, ends=ends, max_contacts=max_contacts, derivatives=derivatives)
-    numbers, kind = jax.tree.flatten(front)  # the length, and its derivatives
+    # the length, and its derivatives in slider and interface
+    numbers, kind = jax.tree.flatten(front._replace(ends=None) if derivatives else front)
     rows = np.stack(numbers)
     status = arrests(slider, interface, ends=ends, max_contacts=max_contacts).status
     again = status == Outcome.REBREAK
@@ -190,6 +201,67 @@ def arrests(
     simple = _is_simple(interface, ends)
     kernel = lanes.arrest_kernel(max_contacts) if simple else general_arrest_kernel(kind, max_contacts)
     return Arrest(*(x.reshape(shape) for x in over_lanes(kernel, columns, WITH_MORE if simple else ANY, length_rank)))
+
+
+# --- whole events, in which contacts break again -----------------------------------------------------------------------
+
+
+def event_lengths(
+    lanes: Float[np.ndarray, "fields n"],
+    front: Float[np.ndarray, " n"],
+    right: RightEnd = "semi-infinite",
+    sites: int | None = None,
+    derivatives: int = 0,
+) -> Float[np.ndarray, "rows n"]:
+    """ℓ of whole events; with derivatives in every field at a fixed order of breaks in the rows after it.
+
+    Beyond an onset of the areal stiffness (`rebreaking_onset`) contact 0 breaks again before the front stops, and others after
+    it, the most overloaded next (`slippulse_jax.events.rupture`), on a chain of which enough sites are resolved.
+
+    Parameters
+    ----------
+    lanes : array, shape (3, n) or (5, n)
+        H/λc, k/K, ν; and φ, ε.
+    front : array, shape (n,)
+        Length of the front of each, in λc.
+    right, sites
+        Right end of the chain, and the number of sites of a finite one.
+    derivatives : {0, 1}
+
+    Returns
+    -------
+    array
+        inf where the event runs through a finite chain, NaN where it was given up.
+    """
+    found = np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan)
+    if sites is not None:
+        found[:] = over_lanes(event_kernel(right, sites, derivatives), lanes, ONE_BY_ONE)[0]
+        return found
+    resolved = FEW_SITES * GROWTH ** np.ceil(np.maximum(np.log(ROOM * front / FEW_SITES) / np.log(GROWTH), 0))
+    while (resolved <= MOST_SITES).any():
+        size = int(resolved.min())
+        here = np.nonzero(resolved == size)[0]
+        found[:, here] = over_lanes(event_kernel(right, size, derivatives), lanes[:, here], ONE_BY_ONE)[0]
+        farther = np.isinf(found[0, here])
+        found[:, here[farther]] = np.nan
+        resolved[here] = np.where(farther, GROWTH * size, np.inf)
+    return found
+
+
+@functools.cache
+def event_kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
+    """ℓ of a single lane, and its derivatives; forward mode through a cascade leaves its order as it is."""
+
+    def length(lane: Float[Array, " fields"]) -> Array:
+        slider, interface = Slider(*lane[:3]), Interface(*lane[3:]) if len(lane) > 3 else None
+        whole = chain(slider, sites=sites, interface=interface, right=right)
+        modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
+        loaded = whole.relaxed(nucleation_load(modes, interface))
+        beyond = eliminate(whole, whole.contact)
+        resp = response(whole, beyond, near=False)
+        return one_rupture((BREAKS_PER_SITE * sites, 0), resp, beyond, whole, loaded, jnp.int32(0)).length
+
+    return lambda lanes: ((with_jacobian(length)(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)
 
 
 # --- the general recursion, for chunks of lanes --------------------------------------------------------------------------

@@ -6,8 +6,7 @@ import pytest
 from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
-from slippulse_jax.events.whole import FEW_SITES
-from slippulse_jax.lengths import arrests
+from slippulse_jax.lengths import FEW_SITES, arrests
 from slippulse_jax.status import Outcome
 
 
@@ -70,7 +69,7 @@ def test_events_under_prestress_and_on_rising_thresholds_against_dense_solves():
 
 def test_an_event_longer_than_expected_gets_more_sites():
     """Such that the front just fits the sites that are resolved at first."""
-    from slippulse_jax.events.whole import event_lengths
+    from slippulse_jax.lengths import event_lengths
 
     lane = np.array([[50.0], [0.3], [0.3]])
     longer = event_lengths(lane, np.array([39.0]))

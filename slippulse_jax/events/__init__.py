@@ -2,7 +2,6 @@
 
 `event`             break after break at a fixed load: the one loop
 `rupture`           nucleation and one rupture of a chain, under the hard rule or a smooth one
-`whole`             lengths of whole events of sliders, in which contacts break again
 `block`             the first precursor of a block under two-dimensional elasticity
 `ageing`            thresholds that grow with age
 `catalogue`         the record of a series of events, and its files
