@@ -20,7 +20,7 @@ from stores import contents, reference_of, written
 import slippulse_jax as sp
 from slippulse_jax.sweeps import dataset, run
 from slippulse_jax.sweeps import store as stores
-from slippulse_jax.sweeps.request import chunk_shape, make_request, regions
+from slippulse_jax.sweeps.request import Request, chunk_shape, make_axes, regions
 from slippulse_jax.sweeps.store import StoreError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -347,12 +347,13 @@ def test_another_processor_or_release_resumes_with_one_warning(reference, tmp_pa
 
 def test_stores_written_before_can_be_resumed():
     """The digest of a request of format 2 stays: the numbers, in this order and these types."""
-    options = {"right": "semi-infinite", "sites": None, "max_contacts": 100}
     fronts = {"height": np.array([10.0, 25, 50]), "stiffness": 0.03, "poisson": 0.3, "prestress": [0, 0.1], "repin_delay": 2}
-    found = make_request(fronts, False, ("length", "status"), push_control="displacement", **options)
+    axes = make_axes(fronts)
+    found = Request(axes, ("length", "status"), "semi-infinite", None, 100, "displacement")
     assert found.digest == "92ca1c3fe9b2ff3da8403d29877a8ee08c00c2748e0198740659fbaaad80c471"
     block = {"height": 60.0, "stiffness": 4e-3, "poisson": 0.3, "push_height": np.array([0.25, 0.5])}
-    found = make_request(block, False, ("block_precursor_length",), push_control="force", **options)
+    axes = make_axes(block, push_control="force")
+    found = Request(axes, ("block_precursor_length",), "semi-infinite", None, 100, "force")
     assert found.digest == "ca82df03893576f670f6bf52794a4a0ef0ff7cb950bd8682743718e2cab0b443"
 
 

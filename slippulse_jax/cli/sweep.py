@@ -193,10 +193,10 @@ def _kept(store: str) -> str:
 
 
 def _hand_over(found: "xr.Dataset", out: Path | None, figure: Path | None, as_json: bool, store: str | None) -> None:
-    from slippulse_jax.sweeps import export
+    from slippulse_jax.sweeps import dataset
 
     if out is not None:
-        export.write(found, out)
+        dataset.write(found, out)
     if figure is not None:
         from matplotlib.figure import Figure
 
@@ -211,8 +211,8 @@ def _hand_over(found: "xr.Dataset", out: Path | None, figure: Path | None, as_js
                 refuse(error)
             save_figure(picture, figure)
     if as_json:
-        print_json(export.as_json(found, values=store is None and out is None))
+        print_json(dataset.as_json(found, values=store is None and out is None))
     elif store is None and out is None:
-        export.write_csv(found, sys.stdout)
+        dataset.write_csv(found, sys.stdout)
     else:
-        click.echo(export.summary(found, str(out or store)))
+        click.echo(dataset.summary(found, str(out or store)))

@@ -1,34 +1,54 @@
-"""The labelled dataset of a sweep: units, meanings of flags, the request, and what computed it."""
+"""The labelled dataset of a sweep, and how it is written: as CSV, NetCDF, JSON or a summary.
+
+It holds units, meanings of flags, the request, and what computed it. Rows are written as they are read, in constant memory.
+"""
 
 import functools
+import io
 import json
+import math
 import platform
+from collections import Counter
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import jax
 import numpy as np
 import xarray as xr
 
+from slippulse_jax.files import write_atomically
+from slippulse_jax.shown import plain
 from slippulse_jax.sweeps.outputs import OUTPUTS
-from slippulse_jax.sweeps.request import PARAMETERS, Request
+from slippulse_jax.sweeps.request import Request
+
+POINTS_READ = 1 << 18
+"""Points read at a time."""
 
 
 def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset:
     """Make a dataset of arrays of the request's shape, with units; request, versions and `about` become attributes."""
-    coords = {
-        name: xr.Variable(() if not values.ndim else (name if request.product else "point"), values, _parameter(name))
-        for name, values in request.parameters.items()
-    }
-    variables = {name: xr.Variable(request.dims, data[name], _output(name)) for name in request.outputs}
+    variables = {name: xr.Variable(tuple(request.axes.sizes), data[name], _output(name)) for name in request.outputs}
     attributes = {
         "title": "first precursor to sliding, slippulse_jax sweep",
         "source": "Braun & Scheibert, Tribology Letters (2014): the lattice model, and theory where an output says so",
         "request": json.dumps(request.describe()),
         "request_sha256": request.digest,
     }
-    return xr.Dataset(variables, coords, attributes | current_versions() | about)
+    return xr.Dataset(variables, request.axes.coords, attributes | current_versions() | about)
+
+
+def _output(name: str) -> dict[str, Any]:
+    output = OUTPUTS[name]
+    about: dict[str, Any] = {"long_name": output.long_name, "units": output.unit}
+    if output.comment:
+        about["comment"] = output.comment
+    if output.outcomes:
+        about["flag_values"] = np.array([one.value for one in output.outcomes], output.dtype)
+        about["flag_meanings"] = " ".join(one.name.lower() for one in output.outcomes)
+        about["comment"] = "; ".join(f"{one.value}: {one.message}" for one in output.outcomes)
+    return about
 
 
 @functools.cache
@@ -54,18 +74,85 @@ def computed_by(about: dict[str, Any] | None = None) -> str:
     return ", ".join([str(about["processor"]), *(f"{name} {about.get(name)}" for name in current_versions())])
 
 
-def _parameter(name: str) -> dict[str, Any]:
-    symbol, unit, label, long_name = PARAMETERS[name]
-    return {"long_name": long_name, "units": unit, "symbol": symbol} | ({"equation": label} if label else {})
+# --- files and summaries -------------------------------------------------------------------------------------------------
 
 
-def _output(name: str) -> dict[str, Any]:
-    output = OUTPUTS[name]
-    about: dict[str, Any] = {"long_name": output.long_name, "units": output.unit}
-    if output.comment:
-        about["comment"] = output.comment
-    if output.outcomes:
-        about["flag_values"] = np.array([one.value for one in output.outcomes], output.dtype)
-        about["flag_meanings"] = " ".join(one.name.lower() for one in output.outcomes)
-        about["comment"] = "; ".join(f"{one.value}: {one.message}" for one in output.outcomes)
-    return about
+def write(found: xr.Dataset, path: Path) -> None:
+    """Write to ``.nc`` (with units, request and versions) or ``.csv``, atomically."""
+    if path.suffix == ".nc":
+        content = bytes(found.drop_encoding().to_netcdf(engine="h5netcdf"))
+    else:
+        table = io.StringIO()
+        write_csv(found, table)
+        content = table.getvalue().encode()
+    write_atomically(path, content)
+
+
+def write_csv(found: xr.Dataset, file: TextIO) -> None:
+    """Write one line per point, swept parameters and outputs; the last axis runs fastest."""
+    columns = [*(name for name in found.coords if found[name].ndim), *found.data_vars]
+    for number, part in enumerate(_pieces(found)):
+        table = part.to_dataframe(dim_order=list(part.sizes)).reset_index()[columns]
+        table.to_csv(file, index=False, header=number == 0, na_rep="nan", lineterminator="\n")
+
+
+def _pieces(found: Any) -> Iterator[Any]:
+    """Parts of a dataset or variable, cut along its first dimension."""
+    found = found if found.sizes else found.expand_dims("point")
+    first, n = next(iter(found.sizes.items()))
+    step = max(1, POINTS_READ * n // math.prod(found.sizes.values()))
+    yield from (found.isel({first: slice(start, start + step)}) for start in range(0, n, step))
+
+
+def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
+    """Request, axes, and either all values (null if not finite) or the range of each output."""
+    content: dict[str, Any] = {
+        "points": math.prod(found.sizes.values()),
+        "complete": bool(found.attrs["complete"]),
+        "dims": list(found.sizes),
+        "coords": {str(name): plain(found[name].values) for name in found.coords},
+        "request": json.loads(found.attrs["request"]),
+        "request_sha256": found.attrs["request_sha256"],
+        "versions": {name: found.attrs[name] for name in current_versions()},
+        "units": {str(name): found[name].attrs["units"] for name in (*found.coords, *found.data_vars)},
+    }
+    if values:
+        content["data"] = {str(name): plain(column.values) for name, column in found.data_vars.items()}
+    else:
+        content["ranges"] = {str(name): list(_range(column)) for name, column in found.data_vars.items()}
+    return content
+
+
+def summary(found: xr.Dataset, where: str) -> str:
+    """Number of points, and range or outcomes of each output, as text."""
+    sizes = " × ".join(f"{dim} {n}" for dim, n in found.sizes.items()) or "one"
+    lines = [f"{math.prod(found.sizes.values())} points ({sizes}) in {where}"]
+    for name, column in found.data_vars.items():
+        if "flag_meanings" in column.attrs:
+            lines.append(f"{name!s:26s} {_outcomes(column)}")
+            continue
+        low, high, missing = _range(column)
+        unit = f" {column.attrs['units']}" * (column.attrs["units"] != "1")
+        span = "no finite value" if low is None else f"{low:.6g} … {high:.6g}{unit}"
+        lines.append(f"{name!s:26s} {span}" + (f", {missing} not finite" if missing else ""))
+    return "\n".join(lines)
+
+
+def _outcomes(column: xr.DataArray) -> str:
+    """Count each outcome: ``arrested 12, no_domino 3``."""
+    counts = Counter()
+    for piece in _pieces(column):
+        counts.update(dict(zip(*np.unique(piece.values, return_counts=True), strict=True)))
+    outcomes = zip(column.attrs["flag_meanings"].split(), column.attrs["flag_values"], strict=True)
+    return ", ".join(f"{name} {counts[value]}" for name, value in outcomes if counts[value])
+
+
+def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
+    """Smallest and largest finite value and number of values not finite, read piece by piece."""
+    ends, missing = [], 0
+    for piece in _pieces(column):
+        values = piece.values
+        finite = values[np.isfinite(values)]
+        missing += values.size - finite.size
+        ends += [float(finite.min()), float(finite.max())] if finite.size else []
+    return (min(ends), max(ends), missing) if ends else (None, None, missing)

@@ -1,7 +1,8 @@
-"""Outputs of a sweep, and the functions that compute them: a formula each, or one function for a group of them."""
+"""Outputs of a sweep: functions that compute them, the table that names the function of each, and the choice among them."""
 
 import functools
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -19,153 +20,100 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.sweeps.request import INTERFACE, PUSH, SLIDER, Columns, Region, Request, shape_of
+from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, PUSH, SLIDER, Columns, Region, Request, shape_of
+
+Compute = Callable[[Request, Columns], Any]
+"""A function that computes the values of an output from the parameters of all points; or several outputs, by name."""
+
+# --- functions -----------------------------------------------------------------------------------------------------------
 
 
-class Output(NamedTuple):
-    """One output, and the group of outputs that are computed together."""
+def _by_delay(function: Callable[..., Any]) -> Compute:
+    """Evaluate ``function(slider, **options)`` for one repinning delay after another; each needs its own compiled program."""
 
-    long_name: str
-    unit: str
-    group: str
-    takes: frozenset[str] = frozenset()  # parameters it depends on beyond those of the slider
-    dtype: str = "float64"
-    outcomes: tuple[Outcome, ...] = ()  # what its values stand for
-    comment: str = ""
+    def evaluated(request: Request, columns: Columns) -> Columns:
+        options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
+        if not INTERFACE.keys() & columns.keys():
+            return function(Slider(*_fields(columns, *SLIDER)), **options)
+        delays = columns.get("repin_delay", np.zeros(len(columns["height"]), np.int64))
+        found: Columns = {}
+        for delay in np.unique(delays):
+            here = {name: values[delays == delay] for name, values in columns.items()}
+            interface = Interface(*_fields(here, "prestress", "threshold_slope"), repin_delay=int(delay))
+            slider = Slider(*_fields(here, *SLIDER))
+            for name, values in function(slider, interface=interface, **options).items():
+                found.setdefault(name, np.empty(delays.size, values.dtype))[delays == delay] = values
+        return found
 
-
-_FRONT = frozenset({"prestress", "threshold_slope", "repin_delay"})
-_EXACT = frozenset({"prestress", "threshold_slope"})
-_FLAG = "1 where the approximation's own conditions hold: "
-
-OUTPUTS = {
-    "length": Output("length of the first precursor", "lambda_c", "length", _FRONT),
-    "contacts_broken": Output("whole contacts broken", "1", "front", _FRONT, "int32"),
-    "status": Output("how the front ended", "1", "front", _FRONT, "int8", FRONT_OUTCOMES),
-    "edge_stress": Output("stress on contact 0 behind the front", "sigma_s", "front", _FRONT),
-    "nucleation_load": Output("displacement of the left edge at nucleation, U0", "u_s", "load", _FRONT),
-    "dlength_dheight": Output("derivative of length with respect to height", "lambda_c", "gradient", _FRONT),
-    "dlength_dstiffness": Output("derivative of length with respect to stiffness", "lambda_c", "gradient", _FRONT),
-    "dlength_dpoisson": Output("derivative of length with respect to Poisson's ratio", "lambda_c", "gradient", _FRONT),
-    "dlength_dprestress": Output("derivative of length with respect to prestress", "lambda_c/sigma_s", "gradient", _FRONT),
-    "dlength_dthreshold_slope": Output(
-        "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", "gradient", _FRONT
-    ),
-    "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", "exact", _EXACT),
-    "exact_status": Output("what the exact front stress says", "1", "exact", _EXACT, "int8", ARREST_OUTCOMES),
-    "block_precursor_length": Output(
-        "length of the whole event of a block under two-dimensional elasticity",
-        "lambda_c",
-        "block",
-        _EXACT | {"push_height", "push_width"},
-    ),
-    "smooth_length": Output("length under the smooth break rule", "lambda_c", "smooth", frozenset({"width"})),
-    "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", "theory"),
-    "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", "theory"),
-    "length_frozen": Output("length in the continuum with the upper layer frozen (Appendix)", "lambda_c", "theory"),
-    "length_continuum": Output("length in the self-consistent continuum", "lambda_c", "theory"),
-    "length_envelope": Output("length by a closed formula", "lambda_c", "theory"),
-    "length_macroscopic": Output(
-        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", "theory", frozenset({"prestress"})
-    ),
-    "runaway_prestress": Output("prestress beyond which nothing far from the edge stops a front", "sigma_s", "theory", _FRONT),
-    "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", "slider"),
-    "slow_decay_length": Output("decay length of the slow mode, 1/kappa_2", "lambda_c", "slider"),
-    "is_one_domino": Output(
-        "the event is one domino from the edge",
-        "1",
-        "front",
-        _FRONT,
-        "int8",
-        comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
-    ),
-    "is_continuous": Output(
-        "the continuum applies", "1", "validity", dtype="int8", comment=_FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10"
-    ),
-    "is_frozen": Output(
-        "the frozen upper layer applies",
-        "1",
-        "validity",
-        dtype="int8",
-        comment=_FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
-    ),
-    "is_far_from_edge": Output(
-        "Eq. (25) applies", "1", "validity", dtype="int8", comment=_FLAG + "those of is_frozen, and kappa times this length > 3"
-    ),
-}
-"""Every output, by name."""
-
-SETS = {
-    "gradients": tuple(name for name, output in OUTPUTS.items() if output.group == "gradient"),
-    "theory": tuple(name for name, output in OUTPUTS.items() if output.group == "theory"),
-    "validity": ("is_one_domino", "is_continuous", "is_frozen", "is_far_from_edge"),
-}
-"""Names of sets of outputs; those that the request does not allow are left out."""
+    return evaluated
 
 
-def choose(requested: str | Iterable[str], parameters: set[str]) -> tuple[str, ...]:
-    """Resolve the names of outputs and sets, each output once, in the order requested.
-
-    Raises
-    ------
-    ValueError
-        For an unknown name, or an output that does not depend on a parameter that was given.
-    """
-    beyond = parameters - set(SLIDER)
-    chosen: dict[str, None] = {}
-    for name in (requested,) if isinstance(requested, str) else requested:
-        if name in SETS:
-            chosen |= {one: None for one in SETS[name] if not _objection(one, beyond)}
-        elif name not in OUTPUTS:
-            raise ValueError(f"output {name!r}: must be one of {', '.join((*OUTPUTS, *SETS))}")
-        elif objection := _objection(name, beyond):
-            raise ValueError(objection)
-        else:
-            chosen[name] = None
-    if not chosen:
-        raise ValueError("a sweep needs at least one output")
-    if unused := beyond.difference(*(OUTPUTS[name].takes for name in chosen)):
-        raise ValueError(f"no output takes account of {', '.join(sorted(unused))}")
-    return tuple(chosen)
+def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
+    """The columns of these parameters, zeros for those not given."""
+    zeros = np.zeros(len(columns["height"]))
+    return [columns.get(name, zeros) for name in names]
 
 
-NEEDED = {
-    "smooth_length": ("width", "that of the smooth break rule"),
-    "block_precursor_length": ("push_height", "where the side of the block is pushed"),
-}
-"""Parameters without which an output has no meaning."""
+@_by_delay
+def _length(slider: Slider, **options: Any) -> Columns:
+    return {"length": bulk.lengths(slider, **options)}
 
 
-def _objection(name: str, given: set[str]) -> str:
-    output = OUTPUTS[name]
-    if name in NEEDED and NEEDED[name][0] not in given:
-        return f"output {name!r} needs {', '.join(NEEDED[name])}"
-    needed = name.removeprefix("dlength_d")
-    if output.group == "gradient" and needed in _FRONT and not given & _FRONT:
-        return f"output {name!r} needs {needed}: give it, 0 for instance"
-    ignored = given - output.takes - {"width", *PUSH}  # each serves one output and does not affect the others
-    return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
+@_by_delay
+def _front(slider: Slider, **options: Any) -> Columns:
+    found = bulk.arrests(slider, **options)._asdict()
+    del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
+    return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
-def evaluate(request: Request, region: Region) -> Columns:
-    """Compute the outputs of a region, in its shape; the bits of a point do not depend on the other points."""
-    columns, shape = request.columns(region), shape_of(region)
-    found: Columns = {}
-    for name in request.outputs:
-        if name in FORMULAS:
-            lanes = _fields(columns, *SLIDER, "prestress")
-            (found[name],) = over_lanes(_formula(name, request.right, request.sites), lanes, Layout(chunk=512))
-        elif name not in found:
-            found |= GROUPS[OUTPUTS[name].group](request, columns)
-    return {name: found[name].astype(OUTPUTS[name].dtype, copy=False).reshape(shape) for name in request.outputs}
+@_by_delay
+def _gradients(slider: Slider, **options: Any) -> Columns:
+    found = bulk.lengths(slider, derivatives=1, **options)
+    slopes = vars(found.slider) | vars(found.interface)
+    return {f"dlength_d{name}": slope for name, slope in slopes.items() if name != "repin_delay"}
 
 
-# --- formulas ------------------------------------------------------------------------------------------------------------
+def _exact(_: Request, columns: Columns) -> Columns:
+    length, status = exact_arrests(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
+    return {"exact_length": length, "exact_status": status}
+
+
+def _smooth(request: Request, columns: Columns) -> np.ndarray:
+    slider = Slider(*_fields(columns, *SLIDER))
+    return bulk.lengths(slider, rule=SmoothBreak(columns["width"]), max_contacts=request.max_contacts)
+
+
+def _block(request: Request, columns: Columns) -> np.ndarray:
+    columns = {"push_width": np.full(len(columns["height"]), np.nan)} | columns
+    lanes = blocks.BlockNumbers(*_fields(columns, *SLIDER, "prestress", "threshold_slope", *PUSH))
+    return blocks.lengths(lanes, request.push_control, "full")
+
+
+def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:
+    """Evaluate a formula by a program of its own, so that no bit depends on which other outputs are requested."""
+
+    @functools.cache
+    def kernel(right: RightEnd, sites: int | None) -> Kernel:
+        return lambda lanes: (formula(Slider(*lanes[:3]), lanes[3], Ends(right, sites)),)
+
+    def evaluated(request: Request, columns: Columns) -> np.ndarray:
+        lanes = _fields(columns, *SLIDER, "prestress")
+        return over_lanes(kernel(request.right, request.sites), lanes, Layout(chunk=512))[0]
+
+    return evaluated
+
+
+def _of_slider(formula: Callable[[Slider], Any]) -> Compute:
+    return _formula(lambda slider, *_: formula(slider))
 
 
 def _load(slider: Slider, prestress: Array, ends: Ends) -> Array:
     # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
     return (1 - prestress) * jax.vmap(lambda one: lattice_modes(one, ends).load)(slider)
+
+
+def _macroscopic(slider: Slider, prestress: Array, _: Ends) -> Any:
+    return slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress)
 
 
 def _is_continuous(slider: Slider) -> Any:
@@ -176,101 +124,147 @@ def _is_frozen(slider: Slider) -> Any:
     return _is_continuous(slider) & (slider.kappa_T**2 / slider.kappa**2 < 0.1)
 
 
-FORMULAS: dict[str, Callable[[Slider, Array, Ends], Any]] = {
-    "nucleation_load": _load,
-    "length_eq25": lambda slider, *_: theory.length_eq25(slider),
-    "length_eq58": lambda slider, *_: theory.length(slider),
-    "length_frozen": lambda slider, *_: theory.length_frozen(slider),
-    "length_continuum": lambda slider, *_: theory.length_continuum(slider),
-    "length_envelope": lambda slider, *_: theory.envelope_length(slider),
-    "length_macroscopic": lambda slider, prestress, _: (
-        slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress)
+def _is_far_from_edge(slider: Slider) -> Any:
+    return _is_frozen(slider) & (slider.kappa * theory.length_eq25(slider) > 3)
+
+
+# --- the table -----------------------------------------------------------------------------------------------------------
+
+
+class Output(NamedTuple):
+    """One output, and the function that computes it."""
+
+    long_name: str
+    unit: str
+    function: Compute
+    takes: frozenset[str] = frozenset()  # parameters and "right", on which it depends beyond the slider
+    dtype: str = "float64"
+    outcomes: tuple[Outcome, ...] = ()  # what its values stand for
+    comment: str = ""
+
+
+_INTERFACE = frozenset(INTERFACE)
+_FRONT = _INTERFACE | {"right"}
+_EXACT = _INTERFACE - {"repin_delay"}
+_FLAG = "1 where the approximation's own conditions hold: "
+
+OUTPUTS = {
+    "length": Output("length of the first precursor", "lambda_c", _length, _FRONT),
+    "contacts_broken": Output("whole contacts broken", "1", _front, _FRONT, "int32"),
+    "status": Output("how the front ended", "1", _front, _FRONT, "int8", FRONT_OUTCOMES),
+    "edge_stress": Output("stress on contact 0 behind the front", "sigma_s", _front, _FRONT),
+    "nucleation_load": Output("displacement of the left edge at nucleation, U0", "u_s", _formula(_load), _FRONT),
+    "dlength_dheight": Output("derivative of length with respect to height", "lambda_c", _gradients, _FRONT),
+    "dlength_dstiffness": Output("derivative of length with respect to stiffness", "lambda_c", _gradients, _FRONT),
+    "dlength_dpoisson": Output("derivative of length with respect to Poisson's ratio", "lambda_c", _gradients, _FRONT),
+    "dlength_dprestress": Output("derivative of length with respect to prestress", "lambda_c/sigma_s", _gradients, _FRONT),
+    "dlength_dthreshold_slope": Output(
+        "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", _gradients, _FRONT
     ),
-    "runaway_prestress": lambda slider, *_: theory.runaway_prestress(slider),
-    "b": lambda slider, *_: slider.b,
-    "slow_decay_length": lambda slider, *_: slider.slow_decay_length,
-    "is_continuous": lambda slider, *_: _is_continuous(slider),
-    "is_frozen": lambda slider, *_: _is_frozen(slider),
-    "is_far_from_edge": lambda slider, *_: _is_frozen(slider) & (slider.kappa * theory.length_eq25(slider) > 3),
+    "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", _exact, _EXACT),
+    "exact_status": Output("what the exact front stress says", "1", _exact, _EXACT, "int8", ARREST_OUTCOMES),
+    "block_precursor_length": Output(
+        "length of the whole event of a block under two-dimensional elasticity", "lambda_c", _block, _EXACT | PUSH.keys()
+    ),
+    "smooth_length": Output("length under the smooth break rule", "lambda_c", _smooth, frozenset({"width"})),
+    "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", _of_slider(theory.length_eq25)),
+    "length_eq58": Output("length by Eq. (58), corrected", "lambda_c", _of_slider(theory.length)),
+    "length_frozen": Output(
+        "length in the continuum with the upper layer frozen (Appendix)", "lambda_c", _of_slider(theory.length_frozen)
+    ),
+    "length_continuum": Output("length in the self-consistent continuum", "lambda_c", _of_slider(theory.length_continuum)),
+    "length_envelope": Output("length by a closed formula", "lambda_c", _of_slider(theory.envelope_length)),
+    "length_macroscopic": Output(
+        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", _formula(_macroscopic), frozenset({"prestress"})
+    ),
+    "runaway_prestress": Output(
+        "prestress beyond which nothing far from the edge stops a front",
+        "sigma_s",
+        _of_slider(theory.runaway_prestress),
+        _INTERFACE,
+    ),
+    "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", _of_slider(attrgetter("b"))),
+    "slow_decay_length": Output(
+        "decay length of the slow mode, 1/kappa_2", "lambda_c", _of_slider(attrgetter("slow_decay_length"))
+    ),
+    "is_one_domino": Output(
+        "the event is one domino from the edge",
+        "1",
+        _front,
+        _FRONT,
+        "int8",
+        comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
+    ),
+    "is_continuous": Output(
+        "the continuum applies",
+        "1",
+        _of_slider(_is_continuous),
+        dtype="int8",
+        comment=_FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10",
+    ),
+    "is_frozen": Output(
+        "the frozen upper layer applies",
+        "1",
+        _of_slider(_is_frozen),
+        dtype="int8",
+        comment=_FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
+    ),
+    "is_far_from_edge": Output(
+        "Eq. (25) applies",
+        "1",
+        _of_slider(_is_far_from_edge),
+        dtype="int8",
+        comment=_FLAG + "those of is_frozen, and kappa times this length > 3",
+    ),
 }
-"""Outputs that a formula computes from sliders, their prestress and the ends of the chain."""
+"""Every output, by name."""
+
+SETS = {
+    "gradients": tuple(name for name, output in OUTPUTS.items() if output.function is _gradients),
+    "theory": (*(name for name in OUTPUTS if name.startswith("length_")), "runaway_prestress"),
+    "validity": ("is_one_domino", "is_continuous", "is_frozen", "is_far_from_edge"),
+}
+"""Names of sets of outputs; those that the request does not allow are left out."""
 
 
-@functools.cache
-def _formula(name: str, right: RightEnd, sites: int | None) -> Kernel:
-    """Kernel of one formula; each has a program of its own, so that no bit depends on which outputs are requested."""
-    return lambda lanes: (FORMULAS[name](Slider(*lanes[:3]), lanes[3], Ends(right, sites)),)
+def choose(requested: str | Iterable[str], parameters: Iterable[str]) -> tuple[str, ...]:
+    """Resolve the names of outputs and sets, each output once, in the order requested.
+
+    A ValueError names one that is unknown, or that does not depend on a parameter that was given.
+    """
+    beyond = set(parameters) - set(SLIDER)
+    chosen: dict[str, None] = {}
+    for name in (requested,) if isinstance(requested, str) else requested:
+        if name not in OUTPUTS and name not in SETS:
+            raise ValueError(f"output {name!r}: must be one of {', '.join((*OUTPUTS, *SETS))}")
+        if name in OUTPUTS and (objection := _objection(name, beyond)):
+            raise ValueError(objection)
+        chosen |= {one: None for one in SETS.get(name, (name,)) if not _objection(one, beyond)}
+    if not chosen:
+        raise ValueError("a sweep needs at least one output")
+    if unused := beyond.difference(*(OUTPUTS[name].takes for name in chosen)):
+        raise ValueError(f"no output takes account of {', '.join(sorted(unused))}")
+    return tuple(chosen)
 
 
-# --- groups of outputs ---------------------------------------------------------------------------------------------------
+def _objection(name: str, given: set[str]) -> str:
+    takes = OUTPUTS[name].takes
+    for needed in ("width", "push_height"):
+        if needed in takes and needed not in given:
+            return f"output {name!r} needs {needed}: {PARAMETERS[needed].name}"
+    needed = name.removeprefix("dlength_d")
+    if needed in INTERFACE and not given & INTERFACE.keys():
+        return f"output {name!r} needs {needed}: give it, 0 for instance"
+    ignored = given - takes - {"width", *PUSH}  # each serves one output and does not affect the others
+    return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""
 
 
-def _by_delay(request: Request, columns: Columns, function: Callable[..., Columns]) -> Columns:
-    """Evaluate ``function(slider, **options)`` for one repinning delay after another; each needs its own compiled program."""
-    options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
-    if not INTERFACE.keys() & request.parameters:
-        return function(_slider(columns), **options)
-    delays = columns.get("repin_delay", np.zeros(len(columns["height"]), np.int64))
+def evaluate(request: Request, region: Region) -> Columns:
+    """Compute the outputs of a region, in its shape; the bits of a point do not depend on the other points."""
+    columns, shape = request.columns(region), shape_of(region)
     found: Columns = {}
-    for delay in np.unique(delays):
-        here = {name: values[delays == delay] for name, values in columns.items()}
-        interface = Interface(*_fields(here, "prestress", "threshold_slope"), repin_delay=int(delay))
-        for name, values in function(_slider(here), interface=interface, **options).items():
-            found.setdefault(name, np.empty(delays.size, values.dtype))[delays == delay] = values
-    return found
-
-
-def _slider(columns: Columns) -> Slider:
-    return Slider(*(columns[name] for name in SLIDER))
-
-
-def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
-    """The columns of these parameters, zeros for those not given."""
-    zeros = np.zeros(len(columns["height"]))
-    return [columns.get(name, zeros) for name in names]
-
-
-def _length(request: Request, columns: Columns) -> Columns:
-    return _by_delay(request, columns, lambda slider, **options: {"length": bulk.lengths(slider, **options)})
-
-
-def _front(request: Request, columns: Columns) -> Columns:
-    found = _by_delay(request, columns, lambda slider, **options: bulk.arrests(slider, **options)._asdict())
-    del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
-    return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
-
-
-def _gradient(request: Request, columns: Columns) -> Columns:
-    def gradients(slider: Slider, **options: Any) -> Columns:
-        found = bulk.lengths(slider, derivatives=1, **options)
-        numbers = vars(found.slider) | ({} if found.interface is None else vars(found.interface))
-        return {f"dlength_d{name}": slope for name, slope in numbers.items() if name != "repin_delay"}
-
-    return _by_delay(request, columns, gradients)
-
-
-def _exact(_: Request, columns: Columns) -> Columns:
-    length, status = exact_arrests(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
-    return {"exact_length": length, "exact_status": status}
-
-
-def _smooth(request: Request, columns: Columns) -> Columns:
-    rule = SmoothBreak(columns["width"])
-    return {"smooth_length": bulk.lengths(_slider(columns), rule=rule, max_contacts=request.max_contacts)}
-
-
-def _block(request: Request, columns: Columns) -> Columns:
-    columns = {"push_width": np.full(len(columns["height"]), np.nan)} | columns
-    lanes = blocks.BlockNumbers(*_fields(columns, *SLIDER, "prestress", "threshold_slope", *PUSH))
-    return {"block_precursor_length": blocks.lengths(lanes, request.push_control, "full")}
-
-
-GROUPS: dict[str, Callable[[Request, Columns], Columns]] = {
-    "length": _length,
-    "front": _front,
-    "gradient": _gradient,
-    "exact": _exact,
-    "smooth": _smooth,
-    "block": _block,
-}
-"""Functions that compute several outputs together."""
+    for name in request.outputs:
+        if name not in found:
+            values = OUTPUTS[name].function(request, columns)
+            found |= values if isinstance(values, dict) else {name: values}
+    return {name: found[name].astype(OUTPUTS[name].dtype, copy=False).reshape(shape) for name in request.outputs}

@@ -6,17 +6,17 @@ So 10⁸ points take the memory of their axes.
 import hashlib
 import itertools
 import json
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from slippulse_jax.block import OF_SIDE, Control, Push, has_push
-from slippulse_jax.bodies.modes import RightEnd, check_right_end
-from slippulse_jax.front.arrest import check_max_contacts
+from slippulse_jax.bodies.modes import RightEnd
+from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, STIFFNESS, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.rules import WIDTH, SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import Quantity, quantities
 
@@ -35,16 +35,27 @@ PUSH = {
 PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak), **PUSH}
 """Parameters that can be swept, in the order of the axes."""
 
+DOMAINS = {
+    "height": ("Slider.", HEIGHT),
+    "stiffness": ("Slider.", STIFFNESS),
+    "poisson": ("Slider.", POISSON),
+    "prestress": ("Interface.", PRESTRESS),
+    "threshold_slope": ("Interface.", THRESHOLD_SLOPE),
+    "width": ("SmoothBreak.", WIDTH),
+    "push_height": ("", OF_SIDE),
+    "push_width": ("", OF_SIDE),
+}
+"""Owner and domain of each parameter; `repin_delay` must be whole."""
+
 
 class Request(NamedTuple):
     """A sweep whose parameters have been checked.
 
     Attributes
     ----------
-    parameters : dict of numpy.ndarray
-        Shape () where fixed, (n,) where swept, float64 (``repin_delay``: int64); only those given.
-    product : bool
-        Every combination of the axes; or, if false, points: axes of one length, taken together.
+    axes : xarray.Dataset
+        The parameters given, as coordinates: numbers, and axes, each along a dimension of its own; or all of them along
+        ``point``, to be taken together.
     outputs : tuple of str
     right, sites, max_contacts
         As for `slippulse_jax.precursor_length`.
@@ -52,8 +63,7 @@ class Request(NamedTuple):
         As for `slippulse_jax.Push`.
     """
 
-    parameters: Columns
-    product: bool
+    axes: xr.Dataset
     outputs: tuple[str, ...]
     right: RightEnd = "semi-infinite"
     sites: int | None = None
@@ -61,51 +71,28 @@ class Request(NamedTuple):
     push_control: Control = "displacement"
 
     @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the swept parameters."""
-        return tuple(name for name, values in self.parameters.items() if values.ndim)
-
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Dimensions of the result."""
-        return self.axes if self.product else ("point",)
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the result."""
-        sizes = tuple(self.parameters[name].size for name in self.axes)
-        return sizes if self.product else sizes[:1]
-
-    @property
-    def size(self) -> int:
-        """Number of points."""
-        return math.prod(self.shape)
+        return tuple(self.axes.sizes.values())
 
     def columns(self, region: Region) -> Columns:
         """Parameters of the points of a region, the last axis running fastest."""
-        shape = shape_of(region)
-        found = {}
-        for name, values in self.parameters.items():
-            if values.ndim:
-                axis = self.axes.index(name) if self.product else 0
-                values = values[region[axis]].reshape(-1, *[1] * (len(shape) - axis - 1))
-            found[name] = np.broadcast_to(values, shape).ravel()
-        return found
+        part = self.axes.isel(dict(zip(self.axes.sizes, region, strict=True)))
+        return {str(name): one.set_dims(part.sizes).values.ravel() for name, one in part.variables.items()}
 
     def describe(self) -> dict[str, Any]:
         """The request for JSON; the values of the axes, which are coordinates of the result, by their digest."""
-        parameters = {
-            name: {"size": values.size, "sha256": _digest(values)} if values.ndim else {"value": values.item()}
-            for name, values in self.parameters.items()
-        }
         return {
-            "parameters": parameters,
-            "combined": "product" if self.product else "points",
+            "parameters": {
+                name: {"size": one.size, "sha256": _digest(one.values)} if one.ndim else {"value": one.values.item()}
+                for name, one in self.axes.variables.items()
+            },
+            "combined": "points" if "point" in self.axes.sizes else "product",
             "outputs": list(self.outputs),
             "right": self.right,
             "sites": self.sites,
             "max_contacts": self.max_contacts,
-            **({"push_control": self.push_control} if "push_height" in self.parameters else {}),
+            **({"push_control": self.push_control} if "push_height" in self.axes else {}),
         }
 
     @property
@@ -138,46 +125,8 @@ def regions(shape: tuple[int, ...], points: int) -> list[Region]:
     return list(itertools.product(*([slice(a, min(a + step, n)) for a in range(0, n, step)] for n, step in steps)))
 
 
-def make_request(
-    given: dict[str, Any],
-    points: bool,
-    outputs: tuple[str, ...],
-    right: RightEnd,
-    sites: int | None,
-    max_contacts: int,
-    push_control: Control,
-) -> Request:
-    """Check all parameters before anything is computed.
-
-    Raises
-    ------
-    ValueError
-        For a parameter that is missing, of more than one dimension, empty or outside its domain, naming it.
-    """
-    check_right_end(right, sites)
-    check_max_contacts(max_contacts)
-    parameters = {name: _values(name, given[name]) for name in PARAMETERS if given.get(name) is not None}
-    if missing := [name for name in SLIDER if name not in parameters]:
-        raise ValueError(f"a sweep needs {', '.join(missing)}: a number, or an array to sweep over")
-    _check_domains(parameters)
-    if points:
-        sizes = {name: values.size for name, values in parameters.items() if values.ndim}
-        if not sizes or len(set(sizes.values())) > 1:
-            raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
-    _check_push(parameters, points, push_control)
-    return Request(parameters, not points, outputs, right, sites, max_contacts, push_control)
-
-
-def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
-    """Add the numbers of `interface` to the parameters; an axis may replace one that is 0.
-
-    Raises
-    ------
-    TypeError
-        If `interface` is a `Profile`.
-    ValueError
-        If it holds arrays, or a number other than 0 that is given as an axis too.
-    """
+def _with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
+    """Add the numbers of `interface` to the parameters; an axis may replace one that is 0. Refuse a profile, and arrays."""
     check_bulk(interface)
     if interface is None:
         return given
@@ -191,40 +140,47 @@ def with_interface(given: dict[str, Any], interface: Interface | None) -> dict[s
     return given | {name: number for name, number in numbers.items() if given[name] is None}
 
 
+def make_axes(
+    given: dict[str, Any], interface: Interface | None = None, *, points: bool = False, push_control: Control = "displacement"
+) -> xr.Dataset:
+    """Check all parameters before anything is computed, and label them; None is one that is not given.
+
+    A ValueError names the one that is missing, of more than one dimension, empty or outside its domain.
+    """
+    given = _with_interface(given, interface)
+    if missing := [name for name in SLIDER if given.get(name) is None]:
+        raise ValueError(f"a sweep needs {', '.join(missing)}: a number, or an array to sweep over")
+    values = {name: _values(name, given[name]) for name in PARAMETERS if given.get(name) is not None}
+    sizes = {name: one.size for name, one in values.items() if one.ndim}
+    if points and len(set(sizes.values())) != 1:
+        raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
+    axes = labelled_axes(values, points=points)
+    if has_push(axes, push_control) and "push_width" in axes:
+        at, width = (one.values.ravel() for one in xr.broadcast(axes["push_height"], axes["push_width"]))
+        beyond = (at - width / 2 <= 0) | (at + width / 2 >= 1)
+        if beyond.any():
+            Push(at[beyond][0], width[beyond][0], push_control)  # which says how it leaves the side of the block
+    return axes
+
+
 def _values(name: str, given: Any) -> np.ndarray:
     values = np.array(given, dtype=np.float64)  # a copy: the caller's array may change while the sweep runs
     if values.ndim > 1 or values.size == 0:
         raise ValueError(f"{name} has shape {values.shape}: must be a number or a one-dimensional array with values")
     if name == "repin_delay":
-        if not (values == np.round(values)).all():
-            raise ValueError(f"repin_delay = {given}: must be whole numbers of sites")
-        values = values.astype(np.int64)
+        requirement = "must be whole numbers of sites, 0 or more"
+        check_domain(name, values, lambda delay: (delay >= 0) & (delay == np.round(delay)), requirement)
+        return values.astype(np.int64)
+    owner, domain = DOMAINS[name]
+    domain.check(owner + name, values)
     return values
 
 
-def _check_domains(parameters: Columns) -> None:
-    """Check each axis by the class that owns its parameter."""
-    fixed = {"height": 2.0, "stiffness": 1.0, "poisson": 0.0}
-    for name in SLIDER:
-        Slider(**{**fixed, name: parameters[name]})
-    zero = np.zeros(())
-    Interface(parameters.get("prestress", zero))
-    Interface(threshold_slope=parameters.get("threshold_slope", zero))
-    for delay in np.unique(parameters.get("repin_delay", 0)):
-        Interface(repin_delay=int(delay))
-    if "width" in parameters:
-        SmoothBreak(parameters["width"])
-    for name in PUSH:
-        if name in parameters:
-            OF_SIDE.check(name, parameters[name])
-
-
-def _check_push(parameters: Columns, points: bool, control: Control) -> None:
-    """Check every pusher that the sweep combines: it must lie on the side of the block."""
-    if not has_push(parameters, control) or "push_width" not in parameters:
-        return
-    at, width = parameters["push_height"], parameters["push_width"]
-    at, width = np.broadcast_arrays(at, width) if points else np.broadcast_arrays(at, np.expand_dims(width, -1))
-    beyond = np.ravel((at - width / 2 <= 0) | (at + width / 2 >= 1))
-    if beyond.any():
-        Push(at.ravel()[beyond][0], width.ravel()[beyond][0], control)
+def labelled_axes(values: Columns, *, points: bool) -> xr.Dataset:
+    """Label the values of parameters with units and dimensions."""
+    coords = {}
+    for name in (name for name in PARAMETERS if name in values):
+        symbol, unit, label, long_name = PARAMETERS[name]
+        about = {"long_name": long_name, "units": unit, "symbol": symbol} | ({"equation": label} if label else {})
+        coords[name] = xr.Variable(("point" if points else name,) * values[name].ndim, values[name], about)
+    return xr.Dataset(coords=coords)

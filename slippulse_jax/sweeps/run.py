@@ -4,7 +4,7 @@ import functools
 import math
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,39 +13,30 @@ from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.block import Control
-from slippulse_jax.bodies.modes import RightEnd
+from slippulse_jax.bodies.modes import RightEnd, check_right_end
 from slippulse_jax.bulk.chunks import in_this_thread
+from slippulse_jax.front.arrest import check_max_contacts
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface
 from slippulse_jax.sweeps.dataset import labelled, processor
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
-from slippulse_jax.sweeps.request import (
-    PARAMETERS,
-    Columns,
-    Region,
-    Request,
-    chunk_shape,
-    make_request,
-    regions,
-    shape_of,
-    with_interface,
-)
-from slippulse_jax.sweeps.store import Store, StoreError, check_same, create, is_store, open_store
+from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, make_axes, regions, shape_of
+from slippulse_jax.sweeps.store import StoreError, check_same, create, fill, is_complete, is_store, open_arrays, open_store
 
 if TYPE_CHECKING:
     from distributed import Client
 
-LARGE, SMALL, COSTLY = 1 << 20, 1 << 14, 1 << 7
-"""Points per chunk by default: of lengths by the recursion, of anything that costs more, and of blocks."""
+OF_LENGTHS, OF_BLOCKS, OF_OTHERS = 1 << 20, 1 << 7, 1 << 14
+"""Points per chunk by default: of lengths by the recursion, of blocks, and of anything between."""
 
-TASKS, LEAST = 256, 1 << 12
+TASKS, POINTS_PER_TASK = 256, 1 << 12
 """Number of chunks into which Dask cuts a sweep without a store, and the fewest points of each."""
 
 RETRIES = 2
 """Retries of a failed Dask task."""
 
-Done = tuple[Columns | None, set[str]]
-"""Values of a chunk, unless they went to a store, and what to warn of."""
+Done = tuple[Columns, set[str]]
+"""Values of a chunk, none if they went to a store, and what to warn of."""
 
 
 def sweep(
@@ -138,17 +129,18 @@ def sweep(
     or number of devices.
     """
     given = {name: value for name, value in locals().items() if name in PARAMETERS}
-    given = with_interface(given, interface)
-    chosen = choose(outputs, {name for name, values in given.items() if values is not None})
-    request = make_request(given, points, chosen, right, sites, max_contacts, push_control)
+    axes = make_axes(given, interface, points=points, push_control=push_control)
+    check_right_end(right, sites)
+    check_max_contacts(max_contacts)
+    request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control)
     _check_options(request, store, chunk, share, client, lazy)
     most = chunk or _default_chunk(request, tasks=lazy or (client is not None and store is None))
     if lazy:
         return _lazily(request, most)
     if store is None:
         columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
-        for region, found in _run(request, regions(request.shape, most), client, progress):
-            for name, values in (found or {}).items():
+        for region, found in _run(functools.partial(_compute, request, None), regions(request.shape, most), client, progress):
+            for name, values in found.items():
                 columns[name][region] = values
         return labelled(request, columns, complete=1)
     url = os.fspath(store)
@@ -157,14 +149,16 @@ def sweep(
         raise StoreError(f"{url}: holds a sweep already; resume it, or give another folder")
     if not resumed:
         create(url, request, most, processor() if client is None else client.submit(processor).result())
-    opened = open_store(url)
-    check_same(opened, request, chunk)
-    chunks = opened.regions[share[0] :: share[1]] if share else opened.regions
+    stored, held = open_store(url)
+    check_same(stored, held, request, chunk)
+    chunks = regions(request.shape, stored.attrs["chunk"])
+    chunks = chunks[share[0] :: share[1]] if share else chunks
     if resumed:  # another process may be at work, in another order, so that two rarely compute the same chunk
         np.random.default_rng().shuffle(chunks)
-    for _ in _run(opened, chunks, client, progress):
+    compute = functools.partial(_compute, request, (stored.attrs, open_arrays(url, request)))
+    for _ in _run(compute, chunks, client, progress):
         pass
-    return opened.dataset()
+    return open_sweep(url)
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
@@ -179,20 +173,21 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
         If there is no sweep, or a damaged one. A damaged chunk is an error of Zarr's when it is read; the same sweep, resumed,
         names it and computes it again.
     """
-    return open_store(os.fspath(store)).dataset()
+    stored, request = open_store(os.fspath(store))
+    return stored.assign_attrs(complete=int(is_complete(stored, request)))
 
 
 def _default_chunk(request: Request, *, tasks: bool) -> int:
     """Points per chunk: few files, but little lost if the process is killed; smaller for tasks in memory."""
-    groups = {OUTPUTS[name].group for name in request.outputs}
-    chunk = COSTLY if "block" in groups else LARGE if groups <= {"length", "load"} else SMALL
-    return min(chunk, max(LEAST, -(-request.size // TASKS))) if tasks else chunk
+    chunk = OF_LENGTHS if {*request.outputs} <= {"length", "nucleation_load"} else OF_OTHERS
+    chunk = OF_BLOCKS if "block_precursor_length" in request.outputs else chunk
+    return min(chunk, max(POINTS_PER_TASK, -(-math.prod(request.shape) // TASKS))) if tasks else chunk
 
 
 def _check_options(request: Request, store: Any, chunk: int | None, share: Any, client: Any, lazy: bool) -> None:
     """Check that the outputs suit the chain, and that the ways to compute them go together."""
     for name in request.outputs:
-        if request.right != "semi-infinite" and OUTPUTS[name].group not in ("length", "front", "load", "gradient"):
+        if request.right != "semi-infinite" and "right" not in OUTPUTS[name].takes:
             raise ValueError(f"output {name!r} is for a semi-infinite chain, not right = {request.right!r}")
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk = {chunk}: must be at least one point")
@@ -207,15 +202,15 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
 
 
 def _run(
-    work: Request | Store, chunks: list[Region], client: Any, progress: bool | None
-) -> Iterator[tuple[Region, Columns | None]]:
+    compute: Callable[[Region], Done], chunks: list[Region], client: "Client | None", progress: bool | None
+) -> Iterator[tuple[Region, Columns]]:
     """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
-    here = ((region, _compute(region, work)) for region in chunks)
+    here = ((region, compute(region)) for region in chunks)
     size = sum(math.prod(shape_of(region)) for region in chunks)
     hidden = None if progress is None else not progress
-    said = {""}
+    said: set[str] = set()
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
-        for region, (columns, remarks) in here if client is None else _on_workers(client, work, chunks):
+        for region, (columns, remarks) in here if client is None else _on_workers(client, compute, chunks):
             for remark in remarks - said:
                 warnings.warn(remark, RuntimeWarning, stacklevel=3)
             said |= remarks
@@ -223,28 +218,24 @@ def _run(
             bar.update(math.prod(shape_of(region)))
 
 
-def _compute(region: Region, work: Request | Store) -> Done:
-    """Compute a chunk: return the values of a request; write those of a store, unless they are there and intact."""
-    if isinstance(work, Request):
-        return evaluate(work, region), set()
-    missing, damage = work.is_missing(region)
-    if not missing:
-        return None, set()
-    work.write(region, evaluate(work.request, region))
-    return None, {damage, work.begun_elsewhere()}
+def _compute(request: Request, store: tuple[dict[str, Any], dict[str, Any]] | None, region: Region) -> Done:
+    """Compute a chunk: return its values; or write them to a store, unless they are there and intact."""
+    if store is None:
+        return evaluate(request, region), set()
+    return {}, fill(*store, region, lambda: evaluate(request, region))
 
 
-def _alone(region: Region, work: Request | Store) -> Done:
+@in_this_thread()
+def _alone(region: Region, compute: Callable[[Region], Done]) -> Done:
     """Compute a chunk in this thread, beside other threads of a worker."""
-    with in_this_thread():
-        return _compute(region, work)
+    return compute(region)
 
 
-def _on_workers(client: "Client", work: Request | Store, chunks: list[Region]) -> Iterator[tuple[Region, Done]]:
+def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: list[Region]) -> Iterator[tuple[Region, Done]]:
     """Compute chunks on the workers of a cluster, each on one thread, in the order in which they are done."""
     from distributed import as_completed
 
-    futures = client.map(_alone, chunks, work=work, pure=False, retries=RETRIES)
+    futures = client.map(_alone, chunks, compute=compute, pure=False, retries=RETRIES)
     places = {future.key: region for future, region in zip(futures, chunks, strict=True)}
     try:
         for future, result in as_completed(futures, with_results=True):
@@ -256,14 +247,14 @@ def _on_workers(client: "Client", work: Request | Store, chunks: list[Region]) -
 
 
 def _lazily(request: Request, points: int) -> xr.Dataset:
-    """Make a dataset of dask arrays, in chunks of at most `points` points; outputs of one group are one task."""
+    """Make a dataset of dask arrays, in chunks of at most `points` points; outputs of one function are one task."""
     import dask.array as da
     from dask.array.core import normalize_chunks
 
     chunk = normalize_chunks(chunk_shape(request.shape, points), request.shape)
     data = {}
-    for group in dict.fromkeys(OUTPUTS[name].group for name in request.outputs):
-        part = request._replace(outputs=tuple(name for name in request.outputs if OUTPUTS[name].group == group))
+    for function in dict.fromkeys(OUTPUTS[name].function for name in request.outputs):
+        part = request._replace(outputs=tuple(name for name in request.outputs if OUTPUTS[name].function is function))
         dtype = np.dtype([(name, OUTPUTS[name].dtype) for name in part.outputs])
         meta = np.empty((0,) * len(chunk), dtype)
         computed = da.map_blocks(functools.partial(_block, part, dtype), chunks=chunk, dtype=dtype, meta=meta)
@@ -271,10 +262,11 @@ def _lazily(request: Request, points: int) -> xr.Dataset:
     return labelled(request, data, complete=1)
 
 
+@in_this_thread()
 def _block(request: Request, dtype: np.dtype, block_info: Any = None) -> np.ndarray:
     """Compute one chunk for dask; one record per point."""
     region = tuple(slice(*ends) for ends in block_info[None]["array-location"])
     records = np.empty(shape_of(region), dtype)
-    for name, values in (_alone(region, request)[0] or {}).items():
+    for name, values in evaluate(request, region).items():
         records[name] = values
     return records

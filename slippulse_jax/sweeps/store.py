@@ -6,11 +6,9 @@ and the last output of the request after the others of a chunk: so a group with 
 output is there is finished.
 """
 
-import functools
 import json
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,7 @@ from slippulse_jax.files import write_atomically
 from slippulse_jax.shown import plain, shortened
 from slippulse_jax.sweeps.dataset import computed_by, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
-from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, regions
+from slippulse_jax.sweeps.request import Columns, Region, Request, chunk_shape, labelled_axes, regions
 
 FORMAT, MANIFEST, COORDINATE_CHUNK = 2, "zarr.json", 1 << 20
 
@@ -44,74 +42,6 @@ def _locate(url: str) -> tuple[Any, str, Any]:
         raise StoreError(f"{url}: {error}") from None
 
 
-class Store:
-    """A stored sweep, finished or not, with at most `chunk` points in each chunk; `about` are its attributes."""
-
-    def __init__(self, url: str, request: Request, chunk: int, about: dict[str, Any]) -> None:
-        self.url, self.request, self.chunk, self.about = url, request, chunk, about
-        self.files, self.root, self.zarr = _locate(url)
-        self.chunk_shape = chunk_shape(request.shape, chunk)
-
-    @property
-    def regions(self) -> list[Region]:
-        """The part of the result that each chunk holds."""
-        return regions(self.request.shape, self.chunk)
-
-    def _paths(self, region: Region) -> list[str]:
-        """Path of a chunk for each output."""
-        index = [str(part.start // step) for part, step in zip(region, self.chunk_shape, strict=True)]
-        return ["/".join((self.root, name, "c", *index)) for name in self.request.outputs]
-
-    @functools.cached_property
-    def _arrays(self) -> dict[str, Any]:
-        found: dict[str, Any] = {name: zarr.open_array(self.zarr, path=name, mode="r+") for name in self.request.outputs}
-        config: Any = {"write_empty_chunks": True}  # a chunk of NaN is a result too
-        return {name: zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for name, one in found.items()}
-
-    def is_missing(self, region: Region) -> tuple[bool, str]:
-        """Whether a chunk must be computed, and what is wrong with it if it is damaged. Reads it to find out."""
-        paths = self._paths(region)
-        if not self.files.exists(paths[-1]):
-            return True, ""
-        for path, array in zip(paths, self._arrays.values(), strict=True):
-            damage = "" if self.files.exists(path) else "it is missing"
-            try:
-                array[region]
-            except OSError:
-                raise
-            except Exception as error:  # each codec raises its own errors on damaged bytes
-                damage = shortened(str(error))
-            if damage:
-                return True, f"{self.url}: damaged chunk {path.removeprefix(f'{self.root}/')} ({damage}): computing it again"
-        return False, ""
-
-    def write(self, region: Region, columns: Columns) -> None:
-        """Write one chunk of all outputs."""
-        try:
-            self.files.info(f"{self.root}/{MANIFEST}")  # Zarr would recreate a folder that was removed
-            for name, array in self._arrays.items():
-                array[region] = columns[name]
-        except FileNotFoundError:
-            raise StoreError(f"{self.url}: the store was removed while the sweep ran") from None
-
-    def dataset(self) -> xr.Dataset:
-        """The sweep as a dataset, read on demand; its attribute ``complete`` is 1 once every chunk is there."""
-        with _damage_named(self.url):
-            found = xr.open_zarr(self.zarr, chunks=None, consolidated=True)
-            found = found[[*self.request.parameters, *self.request.outputs]]
-        for output in found.data_vars.values():
-            if "flag_values" in output.attrs:
-                output.attrs["flag_values"] = np.array(output.attrs["flag_values"], output.dtype)
-        last = set(self.files.find(f"{self.root}/{self.request.outputs[-1]}/c"))
-        complete = all(self._paths(region)[-1] in last for region in self.regions)
-        return found.assign_attrs(complete=int(complete), store=self.url)
-
-    def begun_elsewhere(self) -> str:
-        """Name the processor and versions that began the store and those of this process, in no words if they are the same."""
-        began, here = computed_by(self.about), computed_by()
-        return "" if began == here else f"{self.url}: begun on {began}, and resumed on {here}; the last digits may differ"
-
-
 def is_store(url: str) -> bool:
     """Whether there is a Zarr group; raise a `StoreError` if there is a store of version 0.1."""
     files, root, _ = _locate(url)
@@ -125,14 +55,12 @@ def create(url: str, request: Request, chunk: int, processor: str) -> None:
     files, root, _ = _locate(url)
     documents = _documents(request, chunk, processor)
     try:
-        if files.isfile(root):
-            raise StoreError(f"{url}: is a file; a store is a folder")
-        ours = {key.split("/")[0] for key in documents}  # a process killed while creating the store left some of them
-        there = files.ls(root, detail=False) if files.exists(root) else []
-        names = {path.rstrip("/").rsplit("/", 1)[-1] for path in there}
-        others = any(name not in ours and not name.startswith(".") for name in names)
+        there = {path.rstrip("/").rsplit("/", 1)[-1] for path in files.ls(root, detail=False)} if files.exists(root) else set()
+        # a process killed while creating the store left some of ours
+        others = {name for name in there if not name.startswith(".")} - {key.split("/")[0] for key in documents}
         if (others or any(files.exists(f"{root}/{name}/c") for name in request.outputs)) and not is_store(url):
-            raise StoreError(f"{url}: is a folder with other things in it; give a new or empty one")
+            what = "a file" if files.isfile(root) else "a folder with other things in it"
+            raise StoreError(f"{url}: is {what}; give a new or empty folder")
         for key in [*(documents.keys() - {MANIFEST}), MANIFEST]:
             if isinstance(files, LocalFileSystem):
                 Path(root, key).parent.mkdir(parents=True, exist_ok=True)
@@ -145,8 +73,7 @@ def create(url: str, request: Request, chunk: int, processor: str) -> None:
 
 def _documents(request: Request, chunk: int, processor: str) -> dict[str, bytes]:
     """Content of a store before anything is computed, by key."""
-    unknown = {name: _unknown(OUTPUTS[name].dtype) for name in request.outputs}
-    empty = {name: np.broadcast_to(value, request.shape) for name, value in unknown.items()}
+    empty = {name: np.broadcast_to(np.zeros((), OUTPUTS[name].dtype), request.shape) for name in request.outputs}
     template = labelled(request, empty, processor=processor, chunk=chunk, store_format=FORMAT)
     made: dict[str, Any] = {}
     group = zarr.create_group(MemoryStore(made), zarr_format=3, attributes=template.attrs)
@@ -157,12 +84,12 @@ def _documents(request: Request, chunk: int, processor: str) -> dict[str, bytes]
             shape=variable.shape,
             chunks=chunk_shape(variable.shape, chunk if is_output else COORDINATE_CHUNK),
             dtype=variable.dtype,
-            fill_value=_unknown(variable.dtype).item(),
+            fill_value=np.nan if variable.dtype.kind == "f" else -1,  # of points that have not been computed
             filters=None,
             serializer=BytesCodec(endian="little"),
             compressors=[Crc32cCodec()],
             dimension_names=[str(dim) for dim in variable.dims],
-            attributes=plain(variable.attrs) | ({"coordinates": " ".join(request.parameters)} if is_output else {}),
+            attributes=plain(variable.attrs) | ({"coordinates": " ".join(map(str, request.axes.coords))} if is_output else {}),
         )
         if not is_output:
             array[...] = variable.values
@@ -172,59 +99,115 @@ def _documents(request: Request, chunk: int, processor: str) -> dict[str, bytes]
     return {key: content.to_bytes() for key, content in made.items()}
 
 
-def _unknown(dtype: Any) -> np.ndarray:
-    """Value of a point that has not been computed: NaN, in whole numbers −1."""
-    return np.array(np.nan if np.dtype(dtype).kind == "f" else -1, dtype)
-
-
-def open_store(url: str) -> Store:
-    """Open a stored sweep; raise a `StoreError` if there is none."""
+def open_store(url: str) -> tuple[xr.Dataset, Request]:
+    """Open a stored sweep, finished or not, to be read on demand; raise a `StoreError` if there is none."""
     if not is_store(url):
         raise StoreError(f"{url}: not the store of a sweep ({MANIFEST} is missing)")
-    with _damage_named(url):
-        group: Any = zarr.open_group(_locate(url)[2], mode="r")
-        about: dict[str, Any] = group.attrs.asdict()
+    files, root, content = _locate(url)
+    try:
+        about = json.loads(files.cat_file(f"{root}/{MANIFEST}")).get("attributes", {})
         if (written := about.get("store_format")) == FORMAT:
-            described = json.loads(about["request"])
-            options = {name: described.pop(name) for name in ("parameters", "combined", "outputs")}
-            parameters = {name: np.asarray(group[name][...]) for name in PARAMETERS if name in options["parameters"]}
-            request = Request(parameters, options["combined"] == "product", tuple(options["outputs"]), **described)
-            chunks = chunk_shape(request.shape, about["chunk"])
-            arrays = [(group[name], OUTPUTS[name].dtype) for name in request.outputs]
-            held = all((one.shape, one.chunks, one.dtype) == (request.shape, chunks, dtype) for one, dtype in arrays)
+            found = xr.open_zarr(content, chunks=None, consolidated=True)
+            request = _request_of(found)
+            outputs = [(found[name], OUTPUTS[name].dtype) for name in request.outputs]
+            form = request.shape, chunk_shape(request.shape, about["chunk"])
+            held = all((one.shape, one.encoding["chunks"], one.dtype) == (*form, dtype) for one, dtype in outputs)
+            for one, dtype in outputs:
+                if "flag_values" in one.attrs:
+                    one.attrs["flag_values"] = np.array(one.attrs["flag_values"], dtype)
             if held and request.digest == about["request_sha256"] and "processor" in about:
-                return Store(url, request, about["chunk"], about)
+                return found[[*request.axes.coords, *request.outputs]].assign_attrs(store=url), request
+    except Exception as error:  # each codec raises its own errors on damaged bytes
+        what = shortened(f"{type(error).__name__}: {error}")
+        raise StoreError(f"{url}: the store of a sweep with a damaged manifest or axes ({what})") from None
     if written != FORMAT:
         raise StoreError(f"{url}: not a sweep, or one of format {written}; this version reads format {FORMAT}")
     raise StoreError(f"{url}: request and arrays do not agree: the store was tampered with or is damaged")
 
 
-@contextmanager
-def _damage_named(url: str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # each codec raises its own errors on damaged bytes
-        what = shortened(f"{type(error).__name__}: {error}")
-        raise StoreError(f"{url}: the store of a sweep with a damaged manifest or axes ({what})") from None
+def _request_of(found: xr.Dataset) -> Request:
+    """Request of a stored sweep, from its attributes and its axes."""
+    described = json.loads(found.attrs["request"])
+    values = {name: found[name].values for name in described.pop("parameters")}
+    axes = labelled_axes(values, points=described.pop("combined") != "product")
+    return Request(axes, tuple(described.pop("outputs")), **described)
 
 
-def check_same(store: Store, request: Request, chunk: int | None) -> None:
-    """Check that request and chunks of the store are the same; raise a `StoreError` naming what differs."""
-    if store.request.digest != request.digest:
-        (old, was), (new, now) = _parts(store.request), _parts(request)
-        changed = (name for name in was | now if was.get(name) != now.get(name))
-        differs = "; ".join(f"{name}: {old.get(name, 'not given')}, now {new.get(name, 'not given')}" for name in changed)
-        raise StoreError(f"{store.url}: holds another sweep ({differs}); give it a store of its own")
-    if chunk is not None and chunk != store.chunk:
-        raise StoreError(f"{store.url}: has {store.chunk} points per chunk, not {chunk}; leave chunk out to resume it")
+def check_same(stored: xr.Dataset, old: Request, new: Request, chunk: int | None) -> None:
+    """Check that the store holds the request, in these chunks; raise a `StoreError` naming what differs."""
+    url, held = stored.attrs["store"], stored.attrs["chunk"]
+    if old.digest != new.digest:
+        was, now, absent = _parts(old), _parts(new), (None, "not given")
+        pairs = {name: (was.get(name, absent), now.get(name, absent)) for name in was | now}
+        differs = "; ".join(f"{name}: {a[1]}, now {b[1]}" for name, (a, b) in pairs.items() if a != b)
+        raise StoreError(f"{url}: holds another sweep ({differs}); give it a store of its own")
+    if chunk is not None and chunk != held:
+        raise StoreError(f"{url}: has {held} points per chunk, not {chunk}; leave chunk out to resume it")
 
 
-def _parts(request: Request) -> tuple[dict[str, str], dict[str, Any]]:
-    """Parts of a request by name: in words, and by what they are compared."""
+def _parts(request: Request) -> dict[str, tuple[Any, str]]:
+    """Parts of a request by name: by what they are compared, and in words."""
     described = request.describe()
     axes = described.pop("parameters")
-    words = {name: repr(value) for name, value in described.items()} | {
-        name: f"{values.size} values {values[0]:g} … {values[-1]:g}" if values.ndim else f"{values:g}"
-        for name, values in request.parameters.items()
+    words = {
+        name: f"{one.size} values {one.values[0]:g} … {one.values[-1]:g}" if one.ndim else f"{one.values:g}"
+        for name, one in request.axes.variables.items()
     }
-    return words, described | axes
+    return {name: (value, words.get(name, repr(value))) for name, value in (described | axes).items()}
+
+
+def _key(name: str, region: Region, steps: tuple[int, ...]) -> str:
+    """Place in the store of a chunk of one output."""
+    return "/".join((name, "c", *(str(part.start // step) for part, step in zip(region, steps, strict=True))))
+
+
+def is_complete(stored: xr.Dataset, request: Request) -> bool:
+    """Whether every chunk is there."""
+    files, root, _ = _locate(stored.attrs["store"])
+    last, chunk = request.outputs[-1], stored.attrs["chunk"]
+    there, steps = set(files.find(f"{root}/{last}/c")), chunk_shape(request.shape, chunk)
+    return all(f"{root}/{_key(last, region, steps)}" in there for region in regions(request.shape, chunk))
+
+
+def open_arrays(url: str, request: Request) -> dict[str, zarr.Array]:
+    """Arrays of the outputs, for `fill`."""
+    group: Any = zarr.open_group(_locate(url)[2], mode="r+", use_consolidated=True)
+    config: Any = {"write_empty_chunks": True}  # a chunk of NaN is a result too
+    found = [(name, group[name]) for name in request.outputs]
+    return {name: zarr.Array(zarr.AsyncArray(one.metadata, one.store_path, config)) for name, one in found}
+
+
+def fill(about: dict[str, Any], arrays: dict[str, zarr.Array], region: Region, compute: Callable[[], Columns]) -> set[str]:
+    """Compute and write a chunk, unless it is there and intact; return what to warn of. `about` are the store's attributes."""
+    url = about["store"]
+    files, root, _ = _locate(url)
+    keys = [_key(name, region, array.chunks) for name, array in arrays.items()]
+    remarks = set()
+    if files.exists(f"{root}/{keys[-1]}"):
+        damage = (_damage(files, root, key, array, region) for key, array in zip(keys, arrays.values(), strict=True))
+        if not (first := next(filter(None, damage), "")):
+            return set()
+        remarks.add(f"{url}: damaged chunk {first}: computing it again")
+    columns = compute()
+    try:
+        files.info(f"{root}/{MANIFEST}")  # Zarr would recreate a folder that was removed
+        for name, array in arrays.items():
+            array[region] = columns[name]
+    except FileNotFoundError:
+        raise StoreError(f"{url}: the store was removed while the sweep ran") from None
+    if (began := computed_by(about)) != (here := computed_by()):
+        remarks.add(f"{url}: begun on {began}, and resumed on {here}; the last digits may differ")
+    return remarks
+
+
+def _damage(files: Any, root: str, key: str, array: zarr.Array, region: Region) -> str:
+    """Name a damaged chunk, and what is wrong with it. Reads it to find out."""
+    if not files.exists(f"{root}/{key}"):
+        return f"{key} (it is missing)"
+    try:
+        array[region]
+    except OSError:
+        raise
+    except Exception as error:  # each codec raises its own errors on damaged bytes
+        return f"{key} ({shortened(str(error))})"
+    return ""
