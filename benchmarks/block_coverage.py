@@ -12,7 +12,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.events.block import BlockNumbers, tall_lengths
+from slippulse_jax.events.resolution import many, tall_lengths
 from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3
@@ -29,11 +29,8 @@ def main() -> None:
     height = np.exp(rng.uniform(*np.log([250, 2000]), (given.studies, SPECIMENS)))
     b = np.exp(rng.uniform(*np.log([0.3, 3]), given.studies))
     stiffness = b / (2 * (1 + POISSON) * np.median(height, axis=1))
-    none, every = np.zeros(height.size), np.ones(height.size)
-    lanes = BlockNumbers(
-        height.ravel(), np.repeat(stiffness, SPECIMENS), POISSON * every, none, none, given.push * every, np.nan * every
-    )
-    length = tall_lengths(lanes, "displacement", "full")[0].reshape(height.shape)
+    block, none = many(height.ravel(), np.repeat(stiffness, SPECIMENS), POISSON, given.push), np.zeros(height.size)
+    length = tall_lengths(block, sp.Interface(none, none), "full")[0].reshape(height.shape)
     measured = length * (1 + SIGMA * rng.standard_normal(height.shape))
     pulls, held, ratio, verdicts = [], {level: [] for level in LEVELS}, [], []
     for H, x, true, exact in zip(height, measured, stiffness, length, strict=True):

@@ -18,7 +18,7 @@ from slippulse_jax.bodies.response import response
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
-from slippulse_jax.events.event import BREAKS_PER_SITE
+from slippulse_jax.events.event import BREAKS_PER_SITE, MORE_SITES
 from slippulse_jax.events.rupture import one_rupture
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
@@ -35,8 +35,8 @@ LENGTHS, WITH_MORE, ENDED, ANY = Layout(few=64, worth_a_thread=16), Layout(), La
 
 ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
-FEW_SITES, GROWTH, MOST_SITES = 128, 4, 2**21
-"""Smallest and largest number of sites, and the factor between two: each number is a program to compile."""
+FEW_SITES, MOST_SITES = 128, 2**21
+"""Smallest and largest number of sites resolved of a slider."""
 ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 """Each lane is a loop of its own."""
 
@@ -237,14 +237,14 @@ def event_lengths(
     if sites is not None:
         found[:] = over_lanes(event_kernel(right, sites, derivatives), lanes, ONE_BY_ONE)[0]
         return found
-    resolved = FEW_SITES * GROWTH ** np.ceil(np.maximum(np.log(ROOM * front / FEW_SITES) / np.log(GROWTH), 0))
+    resolved = FEW_SITES * MORE_SITES ** np.ceil(np.maximum(np.log(ROOM * front / FEW_SITES) / np.log(MORE_SITES), 0))
     while (resolved <= MOST_SITES).any():
         size = int(resolved.min())
         here = np.nonzero(resolved == size)[0]
         found[:, here] = over_lanes(event_kernel(right, size, derivatives), lanes[:, here], ONE_BY_ONE)[0]
         farther = np.isinf(found[0, here])
         found[:, here[farther]] = np.nan
-        resolved[here] = np.where(farther, GROWTH * size, np.inf)
+        resolved[here] = np.where(farther, MORE_SITES * size, np.inf)
     return found
 
 

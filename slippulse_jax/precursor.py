@@ -25,7 +25,7 @@ from slippulse_jax.bodies.modes import (
     lattice_modes,
 )
 from slippulse_jax.domains import check_kind, check_single, check_whole
-from slippulse_jax.events import block as blocks
+from slippulse_jax.events import resolution
 from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.front import delayed, front
 from slippulse_jax.front.arrest import (
@@ -202,7 +202,7 @@ def precursor_length(
         check_rule(rule, one=True)
         if event == "full" and isinstance(rule, SmoothBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
-        return blocks.precursor_length(slider, interface, sites, rule, event)
+        return resolution.precursor_length(slider, interface, sites, rule, event)
     if event == "full":
         return _whole(slider, interface, rule=rule, right=right, sites=sites, machine=machine, max_contacts=max_contacts)
     ends = ends_of(right, sites, machine)
@@ -296,7 +296,7 @@ def first_precursor(
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
-        return blocks.first_precursor(slider, interface, sites, event)
+        return resolution.first_precursor(slider, interface, sites, event)
     if event == "full":
         raise ValueError("event = 'full': the record of a whole event of a slider is sp.rupture(sp.chain(slider, sites=…))")
     ends = ends_of(right, sites, machine)

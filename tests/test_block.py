@@ -14,6 +14,7 @@ import slippulse_jax as sp
 from slippulse_jax.bodies import elements, waveguide
 from slippulse_jax.bodies.modes import ends_of, lattice_modes
 from slippulse_jax.events import block as blocks
+from slippulse_jax.events import resolution
 from slippulse_jax.events.event import first_event
 from slippulse_jax.events.series import Adiabatic, Spring, Steps, Stopping, of_contacts
 from slippulse_jax.rules import HARD
@@ -41,8 +42,8 @@ def slider_guide(slider, length=None):
     K_L, K_T, one = (jnp.asarray(x) for x in (slider.K_L, slider.K_T, 1.0))
     bonds, across = jnp.diag(jnp.stack([K_L, one])), K_T * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
     slab = waveguide.Slab(bonds + across, -bonds, bonds, jnp.array([0.0, 1.0]), jnp.zeros(2), jnp.zeros(()))
-    held = waveguide.Loaded(jnp.array([1.0, 0.0]), jnp.zeros(2))
-    return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held, length)
+    held = jnp.array([1.0, 0.0])
+    return waveguide.guide(waveguide.attached(slab, jnp.asarray(slider.stiffness)), held, jnp.zeros(2), length)
 
 
 @jax.jit
@@ -306,7 +307,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
     def state(pinning):
         x = waveguide.columns(guide, jnp.asarray(k), jnp.asarray(load), pinning)
         force = (guide.slab.left @ x[0] + guide.slab.across @ x[1] - k * guide.slab.reading_left * pinning[0])[
-            np.asarray(elements.loaded(block).displaced) > 0
+            np.asarray(elements.loaded(block)[0]) > 0
         ].sum()
         found = response(block, 200)
         stretch = load * found.push[0] + found.near[0] @ pinning - pinning
@@ -500,7 +501,7 @@ def test_fields_in_the_block_are_those_the_contacts_read():
     before, after = (blocks.fields(found.block, found.load, p) for p in (0 * found.pinning, found.pinning))
     assert after.horizontal.shape == (65, elements.heights(found.block).size)
     np.testing.assert_allclose(before.vertical[:, 0], 0, atol=0)
-    displaced = np.insert(np.asarray(elements.loaded(found.block).displaced), 1, 0)[0::2] > 0
+    displaced = np.insert(np.asarray(elements.loaded(found.block)[0]), 1, 0)[0::2] > 0
     np.testing.assert_allclose(after.horizontal[0, displaced], float(found.load), rtol=1e-12)
     # slip is what the lower edge moved, within a contact
     moved = np.asarray(after.horizontal - before.horizontal)[:, 0]
@@ -751,7 +752,7 @@ def test_blocks_under_strict_promotion(double):
                 sp.Block(h, 0.05, 0.3, block.push, length=block.length, normal_stiffness=block.normal_stiffness)))(12.0))  # fmt: skip
         assert jnp.isfinite(sp.precursor_length(sp.Block(600.0, 0.01, 0.3)))
         assert jnp.isfinite(sp.precursor_length(sp.Block(12.0, 0.05, 0.3), rule=sp.SmoothBreak(0.01)))
-        assert jnp.isfinite(blocks.stages(found.block, interface, 40, jnp.arange(3), "domino").shear).all()
+        assert jnp.isfinite(blocks.stages(found.block, interface, 40, jnp.arange(3), "domino")[1]).all()
         for protocol in (Adiabatic(), Steps(0.05), Spring(0.7)):
             many = sp.series(sp.Block(12.0, 0.05, 0.3), protocol, events=3, sites=64, interface=interface)
             assert int(many.number) == 3
@@ -759,9 +760,10 @@ def test_blocks_under_strict_promotion(double):
 
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
-    lanes = jnp.array([[20.0, 0.02, 0.3, 0.0, 0.0, 0.3, 0.0]] * 3).T
+    three, none = resolution.many(np.full(3, 20.0), 0.02, 0.3, 0.3), np.zeros(3)
     with jax.default_device(jax.devices("cpu")[0]):
-        program = blocks._events.lower(lanes, False, "displacement", blocks.FOLLOWED, "full").compile().as_text()
+        lowered = resolution._at_once.lower(three, sp.Interface(none, none), resolution.FOLLOWED, "full")
+        program = lowered.compile().as_text()
     eliminations = [line for line in program.splitlines() if "getrf" in line and "custom-call(" in line]
     assert eliminations
     assert all(re.search(r"= \(f64\[\d+,\d+\]", line) for line in eliminations), eliminations

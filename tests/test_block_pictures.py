@@ -22,16 +22,16 @@ def test_stresses_from_nucleation_to_the_end(found):
     with jax.enable_x64(True):
         first, half, last = range(3)
         breaks = jnp.array([0, int(found.breaks) // 2, int(found.breaks)])
-        every = stages(BLOCK, None, found.stress.size, breaks, found.event)
-    np.testing.assert_allclose(every.contact[first], found.stress_before, atol=1e-12)
-    np.testing.assert_allclose(every.contact[last], found.stress, atol=1e-12)
-    assert np.max(every.contact[half]) > 1
+        contact, shear = stages(BLOCK, None, found.stress.size, breaks, found.event)
+    np.testing.assert_allclose(contact[first], found.stress_before, atol=1e-12)
+    np.testing.assert_allclose(contact[last], found.stress, atol=1e-12)
+    assert np.max(contact[half]) > 1
     # over a contact the lowest cell carries what the contact does, away from the corner and the jump at the front
-    near = np.abs(np.asarray(every.shear)[:, 2:, 0] - np.asarray(every.contact)[:, 2:])
+    near = np.abs(np.asarray(shear)[:, 2:, 0] - np.asarray(contact)[:, 2:])
     assert near[first].max() < 0.02
     assert np.median(near[[half, last]]) < 0.005
     # and the free top none, but for half a cell
-    assert np.abs(every.shear[:, :, -1]).max() < 0.1 * np.abs(every.shear).max()
+    assert np.abs(shear[:, :, -1]).max() < 0.1 * np.abs(shear).max()
 
 
 def test_pictures(found, tmp_path):

@@ -17,7 +17,7 @@ from reports import section, unfolded
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
-from slippulse_jax.events.block import tall_length
+from slippulse_jax.events.resolution import tall_length
 from slippulse_jax.inference import interpolation
 from slippulse_jax.inference.interpolation import block_grid, block_lengths
 from slippulse_jax.inference.model import recursion_status

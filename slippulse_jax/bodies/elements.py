@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.waveguide import Loaded, Slab, joined_slabs
+from slippulse_jax.bodies.waveguide import Slab, joined_slabs
 from slippulse_jax.bulk.compiler import in_full
 
 GAUSS = 3**-0.5
@@ -115,8 +115,8 @@ def slab(block: Block, finer: int = 0) -> Slab:
     return found
 
 
-def loaded(block: Block, finer: int = 0) -> Loaded:
-    """Freedoms of column 0 that the pusher displaces, or its forces on them, of a uniform traction."""
+def loaded(block: Block, finer: int = 0) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Push on column 0: 1 for the freedoms that the pusher displaces, and forces on the others, of a uniform traction."""
     y, push = heights(block, finer), block.push
     # by number, not by height: which nodes are pushed never changes
     number, below = np.arange(y.size) / 2**finer, 0 if push.height is None else BELOW + NEAR
@@ -128,6 +128,6 @@ def loaded(block: Block, finer: int = 0) -> Loaded:
 
     none = along(0.0)
     if push.control == "displacement":
-        return Loaded(along(under), none)
+        return along(under), none
     part = jnp.diff(y) * (under[1:] & under[:-1]).astype(y.dtype)
-    return Loaded(none, along((jnp.pad(part, (0, 1)) + jnp.pad(part, (1, 0))) / (2 * part.sum())))
+    return none, along((jnp.pad(part, (0, 1)) + jnp.pad(part, (1, 0))) / (2 * part.sum()))

@@ -40,13 +40,6 @@ class Slab(NamedTuple):
     own: Float[Array, ""]  # s, response of a contact within its slab
 
 
-class Loaded(NamedTuple):
-    """The push on column 0: displaced freedoms, or given forces with all of them free."""
-
-    displaced: Float[Array, " n"]  # 1 where a freedom moves with the pusher
-    force: Float[Array, " n"]  # on the others, per unit of the load
-
-
 class Guide(NamedTuple):
     """A waveguide that is pushed at column 0, in the quantities of this module."""
 
@@ -55,14 +48,9 @@ class Guide(NamedTuple):
     transfer: Array  # T
     free: Array  # Y_0
     pushed: Array  # u_0, column 0 per unit of the load
-    end: "End | None" = None  # None for a half-infinite guide
-
-
-class End(NamedTuple):
-    """A free end."""
-
-    column: Int[Array, ""]  # L, the last column, and the number of contacts
-    back: Float[Array, "n n"]  # X (1 − G_L X)⁻¹, force on it per its displacement in the half-infinite guide
+    # of a free end: L, the number of contacts before it, and X (1 − G_L X)⁻¹, force on column L per its displacement in the
+    # half-infinite guide
+    end: tuple[Array, Array] | None = None
 
 
 @jax.custom_batching.sequential_vmap
@@ -149,34 +137,41 @@ def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Arr
 
 
 @in_full
-def guide(slab: Slab, loaded: Loaded, length: Int[Array, ""] | None = None) -> Guide:
-    """The guide of a slab with its contact attached; half-infinite, or of `length` slabs with a free end."""
+def guide(slab: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"], length: Int[Array, ""] | None = None) -> Guide:
+    """The guide of a slab with its contact attached; half-infinite, or of `length` slabs with a free end.
+
+    Parameters
+    ----------
+    slab : Slab
+    displaced : array, shape (n,)
+        1 for the freedoms of column 0 that move with the pusher.
+    force : array, shape (n,)
+        Force on the others per unit of the load.
+    length : int, optional
+    """
     X = driving_point(slab)
     step = inverse(X + slab.right)
-    moves = loaded.displaced
-    keep = 1 - moves
+    keep = 1 - displaced
     # freedoms that the pusher displaces are cut out, and held at one instead
-    inner = keep[:, None] * X * keep[None] + jnp.diag(moves)
+    inner = keep[:, None] * X * keep[None] + jnp.diag(displaced)
     free = keep[:, None] * inverse(inner) * keep[None]
-    pushed = moves + free @ (loaded.force - X @ moves)
+    pushed = displaced + free @ (force - X @ displaced)
     found = Guide(slab, step, -step @ slab.across.T, free, pushed)
-    return found if length is None else found._replace(end=free_end(found, X, length))
+    if length is None:
+        return found
+    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - _column_response(found, jnp.asarray(length)) @ X)
+    return found._replace(end=(jnp.asarray(length), (back + back.T) / 2))
 
 
-@in_full
-def free_end(guide: Guide, X: Float[Array, "n n"], length: Int[Array, ""]) -> End:
-    """Free end at column `length`; G_L by doubling, as many columns at a time as the bits of L say."""
+def _column_response(guide: Guide, column: Int[Array, ""]) -> Float[Array, "n n"]:
+    """G_L of one column of the half-infinite guide, by doubling: as many columns at a time as the bits of L say."""
 
     def twice(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         bits, T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
         G = jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
         return bits // 2, T @ T, steps + T @ steps @ T.T, G
 
-    column = jnp.asarray(length)
-    start = column, guide.transfer, guide.step, guide.free
-    G = lax.while_loop(lambda state: state[0] > 0, twice, start)[-1]
-    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - G @ X)
-    return End(column, (back + back.T) / 2)
+    return lax.while_loop(lambda state: state[0] > 0, twice, (column, guide.transfer, guide.step, guide.free))[-1]
 
 
 @in_full
@@ -189,13 +184,34 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
 
 
 @in_full
-def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
+def response(guide: Guide, contact: Array, sites: int) -> Response:
+    """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
+    slab, T, q = guide.slab, guide.transfer, readings(guide, sites)
+    behind, ahead = q[:-1], q[1:]
+    # sums along the diagonals: each row adds the one above, shifted by a contact
+    direct = lax.scan(lambda above, row: (jnp.pad(row + above, (1, 0))[:-1], row + above), jnp.zeros_like(q[1:, 0]),
+                      behind @ guide.step @ behind.T)[1]  # fmt: skip
+    A = ahead @ guide.free @ ahead.T + direct + slab.own * jnp.eye(sites, dtype=q.dtype)
+    t = ahead @ guide.pushed
+    if guide.end is None:
+        # the pusher carries all contacts, beyond those of the response too
+        every = ahead[0] @ inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T) @ guide.pushed
+        return of_matrix(contact * A, t, contact * every)
+    length, back = guide.end
+    pushed, reached = _at_column(guide, length, q)
+    there = jnp.arange(sites, dtype=length.dtype) < length
+    t = jnp.where(there, t + reached @ back @ pushed, 0)
+    A = jnp.where(there[:, None] & there[None], A + reached @ back @ reached.T, 0)
+    return of_matrix(contact * A, t, contact * t.sum())
+
+
+def _at_column(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
     T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1, dtype=column.dtype)
 
     def beside(state: tuple[Array, Array], ahead: Array) -> tuple[tuple[Array, Array], Array]:
         power, direct = state  # T^i, and G_i q_1 but for its last term
-        found = guide.step @ guide.slab.reading_right + T @ (direct + power @ (guide.free @ ahead))
+        found = guide.step @ q[0] + T @ (direct + power @ (guide.free @ ahead))
         return (power @ T, direct + power @ (guide.step @ ahead)), found
 
     next_to = lax.scan(beside, (one, jnp.zeros_like(q[0])), q[1:])[1]  # column i + 1 per force on contact i
@@ -204,35 +220,7 @@ def at_end(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tu
         return power @ T, (power @ next_to[column - 1 - distance], power @ guide.pushed)
 
     far, pushed = lax.scan(on, one, sites)[1]
-    before = (sites < column)[:, None]
-    return T @ pushed[column - 1], jnp.where(before, far[column - 1 - sites], 0)
-
-
-@in_full
-def response(guide: Guide, contact: Array, sites: int) -> Response:
-    """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
-    q = readings(guide, sites)
-    behind, ahead = q[:-1], q[1:]
-    # sums along the diagonals: each row adds the one above, shifted by a contact
-    direct = lax.scan(lambda above, row: (jnp.pad(row + above, (1, 0))[:-1], row + above), jnp.zeros_like(q[1:, 0]),
-                      behind @ guide.step @ behind.T)[1]  # fmt: skip
-    A = ahead @ guide.free @ ahead.T + direct + guide.slab.own * jnp.eye(sites, dtype=q.dtype)
-    t = ahead @ guide.pushed
-    if guide.end is not None:
-        pushed, reached = at_end(guide, guide.end.column, q)
-        there = jnp.arange(sites, dtype=guide.end.column.dtype) < guide.end.column
-        t = jnp.where(there, t + reached @ guide.end.back @ pushed, 0)
-        A = jnp.where(there[:, None] & there[None], A + reached @ guide.end.back @ reached.T, 0)
-    return of_matrix(contact * A, t, _edge_stiffness(guide, contact, t))
-
-
-def _edge_stiffness(guide: Guide, contact: Array, push: Float[Array, " N"]) -> Float[Array, ""]:
-    """Force on the pusher per load: that of all contacts, beyond those of the response too."""
-    if guide.end is not None:
-        return contact * push.sum()
-    slab, T = guide.slab, guide.transfer
-    endless = inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T)
-    return contact * ((slab.reading_left + slab.reading_right @ T) @ endless @ guide.pushed)
+    return T @ pushed[column - 1], jnp.where((sites < column)[:, None], far[column - 1 - sites], 0)
 
 
 @in_full
@@ -250,4 +238,5 @@ def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N
     found = under(load, contact * force)
     if guide.end is None:
         return found
-    return found + under(0 * load, jnp.zeros_like(force).at[guide.end.column].set(guide.end.back @ found[guide.end.column]))
+    length, back = guide.end
+    return found + under(0 * load, jnp.zeros_like(force).at[length].set(back @ found[length]))

@@ -30,9 +30,10 @@ from slippulse_jax.front.front import EventKind
 SLACK_DIGITS = 4096
 """Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
 
-
 BREAKS_PER_SITE = 50
 """Breaks per contact after which an event is given up."""
+MORE_SITES = 4
+"""Factor by which the sites resolved grow while an event reaches the last of them: each number is a program to compile."""
 
 
 class Contacts(NamedTuple):

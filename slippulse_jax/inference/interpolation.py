@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from tqdm.auto import tqdm
 
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.events.block import BlockNumbers, tall_lengths
+from slippulse_jax.events.resolution import many, tall_lengths
 from slippulse_jax.exact.bulk import NEVER
 from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.interface import Interface
@@ -151,24 +151,15 @@ def _block_lengths(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
     height = np.clip(1 / np.maximum(inverse, 1 / TALLEST), SHORTEST, TALLEST)
     at = np.clip(at, 2 * LOWEST, 1 - 2 * LOWEST)
     width = np.minimum(np.maximum(width, NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2))
-    lanes = BlockNumbers(
-        height=height,
-        stiffness=np.exp(b) / (2 * (1 + poisson) * height),
-        poisson=poisson,
-        prestress=np.clip(prestress, -STEEPEST, STEEPEST),
-        threshold_slope=np.zeros(len(place)),
-        push_height=at,
-        push_width=width,
-    )
-    found = np.empty((len(place), 2))
+    numbers = height, np.exp(b) / (2 * (1 + poisson) * height), poisson, at
+    prestress, found = np.clip(prestress, -STEEPEST, STEEPEST), np.empty((len(place), 2))
     for one in np.unique(kind):
         force, patch = divmod(round(one), 2)
         here = kind == one
-        some = BlockNumbers(*(x[here] for x in lanes))
-        if not patch:
-            some = some._replace(push_width=np.full(here.sum(), np.nan))
-        lengths_and_errors = tall_lengths(some, "force" if force else "displacement", "full")
-        found[here] = np.stack(lengths_and_errors, axis=1) / height[here, None]
+        control = "force" if force else "displacement"
+        block = many(*(x[here] for x in numbers), push_width=width[here] if patch else None, control=control)
+        interface = Interface(prestress[here], np.zeros(here.sum()))
+        found[here] = np.stack(tall_lengths(block, interface, "full"), axis=1) / height[here, None]
     return found
 
 

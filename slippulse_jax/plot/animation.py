@@ -144,13 +144,13 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
     above, below = panels
     mesh = draw_block(above, frames, 0)
     above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
-    x, stress = np.arange(frames.shown) + 0.5, np.asarray(frames.stages.contact)[:, : frames.shown]
+    x, stress = np.arange(frames.shown) + 0.5, frames.contact[:, : frames.shown]
     carried, words = _contact_stress(below, x, stress)
     below.set_ylim(min(0, 1.1 * stress.min()), 1.15 * max(stress.max(), 1))
     below.legend(handles=below.lines[:2], loc="lower right")
 
     def frame(number: int) -> list[Any]:
-        mesh.set_array(frames.stages.shear[number, : frames.shown].T)
+        mesh.set_array(frames.shear[number, : frames.shown].T)
         carried.set_ydata(stress[number])
         words.set_text(f"{frames.breaks[number]} breaks{_at_end(number, frames.breaks)}")
         return [mesh, carried, words]

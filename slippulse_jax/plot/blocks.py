@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.bodies.elements import heights
 from slippulse_jax.events import block as blocks
-from slippulse_jax.events.block import BlockPrecursor, Stages
+from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import axes, colours, drawn
@@ -24,7 +24,9 @@ class Frames(NamedTuple):
 
     found: BlockPrecursor
     breaks: np.ndarray
-    stages: Stages
+    y: np.ndarray  # heights of the nodes, in λc
+    contact: np.ndarray  # stress on the contacts, in σ_s; by breaks and contacts
+    shear: np.ndarray  # σ_xy in the block over each contact, from one node to the next
     shown: int  # contacts in sight: those that broke, and half as many again
 
 
@@ -35,12 +37,12 @@ def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | 
     last = int(found.breaks)
     if breaks.min() < 0 or breaks.max() > last:
         raise ValueError(f"breaks = {breaks.max() if breaks.max() > last else breaks.min()}: this event has 0 to {last}")
-    computed = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event)
-    stages = jax.tree.map(np.asarray, computed)
-    if breaks[-1] == last and not np.allclose(stages.contact[-1], found.stress, atol=1e-3):
+    contact, shear = map(np.asarray, blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event))
+    if breaks[-1] == last and not np.allclose(contact[-1], found.stress, atol=1e-3):
         raise ValueError("this is not the event of this interface: give interface= as first_precursor had it")
     furthest = int(np.max(np.nonzero(np.asarray(found.pinning))[0], initial=0)) + 1
-    return Frames(found, breaks, stages, min(found.stress.size, max(round(1.5 * furthest), round(float(found.block.height)))))
+    shown = min(found.stress.size, max(round(1.5 * furthest), round(float(found.block.height))))
+    return Frames(found, breaks, np.asarray(heights(found.block)), contact, shear, shown)
 
 
 @drawn
@@ -89,8 +91,8 @@ def draw_block(ax: "Axes", frames: Frames, number: int) -> Any:
     height = float(block.height)
     mesh = ax.pcolormesh(
         np.arange(n + 1),
-        frames.stages.y,
-        frames.stages.shear[number, :n].T,
+        frames.y,
+        frames.shear[number, :n].T,
         cmap="PuOr_r",
         vmin=-REACH,
         vmax=REACH,

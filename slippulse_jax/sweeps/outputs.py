@@ -13,7 +13,7 @@ from slippulse_jax import lengths as bulk
 from slippulse_jax import theory
 from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.events import block as blocks
+from slippulse_jax.events import resolution
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
@@ -84,9 +84,9 @@ def _smooth(request: Request, columns: Columns) -> np.ndarray:
 
 
 def _block(request: Request, columns: Columns) -> np.ndarray:
-    columns = {"push_width": np.full(len(columns["height"]), np.nan)} | columns
-    lanes = blocks.BlockNumbers(*_fields(columns, *SLIDER, "prestress", "threshold_slope", *PUSH))
-    return blocks.lengths(lanes, request.push_control, "full")
+    numbers = _fields(columns, *SLIDER, "push_height")
+    block = resolution.many(*numbers, push_width=columns.get("push_width"), control=request.push_control)
+    return resolution.lengths(block, Interface(*_fields(columns, "prestress", "threshold_slope")), "full")
 
 
 def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:

@@ -1,0 +1,349 @@
+"""How many contacts of a block are followed: enough for the event to stop, or fewer and larger ones where the block is tall.
+
+The contacts resolved grow in number until the event stops before the last of them. Of a tall block they are too many, but a
+length over H depends on their size only as 1/n, n being the number that breaks. So the event is followed on larger contacts of
+the same areal stiffness, of two sizes, and its length extrapolated.
+
+Many blocks are one `Block` of arrays (`many`), and an `Interface` of arrays as long.
+"""
+
+import dataclasses
+import warnings
+from collections.abc import Callable, Generator
+from functools import partial
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from slippulse_jax.block import Block, Control, Push
+from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.events import block as blocks
+from slippulse_jax.events.block import BlockPrecursor, as_type, in_double, is_traced
+from slippulse_jax.events.event import MORE_SITES
+from slippulse_jax.front.front import EventKind
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.status import NotConverged, Outcome
+from slippulse_jax.units import Numbers
+
+FEWEST_CONTACTS = 64
+"""Smallest number of contacts resolved."""
+TALL = 500.0
+"""H/λc above which a length is extrapolated from larger contacts."""
+FOLLOWED, FARTHER = 256, 2048
+"""Larger contacts that are followed: of any event, and of one that may run away and differs between contacts of two sizes."""
+BELOW_PUSH, ENOUGH = 60.0, 90
+"""Of those followed, how many lie below the push in the first trial, and the fewest that an event should break."""
+MOST_HEIGHTS = 20
+"""Distance, in heights, beyond which an event on larger contacts is not followed."""
+ALIKE = 0.1
+"""Largest relative difference between the lengths on contacts of two sizes that are taken for the same event."""
+TOGETHER = 4
+"""Blocks computed at once."""
+
+
+class NotFollowed(ValueError):
+    """An event that does not stop within what can be followed."""
+
+    def __init__(self, block: Block, why: str) -> None:
+        super().__init__(
+            f"the event of {block} {why}, farther than can be followed; under a prestress of half the threshold or more, "
+            "or on falling thresholds, it may never stop"
+        )
+
+
+# --- one block ---------------------------------------------------------------------------------------------------------
+
+
+def first_precursor(
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind
+) -> BlockPrecursor:
+    """Record of one block: see `slippulse_jax.first_precursor`."""
+    found = in_double(_resolved)((block, interface), sites, partial(blocks.record, kind=kind))
+    _warn_of_few_sites(block, sites, found.length)
+    if block.contacts is not None:  # no more than it has
+        found = jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
+    return dataclasses.replace(found, block=block)  # not rounded
+
+
+def precursor_length(
+    block: Block, interface: Interface | Profile | None, sites: Numbers | None, rule: BreakRule, kind: EventKind
+) -> Float[Array, ""]:
+    """ℓ of one block: see `slippulse_jax.precursor_length`."""
+    given = block, interface, rule
+    if not is_traced(given) or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        found = in_double(_length)(*given, sites, kind)
+        _warn_of_few_sites(block, sites, found)
+        return found
+    _known(given, blocks.IN_DOUBLE)
+    numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
+    numbers, tree = jax.tree.flatten(numbers)
+    others = _known(others)
+
+    def one(*numbers: Array) -> Array:
+        with jax.enable_x64(True):  # in here, because JAX computes derivatives later
+            every = eqx.combine(jax.tree.unflatten(tree, numbers), others)
+            block, interface, rule = jax.tree.map(lambda x: as_type(x, np.float64), every)
+            return as_type(_length(block, interface, rule, sites, kind), np.float32)
+
+    return by_forward_mode(one)(*numbers)
+
+
+def _length(
+    block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
+) -> Float[Array, ""]:
+    smooth = isinstance(rule, SmoothBreak)
+    every = sites is not None or block.length is not None or smooth
+    if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
+        return tall_length(block, interface, kind)[0]
+    found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))
+    if smooth and not isinstance(found, Tracer) and np.isnan(found):
+        begins = int(_resolved((block, interface), sites, partial(blocks.record, kind=kind)).nucleation)
+        raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
+    return found
+
+
+Found = TypeVar("Found", Array, BlockPrecursor)
+
+
+def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[..., Found]) -> Found:
+    """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop."""
+    block = given[0]
+    if sites is not None:
+        return event(*given, sites=blocks.checked_sites(block, sites))
+    known = _known(given)
+    if contacts := known[0].contacts:
+        if contacts > blocks.MOST_CONTACTS:
+            raise ValueError(f"{block} reaches beyond {blocks.MOST_CONTACTS} contacts: take a coarser one of the same b")
+        return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
+    count = FEWEST_CONTACTS
+    while count <= blocks.MOST_CONTACTS:
+        found = event(*known, sites=count)
+        if not np.isposinf(found.length if isinstance(found, BlockPrecursor) else found):
+            return event(*given, sites=count) if is_traced(given) else found
+        count *= MORE_SITES
+    raise NotFollowed(block, f"reaches beyond {count // MORE_SITES} contacts")  # under a wide smooth rule for ever
+
+
+def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> None:
+    """Say that an event reached the last contact resolved of a block that goes on."""
+    if sites is not None and block.length is None and not isinstance(length, Tracer) and np.isposinf(length):
+        warnings.warn(
+            f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _known(given: Any, why: str = "a block needs sites, the number of contacts resolved: its length is not known") -> Any:
+    """Strip derivatives from a block and its interface, which leaves numbers."""
+    try:
+        return jax.tree.map(np.asarray, lax.stop_gradient(given))
+    except jax.errors.JAXTypeError:
+        raise ValueError(f"under jit and vmap {why}") from None
+
+
+# --- tall blocks, on larger contacts -----------------------------------------------------------------------------------
+
+Body = tuple[Block, Interface | None]
+Trials = Generator[tuple[float, int], tuple[float, int, int], Any]
+"""A search that asks for the event of a block at an H/λc, on a number of contacts, and is sent its length, how many broke, and
+its status."""
+
+
+def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> tuple[Array, Array]:
+    """ℓ of one tall block from larger contacts of the same b, and how far it may be off.
+
+    Raises
+    ------
+    ValueError
+        If the event does not stop within what can be followed.
+    """
+    one = jax.tree.map(lambda x: x[None], _known((block, interface)))
+    height, sites, fine, rough = _views(one, kind, together=1)[:, 0]
+    if np.isposinf(fine):
+        grows = np.isfinite(rough)
+        raise NotFollowed(
+            block, "becomes ever longer on ever finer contacts" if grows else f"reaches beyond {sites / height:.2g} heights"
+        )
+    on = partial(blocks.length, sites=int(sites), kind=kind)
+    if height == one[0].height:
+        found = on(block, interface)
+        return found, jnp.zeros_like(found)
+    pair = [on(*_coarser((block, interface), size)) for size in (height, height / 2)]
+    return extrapolated(pair[0], pair[1], height, block.height)
+
+
+def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, Any]:
+    """ℓ of a block from those on contacts of two sizes, at H/λc = `height` and half of it; and how far it may be off.
+
+    The length of an event of n breaks has a relative error of order 1/n; extrapolation leaves about a quarter of its own
+    correction. Lengths that differ by more than `ALIKE` belong to two kinds of event: the finer one is taken, and may be off by
+    their difference.
+    """
+    fine, rough = fine * tall / height, rough * tall * 2 / height
+    correction = (fine - rough) * (1 - height / tall)
+    alike = _alike(fine, rough).astype(fine.dtype)
+    return fine + correction * alike, abs(correction) * (1 - 0.75 * alike)
+
+
+def _alike(fine: Any, rough: Any) -> Any:
+    return abs(fine - rough) <= ALIKE * fine
+
+
+def _coarser(body: Body, height: Any) -> Body:
+    """One block, or many, on larger contacts of the same areal stiffness, at H/λc = `height`."""
+    block, interface = body
+    larger = block.height / height
+    contacts = eqx.tree_at(lambda x: (x.height, x.stiffness), block, (np.asarray(height), block.stiffness * larger))
+    if interface is None:
+        return contacts, None
+    return contacts, eqx.tree_at(lambda x: x.threshold_slope, interface, interface.threshold_slope * larger)
+
+
+def _view(block: Block, interface: Interface | None) -> Trials:
+    """Look at an event on contacts of two sizes: H/λc of the finer ones, how many are followed, and both lengths in contacts.
+
+    The first length is inf where the event does not stop within what can be followed. The second, on contacts twice as large,
+    is not looked for where the first is on the block's own.
+
+    Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
+    finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
+    to 2φ/(1 + R_ii), R_ii > 0: without a prestress of half the threshold, or falling thresholds, every front stops.
+    """
+    push = 1.0 if block.push.height is None else block.push.height
+    carried = (0.0, 0.0) if interface is None else (interface.prestress, interface.threshold_slope)
+    tall, push, prestress, slope = (float(np.asarray(x)) for x in (block.height, push, *carried))
+    falling = slope < 0
+    lasting, endless = prestress > 0 or falling, 2 * prestress >= 1 or falling
+    if endless and not falling:
+        # an event that runs away on the largest contacts does so on smaller ones; falling thresholds reach zero before the last
+        largest = min(tall, FOLLOWED / MOST_HEIGHTS)
+        if (yield largest, FOLLOWED)[2] == Outcome.RAN_THROUGH:
+            return largest, FOLLOWED, np.inf, np.inf
+    sites = FOLLOWED
+    while True:
+        height, fine, bounded = yield from _fitting(tall, push, sites)
+        if height == tall or not np.isfinite(fine):
+            return height, sites, fine, fine
+        rough = (yield height / 2, sites)[0]
+        if _alike(fine, 2 * rough) or not lasting:
+            return height, sites, fine, rough
+        if sites == FARTHER:
+            return height, sites, np.inf if bounded and endless else fine, rough
+        sites = FARTHER
+
+
+def _fitting(tall: float, push: float, sites: int) -> Trials:
+    """Find an H/λc, at most that of the block, at which an event fits `sites` contacts; ℓ there; whether finer ones did not.
+
+    An event should break `ENOUGH` of `FOLLOWED` contacts. One that breaks them all although they reach over `MOST_HEIGHTS` has
+    no length (inf): on still larger contacts it would stop only because they are so large.
+    """
+    finer, most = sites / FOLLOWED, tall
+    height = min(tall, BELOW_PUSH * finer / push)
+    while True:
+        length, broken, status = yield height, sites
+        through = status == Outcome.RAN_THROUGH
+        if through:
+            most = height / 1.5
+        if through and height * MOST_HEIGHTS >= 1.5 * sites:
+            height = most
+        elif not through and height < most and broken < ENOUGH * finer:
+            height = min(height * min(max(1.5 * ENOUGH * finer / max(broken, 1), 1.5), 16.0), most)
+        else:
+            return height, length, most < tall
+
+
+# --- many blocks -------------------------------------------------------------------------------------------------------
+
+
+def many(
+    height: Any, stiffness: Any, poisson: Any, push_height: Any, push_width: Any = None, control: Control = "displacement"
+) -> Block:
+    """Many half-infinite blocks as one, of arrays; under patches, or under pushes that cover everything above a height."""
+    one = Block(2.0, 1.0, 0.0, Push(0.5, None if push_width is None else 0.5, control))
+    columns = [x for x in (height, stiffness, poisson, push_height, push_width) if x is not None]
+    return jax.tree.unflatten(jax.tree.structure(one), np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in columns)))
+
+
+def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float[np.ndarray, " n"]:
+    """ℓ of many blocks, each as `precursor_length` has it to rounding, inf where that refuses."""
+    body, height = (block, interface), np.asarray(block.height)
+    tall, short = (np.nonzero(side)[0] for side in (height > TALL, height <= TALL))
+    found = np.empty(height.size)
+    found[tall] = tall_lengths(*_some(body, tall), kind)[0]
+    if short.size:
+        found[short], _, status = _events(_some(body, short), FOLLOWED, kind)
+        for i in short[status == Outcome.RAN_THROUGH]:
+            try:
+                with jax.enable_x64(True):
+                    found[i] = precursor_length(*_some(body, i), None, HARD, kind)
+            except NotFollowed:
+                found[i] = np.inf
+    return found
+
+
+def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ of many blocks from larger contacts, and how far each may be off; shapes (n,).
+
+    Lengths are 0 where no domino starts, and inf where the event does not stop within the contacts followed. The error of an
+    infinite length is set to H, for the blocks beside it in a table.
+    """
+    height, _, fine, rough = _views((block, interface), kind)
+    endless = np.isposinf(fine)
+    with np.errstate(invalid="ignore"):  # inf − inf
+        found, error = extrapolated(fine, rough, height, block.height)
+    return np.where(endless, np.inf, found), np.where(endless, np.asarray(block.height), error)
+
+
+def _views(body: Body, kind: EventKind, together: int = TOGETHER) -> Float[np.ndarray, "4 n"]:
+    """What `_view` finds of every block, their trials side by side."""
+    searches = [_view(*_some(body, i)) for i in range(np.size(body[0].height))]
+    asked, found = {i: next(search) for i, search in enumerate(searches)}, np.empty((4, len(searches)))
+    while asked:
+        sites = min(sites for _, sites in asked.values())
+        # by height, because blocks computed at once take as long as the tallest
+        which = sorted((i for i in asked if asked[i][1] == sites), key=lambda i: asked[i][0])
+        coarser = _coarser(_some(body, np.array(which)), np.array([asked[i][0] for i in which]))
+        for i, *answer in zip(which, *_events(coarser, sites, kind, together), strict=True):
+            try:
+                asked[i] = searches[i].send(tuple(answer))
+            except StopIteration as end:
+                found[:, i] = end.value
+                del asked[i]
+    return found
+
+
+def _some(body: Body, which: Any) -> Body:
+    """Some of many blocks, or one."""
+    return jax.tree.map(lambda x: x[which], body)
+
+
+def _events(body: Body, sites: int, kind: EventKind, together: int = TOGETHER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, contacts broken and statuses of many blocks; large matrices one by one."""
+    count, together = np.size(body[0].height), together if sites == FOLLOWED else 1
+    padded = np.resize(np.arange(count), (-(-count // together), together))
+    with jax.enable_x64(True):
+        parts = [_at_once(*_some(body, part), sites, kind) for part in padded]
+    length, broken, status = (np.concatenate(column)[:count] for column in zip(*parts, strict=True))
+    lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH))
+    if lost.any():
+        block, interface = _some(body, np.argmax(lost))
+        raise NotConverged(f"no length of {block} on {interface}: {Outcome(int(status[lost][0])).message}")
+    return length, broken, status
+
+
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def _at_once(block: Block, interface: Interface | None, sites: int, kind: EventKind) -> tuple[Array, Array, Array]:
+    def one(block: Block, interface: Interface | None) -> tuple[Array, Array, Array]:
+        found = blocks.record(block, interface, sites, kind)
+        return found.length, found.contacts_broken, found.status
+
+    return jax.vmap(one)(block, interface)
