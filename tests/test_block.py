@@ -15,8 +15,8 @@ from slippulse_jax.bodies import elements, waveguide
 from slippulse_jax.bodies.modes import ends_of, lattice_modes
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events import resolution
-from slippulse_jax.events.event import first_event
-from slippulse_jax.events.series import Adiabatic, Spring, Steps, Stopping, of_contacts
+from slippulse_jax.events.event import Relaxed, first_event
+from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_matrix_body
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
@@ -445,7 +445,7 @@ def test_a_smooth_front_on_the_slider_as_a_waveguide():
     """The block's sum over every contact, against the recursion of two modes."""
     slider, rule = sp.Slider(10.0, 0.03, 0.3), sp.SmoothBreak(0.02)
     found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
-    contacts = blocks.BlockContacts(found, jnp.ones(160), jnp.zeros(160), 159, jnp.asarray(True))
+    contacts = Relaxed(found, jnp.ones(160), jnp.zeros(160), jnp.asarray(0.03), 159, jnp.asarray(True))
     assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
 
 
@@ -577,10 +577,9 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
 
     def as_waveguide(slider, protocol):
         guide, k = slider_guide(slider), jnp.asarray(slider.stiffness)
-        one, spring = jnp.ones(sites), getattr(protocol, "stiffness", None)
-        contacts = blocks.BlockContacts(waveguide.response(guide, k, sites), one, 0 * one, sites - 1, jnp.array(True))
-        stopping = Stopping(jnp.inf, jnp.array(True), jnp.int32(3000))
-        return of_contacts((12, 0, 0, sites), contacts, k, spring, protocol, None, stopping)
+        one = jnp.ones(sites)
+        body = Relaxed(waveguide.response(guide, k, sites), one, 0 * one, k, sites - 1, jnp.array(True))
+        return of_matrix_body((12, 0, 0, sites), body, Loading(protocol, None, jnp.inf, jnp.array(True), jnp.int32(3000)))
 
     found = jax.jit(as_waveguide)(slider, protocol)
     assert int(found.number) == int(expected.number) == 12

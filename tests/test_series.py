@@ -177,6 +177,18 @@ def test_a_stiff_spring_is_no_spring():
     assert abs(direct.load - stiff.load)[:30].max() < 1e-6
 
 
+@pytest.mark.parametrize("stop", [True, False])
+def test_an_event_spans_whatever_pulls_the_edge(stop):
+    """The driver's own site is not one of the chain's: the last contact is, and its break ends a series."""
+    chain = sp.chain(sp.Slider(10.0, 0.1, 0.3), sites=30, right="free")
+    direct, pulled = (sp.series(chain, how, events=16, stop_when_spanning=stop) for how in (Adiabatic(), sp.Spring(1e9)))
+    assert int(direct.status) == (Outcome.SPANNED if stop else Outcome.DONE)
+    assert EventClass.SPANNING in direct.kind
+    for name in ("extent", "kind", "breaks", "number", "status"):
+        np.testing.assert_array_equal(getattr(pulled, name), getattr(direct, name), err_msg=name)
+    np.testing.assert_allclose(pulled.length, direct.length, rtol=1e-6)
+
+
 def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
     def run(height):
         return sp.series(sp.chain(sp.Slider(height, 0.03, 0.3), sites=40), events=6, stop_when_spanning=False)

@@ -20,16 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.bodies import elements, waveguide
-from slippulse_jax.bodies.response import Response
 from slippulse_jax.bodies.waveguide import Guide
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import NORMAL_STIFFNESS
-from slippulse_jax.events.event import first_event, nucleated
+from slippulse_jax.events.event import Relaxed, first_event, nucleated
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
@@ -120,17 +119,7 @@ def guide_of(block: Block, finer: int = 0) -> Guide:
     return waveguide.guide(slab, *elements.loaded(block, finer), length)
 
 
-class BlockContacts(NamedTuple):
-    """The contacts of a block, before it is pushed."""
-
-    response: Response
-    threshold: Float[Array, " N"]
-    prestress: Float[Array, " N"]
-    last: Int[Array, ""] | int  # index of the last contact, or of the last one resolved
-    valid: Bool[Array, ""]  # whether all numbers lie in their domains
-
-
-def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> BlockContacts:
+def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> Relaxed:
     """The first contacts of a block, and their response."""
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
@@ -141,14 +130,14 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     valid = in_domain(block)
     if block.normal_stiffness is not None:
         valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
-    return BlockContacts(response, threshold, prestress, last, valid)
+    return Relaxed(response, threshold, prestress, jnp.asarray(block.stiffness), last, valid)
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
 @in_full
 def record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts."""
-    response, threshold, prestress, last, valid = contacts_of(block, interface, sites)
+    response, threshold, prestress, _, last, valid, _ = contacts_of(block, interface, sites)
     found, first, load, before = first_event(response, threshold, prestress, last, kind=kind)
     stress, pinning = found.contacts.stress[0], found.contacts.released[0]
     excess = stress - threshold
@@ -177,9 +166,9 @@ def record(block: Block, interface: Interface | Profile | None, sites: int, kind
     )
 
 
-def faded(contacts: BlockContacts, rule: SmoothBreak) -> Float[Array, ""]:
+def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
-    response, threshold, prestress, last, valid = contacts
+    response, threshold, prestress, _, last, valid, _ = contacts
     push, near = response.push[0], response.near[0]
     first, load = nucleated(push, threshold, prestress)
 
@@ -268,7 +257,7 @@ def stages(
         σ_xy in the block over each contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the
         prestress.
     """
-    response, threshold, prestress, last, _ = contacts_of(block, interface, sites)
+    response, threshold, prestress, _, last, *_ = contacts_of(block, interface, sites)
     _, _, load, before = first_event(response, threshold, prestress, last, 1, kind)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 

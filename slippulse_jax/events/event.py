@@ -36,6 +36,18 @@ MORE_SITES = 4
 """Factor by which the sites resolved grow while an event reaches the last of them: each number is a program to compile."""
 
 
+class Relaxed(NamedTuple):
+    """A body before it is loaded; stresses in σ_s."""
+
+    response: Response
+    threshold: Float[Array, "*B M"]  # of contacts that never broke; inf where there is none
+    prestress: Float[Array, "*B M"]  # the only stress
+    stiffness: Array  # k, in K
+    last: Int[Array, ""] | int  # index of the last contact, or of the last one resolved
+    valid: Bool[Array, ""]  # whether all numbers lie in their domains
+    driver: int = 0  # sites before those of the body: the driver's
+
+
 class Contacts(NamedTuple):
     """Contacts of B blocks, or of one; stresses in σ_s."""
 

@@ -33,7 +33,7 @@ from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, stresses
+from slippulse_jax.events.event import BREAKS_PER_SITE, Relaxed, event, most, stresses
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
 
@@ -71,6 +71,17 @@ Protocol = Adiabatic | Steps | Spring
 
 Shape = tuple[int, int, int, int]
 """Numbers that set the shape of a compiled series: events, recorded breaks, delay, sites."""
+
+
+class Loading(NamedTuple):
+    """How a body is loaded, and when its series ends early. Traced numbers, so that changing them compiles nothing."""
+
+    protocol: Protocol
+    ageing: Ageing | None
+    until: Float[Array, ""]  # load; inf for none
+    when_spanning: Array  # whether with the first event that breaks the last contact
+    max_breaks: Int[Array, ""]  # of one event
+
 
 POSITIVE = Domain(0, float("inf"), "must be positive and finite")
 
@@ -148,14 +159,16 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
-    stopping = Stopping(
+    loading = Loading(
+        protocol,
+        ageing,
         jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype),
         jnp.asarray(stop_when_spanning),
         jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32),
     )
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
-    return run_series(shape, (body, interface), protocol, ageing, stopping)
+    return run_series(shape, body, interface, loading)
 
 
 def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
@@ -170,125 +183,67 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
     return block.contacts or found
 
 
-class Stopping(NamedTuple):
-    """When a series ends early. Traced numbers, so that changing them compiles nothing."""
-
-    until: Float[Array, ""]  # load; inf for none
-    when_spanning: Array  # whether with the first event that breaks the last contact
-    max_breaks: Int[Array, ""]  # of one event
-
-
-def _series(
-    shape: Shape,
-    given: tuple[Chain | Block, Interface | Profile | None],
-    protocol: Protocol,
-    ageing: Ageing | None,
-    stopping: Stopping,
-) -> Catalogue:
-    body, interface = given
-    spring = protocol.stiffness if isinstance(protocol, Spring) else None
+def _series(shape: Shape, body: Chain | Block, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
     if isinstance(body, Block):
-        return lane_by_lane(partial(_of_block, shape), body, interface, spring, protocol, ageing, stopping)
-    chain = body if spring is None else driven(body, spring)
+        return lane_by_lane(partial(_of_block, shape), body, interface, loading)
+    chain = driven(body, loading.protocol.stiffness) if isinstance(loading.protocol, Spring) else body
     beyond, resp = shared_response(chain)
-    of_chain = partial(_of_chain, shape, int(spring is not None))
-    return lane_by_lane(of_chain, chain, resp, floats(chain, beyond), protocol, ageing, stopping)
+    return lane_by_lane(partial(_of_chain, shape), chain, resp, floats(chain, beyond), loading)
 
 
-def _of_chain(
-    shape: Shape,
-    driver: int,
-    chain: Chain,
-    resp: Response,
-    floating: Array,
-    protocol: Protocol,
-    ageing: Ageing | None,
-    stopping: Stopping,
-) -> Catalogue:
-    """Series of a chain that may begin with the site of a driver."""
+def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loading: Loading) -> Catalogue:
+    """Series of a chain, which begins with the site of the driver if it is pulled through a spring."""
     size, attached = resp.push.shape[1], chain.contact > 0
     prestress = jnp.where(attached, chain.prestress, 0)
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
-    loading = Loading(
+    relaxed = Relaxed(
         response=resp,
         threshold=into_blocks(jnp.where(attached, chain.threshold, jnp.inf), size, jnp.inf),
         prestress=into_blocks(prestress, size),
         stiffness=chain.stiffness,
         valid=all_numbers(chain, chain.relaxed()) & ~floating & holds,
-        driver=driver,
-        ageing=ageing,
-        protocol=protocol,
-        stopping=stopping,
+        last=chain.sites - 1,
+        driver=chain.sites - shape[-1],
     )
-    end = load_through(shape, loading)
-    state = _end_state(loading, end, chain.sites)
+    end = load_through(shape, relaxed, loading)
+    state = _end_state(relaxed, end, chain.sites)
     solved = equilibrium(chain, state)
     stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
-    return _catalogue(loading, end, state, solved.stress, stored)
+    return _catalogue(relaxed, end, state, solved.stress, stored)
 
 
-def _of_block(
-    shape: Shape,
-    block: Block,
-    interface: Interface | Profile | None,
-    spring: Array | None,
-    protocol: Protocol,
-    ageing: Ageing | None,
-    stopping: Stopping,
-) -> Catalogue:
-    given, k = blocks.contacts_of(block, interface, 1 << (shape[-1] - 1).bit_length()), jnp.asarray(block.stiffness)
-    return of_contacts(shape, given, k, spring, protocol, ageing, stopping)
+def _of_block(shape: Shape, block: Block, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
+    return of_matrix_body(shape, blocks.contacts_of(block, interface, 1 << (shape[-1] - 1).bit_length()), loading)
 
 
 @in_full
-def of_contacts(
-    shape: Shape,
-    given: blocks.BlockContacts,
-    k: Array,
-    spring: Array | None,
-    protocol: Protocol,
-    ageing: Ageing | None,
-    stopping: Stopping,
-) -> Catalogue:
-    """Series of the first contacts of a response that is a matrix; a spring to the driver makes the pusher give way.
+def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
+    """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Events, recorded breaks, delay and sites.
-    given : BlockContacts
-        A power of two of them.
-    k : array, shape ()
-        Stiffness of a contact, in K.
-    spring : array, shape (), optional
-        In K.
+    The matrix is of a power of two of contacts.
     """
-    resp, threshold, prestress, _, valid = given
+    resp, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     push, matrix, edge = resp.push[0], resp.near[0], resp.edge_stiffness
-    sites = shape[-1]
     there = jnp.arange(push.size) < sites
-    prestress = jnp.where(there, prestress, 0)
-    if spring is not None:
+    prestress = jnp.where(there, body.prestress, 0)
+    if isinstance(loading.protocol, Spring):
+        spring = loading.protocol.stiffness
         share = spring / (spring + edge)
         matrix = matrix + jnp.outer(push, push) * k / (spring + edge)
         push, edge = push * share, edge * share
-    loading = Loading(
+    body = body._replace(
         response=of_matrix(matrix, push, edge),
         threshold=jnp.where(there, threshold, jnp.inf)[None],
         prestress=prestress[None],
-        stiffness=k,
-        valid=valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
-        driver=0,
-        ageing=ageing,
-        protocol=protocol,
-        stopping=stopping,
+        last=sites - 1,
+        valid=body.valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
     )
-    end = load_through(shape, loading)
-    state = _end_state(loading, end, sites)
+    end = load_through(shape, body, loading)
+    state = _end_state(body, end, sites)
     u, p, own = state.load, state.pinning, prestress[:sites]
     driven, apart = u * push[:sites], p - matrix[:sites, :sites] @ p
     stored = edge * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
-    return _catalogue(loading, end, state, own + driven - apart, stored)
+    return _catalogue(body, end, state, own + driven - apart, stored)
 
 
 _hard_series = without_derivative(
@@ -299,26 +254,6 @@ _hard_series = without_derivative(
 
 
 # --- from event to event ---
-
-
-class Loading(NamedTuple):
-    """Constants of a series."""
-
-    response: Response
-    threshold: Float[Array, "B M"]  # of contacts that never broke; inf where there is none
-    prestress: Float[Array, "B M"]  # the only stress while the body is relaxed
-    stiffness: Array  # k, in K
-    valid: Array
-    driver: int  # sites before those of the body: the driver's
-    ageing: Ageing | None
-    protocol: Protocol
-    stopping: Stopping
-
-    def threshold_at(self, load: Array, born: Float[Array, "B M"] | None) -> Float[Array, "B M"]:
-        """Thresholds at a load of contacts that broke last at the loads `born`."""
-        if self.ageing is None or born is None:
-            return self.threshold
-        return self.threshold * self.ageing.strength(load - born, jnp.asarray(self.protocol.velocity))
 
 
 class Now(NamedTuple):
@@ -347,62 +282,65 @@ EMPTY_ROW = {
 """Columns of a catalogue, and their value where there is no event."""
 
 
-def load_through(shape: Shape, by: Loading) -> Now:
+def load_through(shape: Shape, body: Relaxed, loading: Loading) -> Now:
     """Run events until the series ends."""
-    events, recorded, delay, sites = shape
-    zero, none = jnp.zeros_like(by.prestress[0, 0]), jnp.zeros((), jnp.int32)
+    events, recorded, delay, _ = shape
+    zero, none = jnp.zeros_like(body.prestress[0, 0]), jnp.zeros((), jnp.int32)
     begin = Now(
-        stress=by.prestress,
-        released=jnp.zeros_like(by.prestress),
-        born=None if by.ageing is None else jnp.full_like(by.prestress, -jnp.inf),
-        last=jnp.full(by.prestress.shape, -1, jnp.int32),
+        stress=body.prestress,
+        released=jnp.zeros_like(body.prestress),
+        born=None if loading.ageing is None else jnp.full_like(body.prestress, -jnp.inf),
+        last=jnp.full(body.prestress.shape, -1, jnp.int32),
         load=zero,
         force=zero,
         stored=zero,
         number=none,
         total=none,
-        ending=jnp.where(by.valid, -1, Outcome.INVALID).astype(jnp.int32),
+        ending=jnp.where(body.valid, -1, Outcome.INVALID).astype(jnp.int32),
         rows={name: jnp.full(events + 1, x, jnp.int32 if isinstance(x, int) else zero.dtype) for name, x in EMPTY_ROW.items()},
         order=jnp.full(recorded + 1, -1, jnp.int32),
     )
-    return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, by, delay, sites), begin)
+    return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, body, loading, delay), begin)
 
 
-def _next_event(by: Loading, delay: int, sites: int, now: Now) -> Now:
+def _next_event(body: Relaxed, loading: Loading, delay: int, now: Now) -> Now:
     """Load to the next break, run the event and record it."""
-    k, stopping = by.stiffness, by.stopping
-    rise, trigger, begins = _raised(by, now)
-    load, force_before = now.load + rise, now.force + by.response.edge_stiffness * rise
-    stress, threshold = now.stress + by.response.push * rise, by.threshold_at(load, now.born)
-    first = jnp.where(trigger >= 0, trigger, most(stress - threshold)[0]) if isinstance(by.protocol, Steps) else trigger
+    response, k, ageing = body.response, body.stiffness, loading.ageing
+    rise, trigger, begins = _raised(body, loading, now)
+    load, force_before = now.load + rise, now.force + response.edge_stiffness * rise
+    stress, threshold, renewed = now.stress + response.push * rise, body.threshold, None
+    if ageing is not None and now.born is not None:
+        threshold = threshold * ageing.strength(load - now.born, jnp.asarray(loading.protocol.velocity))
+        renewed = body.threshold * jnp.asarray(ageing.newborn)
+    first = jnp.where(trigger >= 0, trigger, most(stress - threshold)[0]) if isinstance(loading.protocol, Steps) else trigger
     found = event(
-        by.response,
+        response,
         stress,
         threshold,
-        renewed=None if by.ageing is None else by.threshold * jnp.asarray(by.ageing.newborn),
+        renewed=renewed,
         trigger=trigger,
-        limit=stopping.max_breaks,
+        limit=loading.max_breaks,
         delay=delay,
         log=(now.order, jnp.zeros(now.order.size, rise.dtype), now.total),
     )
-    after, (record, right) = stresses(by.response, found), (found.record, found.rightmost)
-    slip, last = by.response.soft * found.contacts.released, now.last.reshape(-1)
-    force = force_before - k * (by.response.push * slip).sum()
+    after, (record, right) = stresses(response, found), (found.record, found.rightmost)
+    slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
+    force = force_before - k * (response.push * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed
-    stored, spans = now.stored + work - broken - relaxed, right == sites - 1
+    stored, spans = now.stored + work - broken - relaxed, right == body.last
     kinds = {
         EventClass.SPANNING: spans,
-        EventClass.EDGE: first == by.driver,
-        EventClass.RENUCLEATED: (first > by.driver) & (last[jnp.maximum(first - 1, 0)] > last[first]),
+        EventClass.EDGE: first == body.driver,
+        EventClass.RENUCLEATED: (first > body.driver) & (last[jnp.maximum(first - 1, 0)] > last[first]),
     }
     row = {
         "load": load,
         "force_before": force_before,
         "force_after": force,
-        "site": first - by.driver,
-        "leftmost": found.leftmost - by.driver,
-        "extent": right + 1 - by.driver,
-        "length": jnp.where(spans, jnp.inf, found.length(after, sites - 1)) - by.driver,
+        "site": first - body.driver,
+        "leftmost": found.leftmost - body.driver,
+        "extent": right + 1 - body.driver,
+        "length": jnp.where(spans, jnp.inf, found.length(after, body.last)) - body.driver,
         "breaks": record.breaks,
         "slip": slip.sum(),
         "stress_drop": stress.sum() - after.sum(),
@@ -412,12 +350,12 @@ def _next_event(by: Loading, delay: int, sites: int, now: Now) -> Now:
         "relaxed": relaxed,
         "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
     }
-    over = (record.breaks >= stopping.max_breaks) & (after >= found.contacts.threshold.reshape(-1)).any()
+    over = (record.breaks >= loading.max_breaks) & (after >= found.contacts.threshold.reshape(-1)).any()
     endings = {
         Outcome.NOTHING_LEFT: ~begins,
         Outcome.LIMIT: over,
-        Outcome.SPANNED: stopping.when_spanning & spans,
-        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= stopping.until),
+        Outcome.SPANNED: loading.when_spanning & spans,
+        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until),
     }
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
     return Now(
@@ -439,23 +377,23 @@ def _next_event(by: Loading, delay: int, sites: int, now: Now) -> Now:
     )
 
 
-def _raised(by: Loading, now: Now) -> tuple[Array, Array, Array]:
+def _raised(body: Relaxed, loading: Loading, now: Now) -> tuple[Array, Array, Array]:
     """Find the increase of load to the next event, and the contact that breaks first whatever the rounding; −1 for none.
 
     Return also whether any load brings a contact to its threshold; the increase is 0 if none does.
     """
-    push = by.response.push
-    if by.ageing is None or now.born is None:
+    push = body.response.push
+    if loading.ageing is None or now.born is None:
         pulled = push > 0
-        rises = jnp.where(pulled, (by.threshold - now.stress) / jnp.where(pulled, push, 1), jnp.inf)
+        rises = jnp.where(pulled, (body.threshold - now.stress) / jnp.where(pulled, push, 1), jnp.inf)
     else:
-        velocity = jnp.asarray(by.protocol.velocity)
-        rises = next_crossing(by.ageing, now.stress, push, by.threshold, now.load - now.born, velocity)
+        velocity = jnp.asarray(loading.protocol.velocity)
+        rises = next_crossing(loading.ageing, now.stress, push, body.threshold, now.load - now.born, velocity)
     site, least = most(-rises)
     begins, rise = jnp.isfinite(least), jnp.maximum(-least, 0)
     trigger = jnp.where(begins, site, -1)
-    if isinstance(by.protocol, Steps):
-        size, close = jnp.asarray(by.protocol.size, rise.dtype), 1e4 * jnp.finfo(rise.dtype).eps
+    if isinstance(loading.protocol, Steps):
+        size, close = jnp.asarray(loading.protocol.size, rise.dtype), 1e4 * jnp.finfo(rise.dtype).eps
         whole_steps = jnp.maximum(jnp.ceil(rise / size - close), 1) * size
         # beyond the crossing the most overloaded contact breaks first
         trigger = jnp.where(whole_steps > rise + close * size, -1, trigger)
@@ -463,7 +401,7 @@ def _raised(by: Loading, now: Now) -> tuple[Array, Array, Array]:
     return jnp.where(begins, rise, 0), trigger, begins
 
 
-def _catalogue(by: Loading, end: Now, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
+def _catalogue(body: Relaxed, end: Now, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
     """Make the catalogue; `stress` and `stored` are those of the final state, solved afresh."""
     columns = {name: column[:-1] for name, column in end.rows.items()}
     place = jnp.arange(end.order.size - 1, dtype=jnp.int32)
@@ -472,14 +410,14 @@ def _catalogue(by: Loading, end: Now, state: State, stress: Float[Array, " N"], 
     return Catalogue(
         **columns,
         number=end.number,
-        break_site=jnp.where(known, end.order[:-1] - by.driver, -1),
+        break_site=jnp.where(known, end.order[:-1] - body.driver, -1),
         break_event=jnp.where(known, of_event, -1),
-        state=State(state.pinning[by.driver :], state.load),
+        state=State(state.pinning[body.driver :], state.load),
         drift=jnp.abs(end.stress.reshape(-1)[: stress.size] - stress).max(),
         energy_drift=jnp.abs(end.stored - stored),
         status=end.ending,
     )
 
 
-def _end_state(by: Loading, end: Now, sites: int) -> State:
-    return State((by.response.soft * end.released).reshape(-1)[:sites], end.load)
+def _end_state(body: Relaxed, end: Now, sites: int) -> State:
+    return State((body.response.soft * end.released).reshape(-1)[:sites], end.load)
