@@ -17,20 +17,22 @@ with amplitudes c_j from t(0) and t(1) − t(0). `docs/exact_solution.md` derive
 first row k whose moduli add up to less than `ROW_TOLERANCE` of the first row's; from there on it has rows of zeros, so that a
 lane never depends on its neighbours.
 
+**Three kinds of table.** A *regular* one gives every digit everywhere. A *plain* one takes less time, and leaves in the poles
+that follow; `Series.sound` is false for the few lanes whose digits they cost. A *far* one keeps of a relaxed front what is left
+where r_1 and ρ_1 have died out, one column of one family: t(s) = c_2 ρ_2^s Σ_k τ_k0 (r_2²)^{ks} from `Series.begins` on.
+
 **Resonance.** μ may meet ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one k = n nearest to it (because the others
 are a factor r_2² apart). There the series has a pole, cancelled by another in front of ρ_1's own series. A *regular* table
 writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing
-roots, and the choice of n changes the rounding, not the sum. A *plain* table leaves the pole in, and reports in
-`Series.sound` the few lanes whose digits it costs.
+roots, and the choice of n changes the rounding, not the sum.
 
 Everything is built from the small numbers 1 − r_m, 1 − ρ_j and from decay rates −ln μ, never from r_m and ρ_j themselves:
 for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_jax.theory`) differences become derivatives:
 κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,13 +41,22 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from slippulse_jax.bulk.compiler import in_full
+
 ROW_TOLERANCE = 5e-13
 """Moduli of the last row of a lane relative to those of its first; rows shrink to an eighth or less from there on."""
 
 ROWS = 17
 """Rows of the longest table: degree 34 in r_1 and r_2."""
 
-REGULAR, PLAIN, NARROW = ((1, ROWS),), ((1, 5), (6, 11), (12, ROWS)), ((1, 4), (5, 8), (9, 12), (13, ROWS))
+Table = Literal["regular", "plain", "far"]
+"""Kinds of table."""
+
+BLOCKS: dict[Table, tuple[tuple[int, int], ...]] = {
+    "regular": ((1, ROWS),),
+    "plain": ((1, 5), (6, 11), (12, ROWS)),
+    "far": ((1, 4), (5, 8), (9, 12), (13, ROWS)),
+}
 """First and last row of the loops a table is made by, each as wide as its last row: one to compile little, more to compute
 little."""
 
@@ -55,7 +66,7 @@ LEAST, STORED = 5, 11
 SOUND = 1e3
 """Amplitude from which a pole nearby has cost too many digits."""
 
-FAR = 37.0
+FADED = 37.0
 """Exponent from which a decaying term is rounding."""
 
 Lanes = Float[Array, "*lanes"]
@@ -91,15 +102,25 @@ class Series(NamedTuple):
     """Table and amplitudes of every lane."""
 
     system: System
-    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored; of a narrow table, where a = 0
+    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored; of a far table, where a = 0
     rows: Float[Array, "k F *lanes"]  # Σ_a τ up to the last row stored
     beyond: Float[Array, "F *lanes"]  # Σ_ka τ of later rows
-    totals: Float[Array, "sums F *lanes"]  # Σ τ, Σ τ (1 − μ) and, unless narrow, −Σ τ ln μ
+    totals: Float[Array, "sums F *lanes"]  # Σ τ, Σ τ (1 − μ) and, unless far, −Σ τ ln μ
     amplitude: Float[Array, "F *lanes"]  # c_j
     echo: Float[Array, "F *lanes"] | None  # κ_j, with which D(s) times ρ_1's series is part of family j; None if not regular
     echo_rate: Float[Array, "F *lanes"]  # −ln x_j
     last: Array  # the last row any lane has
     sound: Bool[Array, "*lanes"]  # whether every digit is there; before the amplitudes are, whether the table has converged
+
+    @property
+    def far(self) -> bool:
+        """Whether the table is a far one."""
+        return self.blocks[0].shape[2] == 1
+
+    @property
+    def begins(self) -> Lanes:
+        """The s from which a far table holds."""
+        return FADED / jnp.minimum(self.system.column_rate, self.system.rate[0])
 
 
 def system_of(
@@ -168,46 +189,10 @@ def system_of(
     )
 
 
-class FarSeries(NamedTuple):
-    """A relaxed front's stress where what decays like r_1 or ρ_1 has died out: t(s) = ρ_2^s Σ_k c_2 τ_k0 (r_2²)^{ks}."""
-
-    system: System
-    amplitude: Float[Array, "2 *lanes"]  # c_j
-    column: Float[Array, "k *lanes"]  # c_2 τ_k0
-    begins: Lanes  # the s from which it holds
-    sound: Bool[Array, "*lanes"]  # whether every digit is there
-
-
-Rise = Callable[[Lanes], tuple[Lanes, Lanes]]
-"""t(s) − t(0) and t'(s) of lanes at s."""
-
-
-def solve_far(system: System) -> FarSeries:
-    """Table and amplitudes of relaxed fronts, by a plain table of which one column is kept."""
-    found = _solved(system, _table(system, NARROW, narrow=True))
-    column = jnp.concatenate([jnp.ones_like(found.rows[:1, 1]), *(block[:, 1, 0] for block in found.blocks)])
-    begins = FAR / jnp.minimum(system.column_rate, system.rate[0])
-    return FarSeries(system, found.amplitude, found.amplitude[1] * column, begins, found.sound)
-
-
-def rise_far(series: FarSeries, s: Lanes) -> tuple[Lanes, Lanes]:
-    """t(s) − t(0) and t'(s), as `rise`, for s ≥ `begins`. Both are differences: a lift of t by b costs the digits of b."""
-    level_rate, rate = series.system.level_rate, series.system.rate[1]
-    ratio, power = 1 - decayed(s * level_rate), 1 - decayed(s * rate)
-    total = bent = jnp.zeros_like(s)
-    for k in range(series.column.shape[0] - 1, -1, -1):
-        total, bent = ratio * total + series.column[k], ratio * bent + k * series.column[k]
-    return power * total - series.system.at_edge, -power * (rate * total + level_rate * bent)
-
-
-def solve(system: System, *, regular: bool = True) -> Series:
-    """Table, and the amplitudes that give t(0) and t(1) − t(0)."""
-    return _solved(system, _table(system, REGULAR if regular else PLAIN))
-
-
-def _solved(system: System, table: Series) -> Series:
-    """Add the amplitudes."""
-    (A, gaps), plateau = table.totals[:2], system.plateau
+def solve(system: System, kind: Table = "regular") -> Series:
+    """Table, and the amplitudes that give t(0) and t(1) − t(0); a far table is for relaxed fronts."""
+    table, plateau = _table(system, kind), system.plateau
+    A, gaps = table.totals[:2]
     B = -gaps
     if table.echo is not None:
         # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
@@ -234,28 +219,27 @@ class _Progress(NamedTuple):
     echo: Array | None
 
 
-def _table(system: System, blocks: tuple[tuple[int, int], ...], narrow: bool = False) -> Series:
-    """Rows until every lane has ended, or `ROWS`; no amplitudes yet. A narrow table keeps the column a = 0 alone."""
+def _table(system: System, kind: Table) -> Series:
+    """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
     families, *lanes = system.rate.shape
     zeros, one = jnp.zeros_like(system.rate), jnp.ones_like(system.rate)
-    regular = blocks is REGULAR
-    stored = STORED if blocks is PLAIN else ROWS
+    stored = STORED if kind == "plain" else ROWS
     rows = jnp.zeros((stored + 1, families, *lanes), one.dtype).at[0].set(1)
     above = jnp.zeros((families, 3, *lanes), one.dtype).at[:, 2].set(1)
     resonance, fed, echo = zeros, None, None
-    if regular:
+    if kind == "regular":
         distance = (system.rate[:1] - system.rate) / system.level_rate[None]
         # of the prestress's family never n = 0, of ρ_1's own none
         least = np.arange(families).reshape(-1, *[1] * len(lanes)) == 2
         resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
         fed = jnp.zeros((ROWS + 1, 2, 2 * ROWS + 1, *lanes), one.dtype)
         echo = jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0)
-    totals = jnp.stack([one, system.start_gap] if narrow else [one, system.start_gap, system.rate])
+    totals = jnp.stack([one, system.start_gap] if kind == "far" else [one, system.start_gap, system.rate])
     running = jnp.ones(lanes, bool)
     progress = _Progress(jnp.asarray(1), jnp.zeros_like(system.level_rate), rows, zeros, totals, running, fed, echo)
     kept = []
-    for start, end in blocks:
-        width = 1 if narrow else 2 * end + 1
+    for start, end in BLOCKS[kind]:
+        width = 1 if kind == "far" else 2 * end + 1
         block = jnp.zeros((end - start + 1 if end <= stored else 0, families, width, *lanes), one.dtype)
         above = jnp.zeros((families, 2 * end + 3, *lanes), one.dtype).at[:, : above.shape[1]].set(above)
         progress, above, block = _fill(system, progress, above, block, (start, end), resonance)
@@ -281,7 +265,7 @@ def _fill(
     start, end = span
     stored = block.shape[0] > 0
     lanes = system.level_rate.ndim
-    summed = over_columns if progress.fed is None else _reduced
+    summed = over_columns if progress.fed is None else partial(jnp.sum, axis=1)
     a = jnp.asarray(_column(np.arange(2.0 * end + 1), lanes), above.dtype)
     if system.lattice:
         columns, level_gap = power_gaps(decayed(system.column_rate), 2 * end + 1), decayed(system.level_rate)
@@ -380,16 +364,8 @@ def _regular_entries(
     return jnp.stack(tau), fed, jnp.stack(found)
 
 
-class _Sums(NamedTuple):
-    """Of every family, over the stored rows and with p = μ/start."""
-
-    missing: Array  # Σ τ (1 − p^s)
-    left: Array  # Σ τ p^s
-    bent: Array  # −Σ τ p^s ln p
-
-
-def _sums(series: Series, s: Lanes, blocks: int | None = None) -> _Sums:
-    """Sums at s by as many blocks of stored rows, all by default.
+def _sums(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Array, Array, Array]:
+    """Σ τ (1 − p^s), Σ τ p^s and −Σ τ p^s ln p of every family, p = μ/start, by as many blocks of stored rows, all by default.
 
     By Horner's rule in u = r_2^{2s}: what row k has lost is (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), v = (r_1/r_2)^s, and
     (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k. Rows that are not summed are taken to have lost what the last one
@@ -419,10 +395,10 @@ def _sums(series: Series, s: Lanes, blocks: int | None = None) -> _Sums:
     carried = (zero, zero, zero, above)
     if series.echo is not None:  # a loop takes less time to compile: minutes less in second derivatives
         every = (jnp.arange(count, dtype=zero.dtype), series.rows[:count], lost, bent)
-        return _Sums(*lax.scan(add, carried, every, reverse=True)[0][:3])
+        return lax.scan(add, carried, every, reverse=True)[0][:3]
     for k in range(count - 1, -1, -1):
         carried, _ = add(carried, (k, series.rows[k], lost[k], bent[k]))
-    return _Sums(*carried[:3])
+    return carried[:3]
 
 
 def _row_moments(series: Series, s: Lanes, block: Array, start: int) -> list[Float[Array, "rows F *lanes"]]:
@@ -458,8 +434,11 @@ def at_edge(series: Series) -> Lanes:
 def rise(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Lanes, Lanes]:
     """t(s) − t(0) and t'(s).
 
-    Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose.
+    Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose. Of a far
+    table, which holds for s ≥ `begins`, both are differences, and a lift by b costs the digits of b.
     """
+    if series.far:
+        return _rise_far(series, s)
     c, rate = series.amplitude, series.system.rate
     missing, left, bent = _sums(series, s, blocks)
     gone = decayed(s[None] * rate)
@@ -471,6 +450,17 @@ def rise(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Lanes, La
     lost = over_families(c * lost) - over_families(weight * D) * left[0]
     slope = over_families(c * slope) - over_families(weight * D_slope) * left[0] + over_families(weight * D) * bent[0]
     return -lost, -slope
+
+
+def _rise_far(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
+    """By Horner's rule in r_2^{2s}."""
+    level_rate, rate = series.system.level_rate, series.system.rate[1]
+    ratio, power = 1 - decayed(s * level_rate), series.amplitude[1] * (1 - decayed(s * rate))
+    column = [jnp.ones_like(s), *(row[1, 0] for block in series.blocks for row in block)]
+    total = bent = jnp.zeros_like(s)
+    for k in range(len(column) - 1, -1, -1):
+        total, bent = ratio * total + column[k], ratio * bent + k * column[k]
+    return power * total - series.system.at_edge, -power * (rate * total + level_rate * bent)
 
 
 def died_out(series: Series, s: Lanes) -> Bool[Array, "*lanes"]:
@@ -570,6 +560,30 @@ def sums_from_edge(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
         start += count
     held = series.sound & (jnp.abs(series.beyond).max(0) <= ROW_TOLERANCE)
     return jnp.where(held[None], (series.amplitude[None] * total).sum(1), jnp.nan)
+
+
+@in_full
+def fields(
+    series: Series, weight: Array, reflection: Array, s: Array, x: Array, initial: Array | None = None
+) -> tuple[Float[Array, "2"], Float[Array, ""]]:
+    """Parts of the layer's displacement at x in the two modes, and the stress there, with the front at s; scalars.
+
+    Ahead of the front V_m(s) decays. Behind it contacts were repinned at zero stretch, and later breaks loaded them by
+
+        Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^x X_n,     X_m = Σ_{x≤j<s} r_m^{j−x} t(j),
+
+    and on a line the integral. Of a regular table, with its `weight` w_m and `reflection` R_mn; `initial` is V_m at s = 0 where
+    the series begins only once contact 0 has broken.
+    """
+    rate, behind = series.system.mode_rate, x < s
+    at, beyond = jnp.where(behind, x, s), jnp.where(behind, 0, x - s)  # not min and max: one-sided derivatives at x = s
+    front = parts(series, at)
+    if initial is not None:
+        front = jnp.where(s == 0, initial, front)
+    later, decay = stress_sums(series, at, s), jnp.exp(-x * rate)
+    back = weight * later + decay * (reflection @ (decay * later))
+    mode = jnp.exp(-beyond * rate) * front + back
+    return mode, jnp.where(behind, back.sum(), series.system.prestress + mode.sum())
 
 
 def edge_stress(series: Series, broken: Lanes) -> Lanes:
@@ -688,11 +702,6 @@ def over_columns(x: Float[Array, "F a *lanes"]) -> Float[Array, "F *lanes"]:
     for a in range(1, x.shape[1]):
         total = total + x[:, a]
     return total
-
-
-def _reduced(x: Array) -> Array:
-    """Σ_a."""
-    return x.sum(1)
 
 
 def over_families(x: Float[Array, "F *lanes"]) -> Lanes:

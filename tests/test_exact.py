@@ -17,7 +17,7 @@ import slippulse_jax as sp
 from slippulse_jax import double_series
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.exact import crossing
-from slippulse_jax.exact.crossing import system_of
+from slippulse_jax.exact.crossing import series_of
 from slippulse_jax.exact.front import exact_fields, exact_front, exact_front_stress, exact_length
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.status import Outcome
@@ -39,7 +39,7 @@ def stresses(theta, s):
 @jax.jit
 def plain_stresses(theta, s):
     def one(x):
-        solution = double_series.solve(system_of(x, prestressed=False))
+        solution = series_of(x[:3])
         return jax.vmap(lambda y: double_series.stress(solution, y)[0])(s)
 
     return jax.lax.map(one, theta)
@@ -87,7 +87,7 @@ def test_exponents_and_amplitudes_worked_out_before():
     @jax.jit
     def leading_terms(x):
         """ρ_1, ρ_2, c_1, c_2 of t = Σ c_j ρ_j^s (1 + …); D(s) of the second series has its share in c_1."""
-        solution = double_series.solve(system_of(x, prestressed=False))
+        solution = series_of(x[:3])
         rho, (c1, c2) = 1 - solution.system.start_gap, solution.amplitude
         return *rho, c1 - c2 * solution.echo[1] / (jnp.exp(-solution.echo_rate[1]) - rho[0]), c2
 
@@ -305,8 +305,7 @@ def test_choice_of_resonance_does_not_change_the_sum():
 @jax.jit
 def rises(theta, s):
     """t(s) − t(0) by the rows that a plain table keeps, by the first of them, and by a regular table; what the plain one says."""
-    system = system_of(theta, prestressed=False)
-    plain, regular = double_series.solve(system, regular=False), double_series.solve(system)
+    plain, regular = series_of(theta[:3], "plain"), series_of(theta[:3])
     each = double_series.rise(plain, s), double_series.rise(plain, s, blocks=1), double_series.rise(regular, s)
     return [rise for rise, _ in each], plain.sound, double_series.died_out(plain, s)
 
@@ -326,7 +325,7 @@ def test_plain_table_tells_where_the_rows_it_keeps_suffice():
 
 def test_table_of_a_slider_does_not_depend_on_its_neighbours():
     """Bit for bit, also where a neighbour needs more rows."""
-    table = jax.jit(lambda x: double_series.solve(system_of(x, prestressed=False), regular=False))
+    table = jax.jit(lambda x: series_of(x[:3], "plain"))
     theta, fewest = np.column_stack([random_sliders(60, 41), np.zeros((60, 2))]).T, double_series.ROWS
     together = table(theta)
     for i in range(5):
@@ -479,7 +478,7 @@ def test_newton_starts_near_the_crossing_of_tall_sliders():
     """By the macroscopic law on soft interfaces, on stiff or prestressed ones by the tail: t(s) all but φ/φ_c + c_2 ρ_2^s."""
     b, phi = np.array([[0.02, 0], [0.1, 0], [30, 0], [100, 0], [30, 0.1], [100, 0.3]]).T
     theta = np.array([np.full(6, 1e6), b / (2 * 1.3 * 1e6), np.full(6, 0.3), phi, np.zeros(6)])
-    start = jax.jit(lambda x: crossing._start(double_series.solve(system_of(x, prestressed=True), regular=False), x))(theta)
+    start = jax.jit(lambda x: crossing._start(series_of(x, "plain"), x))(theta)
     np.testing.assert_allclose(start[:2], fronts(*theta.T)[0][:2], rtol=0.05)
     np.testing.assert_allclose(start[2:], fronts(*theta.T)[0][2:], rtol=0.01)
 
@@ -491,9 +490,7 @@ def test_bulk_leaves_falling_thresholds_to_the_careful_search(prestressed):
     if prestressed:
         rows = [[40.0, 0.01, 0.3, 0.3, -2e-5], [2.0, 1e-6, 0.3, 0.3, 0], [10.0, 0.3, 0.3, 0.3, -1e-4]]
     theta = np.array(rows).T
-    length, status = crossing.crossing_in_bulk(
-        double_series.solve(system_of(theta, prestressed=prestressed), regular=False), theta
-    )
+    length, status = crossing.crossing(series_of(theta if prestressed else theta[:3], "plain"), theta)
     assert status.tolist() == [Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.NOT_CONVERGED]
     expected, *_, one_by_one = fronts(*rows)
     assert one_by_one[2] in (Outcome.ARRESTED, Outcome.REBREAK)

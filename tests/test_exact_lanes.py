@@ -80,8 +80,8 @@ def test_what_the_far_series_settles_is_right():
     b = 10 ** rng.uniform(np.log10(exact_lanes.LIFT), 3, n)
     lanes = np.stack([height, np.minimum(b / (2 * (1 + nu) * height), 1), nu, 0 * nu, 0 * nu])
     lanes = lanes[:, 2 * (1 + nu) * lanes[1] * height >= exact_lanes.LIFT]
-    ((far, status),) = over_lanes(exact_lanes._far, lanes, exact_lanes.FAR)
-    ((regular, _),) = over_lanes(exact_lanes._careful, lanes, exact_lanes.CAREFULLY)
+    ((far, status),) = over_lanes(exact_lanes.fronts("far", False), lanes, exact_lanes.LAYOUTS["far"])
+    ((regular, _),) = over_lanes(exact_lanes.fronts("regular", True), lanes, exact_lanes.LAYOUTS["regular"])
     settled = status == Outcome.ARRESTED
     assert set(status) == {Outcome.ARRESTED, Outcome.NOT_CONVERGED}
     np.testing.assert_allclose(far[settled], regular[settled], rtol=1e-11)

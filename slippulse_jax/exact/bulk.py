@@ -13,7 +13,6 @@ onset of the areal stiffness it is back at its threshold before the front stops.
 
 import functools
 import warnings
-from functools import partial
 from typing import Any, Literal, overload
 
 import jax
@@ -25,7 +24,8 @@ from jaxtyping import Array, Bool, Float, Int
 from slippulse_jax import double_series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
-from slippulse_jax.exact.crossing import crossing, crossing_far, crossing_in_bulk, excess, system_of
+from slippulse_jax.double_series import Table
+from slippulse_jax.exact.crossing import crossing, excess, expected_length, series_of
 from slippulse_jax.exact.front import uniform
 from slippulse_jax.front.front import LengthDerivatives, straight_line
 from slippulse_jax.interface import Interface
@@ -38,18 +38,20 @@ EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.
 ARREST_OUTCOMES = (*EXACT_OUTCOMES, Outcome.REBREAK)
 """Possible outcomes of an exact front, with the stress on the edge behind it."""
 
-IN_BULK, CAREFULLY = Layout(chunk=128, fusion_emitters=False), Layout(chunk=32, fusion_emitters=False)
-"""Lanes per chunk for which a plain table fits into the second-level cache; and a regular one, with or without derivatives."""
-
-FAR = Layout(chunk=240)
-"""Lanes per chunk for which the rows of a narrow table do."""
+LAYOUTS: dict[Table, Layout] = {
+    "far": Layout(chunk=240),
+    "plain": Layout(chunk=128, fusion_emitters=False),
+    "regular": Layout(chunk=32, fusion_emitters=False),
+}
+"""Lanes per chunk for which the second-level cache holds the rows of a far table; a plain table; a regular one, with or without
+derivatives."""
 
 LONG = 2000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
 
-NEGLIGIBLE, LIFT = 35, 0.01
-"""Expected decay exponent at the crossing, and b, from which the far series is tried. A front is 5 to 11 % longer than
-expected; the series holds from the exponent `slippulse_jax.double_series.FAR` on, and loses the digits of b."""
+DECAY, LIFT = 35, 0.01
+"""Expected decay exponent at the crossing, and b, from which a far table is tried. A front is 5 to 11 % longer than expected;
+the table holds from the exponent `slippulse_jax.double_series.FADED` on, and loses the digits of b."""
 
 NEVER = 3.0
 """b below which contact 0 of a relaxed interface on level thresholds never breaks again: the onset falls towards 3.0872
@@ -118,7 +120,7 @@ def exact_lengths(
         return length
     count = 3 if interface is None else 5
     flat = np.where(status == Outcome.ARRESTED, length.ravel(), 1)
-    found = over_lanes(_derivatives(count, derivatives), np.vstack([lanes, flat]), CAREFULLY)
+    found = over_lanes(_derivatives(count, derivatives), np.vstack([lanes, flat]), LAYOUTS["regular"])
     # a constant where nothing follows contact 0; never a number where there is no length
     elsewhere = np.where(status == Outcome.NO_DOMINO, 0, np.nan)
     first, *second = (np.where(status == Outcome.ARRESTED, x, elsewhere) for x in found)
@@ -133,47 +135,38 @@ def exact_fronts(
     """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν, φ, ε), whose domains the caller has checked.
 
     The values of a lane choose its program; lanes that one program leaves go to the next. Relaxed lanes that cross far from the
-    edge use the few terms of the series that remain there; the others a plain series, which has one more family of terms with a
-    prestress. The few lanes for which that does not give every digit use a regular series, which takes longer.
+    edge use a far table; the others a plain one, which has one more family of terms with a prestress. The few lanes for which
+    that does not give every digit use a regular table, which takes longer.
 
     With `one_program` lanes far from the edge have no program of their own, and their last digits differ: compiling one more
     takes longer than some thousand lanes do.
     """
     found = np.full((2, lanes.shape[1]), float(Outcome.NOT_CONVERGED))
-    prestressed = lanes[3] != 0
-    far = ~prestressed & (lanes[4] == 0) & (not one_program) & which_are_far(lanes)
-    for kernel, layout, rank, wanted in (
-        (_far, FAR, None, far),
-        (_relaxed, IN_BULK, _effort, ~prestressed),
-        (_prestressed, IN_BULK, _effort, prestressed),
-        (_careful, CAREFULLY, None, True),
-    ):
+    relaxed = lanes[3] == 0
+    far = relaxed & (lanes[4] == 0) & (not one_program) & which_are_far(lanes)
+
+    def settle(table: Table, prestressed: bool, wanted: Any) -> None:
         left = (found[1] == Outcome.NOT_CONVERGED) & wanted
         if left.any():
-            (found[:, left],) = over_lanes(kernel, lanes[:, left], layout, rank)
+            rank = _effort if table == "plain" else None
+            (found[:, left],) = over_lanes(fronts(table, prestressed), lanes[:, left], LAYOUTS[table], rank)
+
+    settle("far", False, far)
+    settle("plain", False, relaxed)
+    settle("plain", True, ~relaxed)
+    settle("regular", True, True)
     return found[0], found[1].astype(np.int32)
 
 
-def _far(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = double_series.solve_far(system_of(theta, prestressed=False))
-    return (jnp.stack(crossing_far(found, theta)),)
+@functools.cache
+def fronts(table: Table, prestressed: bool) -> Kernel:
+    """ℓ* and `Outcome` of lanes by one kind of table."""
 
+    def kernel(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
+        found = series_of(theta if prestressed else theta[:3], table)
+        return (jnp.stack(crossing(found, theta)),)
 
-def _relaxed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    return (jnp.stack(crossing_in_bulk(_plain(theta, False), theta)),)
-
-
-def _prestressed(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    return (jnp.stack(crossing_in_bulk(_plain(theta, True), theta)),)
-
-
-def _plain(theta: Float[Array, "n lanes"], prestressed: bool) -> double_series.Series:
-    return double_series.solve(system_of(theta, prestressed=prestressed), regular=False)
-
-
-def _careful(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
-    found = double_series.solve(system_of(theta, prestressed=True))
-    return (jnp.stack(crossing(found, theta, careful=True)),)
+    return kernel
 
 
 @functools.cache
@@ -182,7 +175,7 @@ def _derivatives(count: int, order: int) -> Kernel:
 
     def slopes(theta: Float[Array, "5 lanes"], length: Float[Array, " lanes"]) -> Float[Array, "{count} lanes"]:
         def at_length(theta: Array) -> tuple[Array, Array]:
-            return excess(double_series.solve(system_of(theta, prestressed=count > 3)), theta, length)
+            return excess(series_of(theta[:count]), theta[:count], length)
 
         def along(direction: Array) -> tuple[Array, Array]:
             (_, slope), (change, _) = jax.jvp(at_length, (theta,), (direction,))
@@ -236,22 +229,19 @@ def which_are_long(lanes: Lanes) -> Int[np.ndarray, " m"]:
 
 def which_are_far(lanes: Lanes) -> Bool[np.ndarray, " n"]:
     """Relaxed lanes that are expected to cross where the far series holds."""
-    return _expected(lanes)[1] >= NEGLIGIBLE
+    return _expected(lanes)[1] >= DECAY
 
 
 def _expected(lanes: Lanes) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Length in λc, and −ln of what is left of ρ_1^s there; 0 for the latter where b is too small for the far series.
 
-    By a lane's own numbers and correctly rounded operations alone, which round the same way everywhere. The length is the
-    leading term of Eq. (25), ln[2/(1+β)]/κ_2, with ln(1 + x) ≈ 2x/(2 + x); −ln ρ_1 is about κ_1 [1 − b/(2 + 2b)] for tall
-    sliders.
+    By a lane's own numbers alone, as in `expected_length`; −ln ρ_1 is about κ_1 [1 − b/(2 + 2b)] for tall sliders.
     """
     height, stiffness, poisson = lanes[:3]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         shape = 2 * (1 + poisson)
         b = shape * stiffness * height
-        x = b / (2 + b)
-        expected = 2 * x / (2 + x) * height * np.sqrt(shape * (1 + 1 / b))
+        expected = expected_length(height, stiffness, poisson)
         exponents = expected * np.sqrt((1 + b) / (shape * height)) * (2 + b) / (2 + 2 * b)
     return expected, np.where(b >= LIFT, exponents, 0)
 
@@ -259,27 +249,24 @@ def _expected(lanes: Lanes) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, 
 def long_lengths(lanes: Lanes, max_contacts: int) -> Float[np.ndarray, " n"]:
     """ℓ of relaxed lanes; NaN where the search did not settle, which the recursion then has to decide."""
     found = np.full(len(lanes[0]), np.nan)
-    for far, layout, rank, tried in ((True, FAR, None, which_are_far(lanes)), (False, IN_BULK, _effort, True)):
+    tables: dict[Table, Any] = {"far": which_are_far(lanes), "plain": True}
+    for table, tried in tables.items():
         left = np.flatnonzero(np.isnan(found) & tried)
         if len(left):
-            (found[left],) = over_lanes(_long(far, max_contacts), [x[left] for x in lanes], layout, rank)
+            rank = _effort if table == "plain" else None
+            (found[left],) = over_lanes(_long(table, max_contacts), [x[left] for x in lanes], LAYOUTS[table], rank)
     return found
 
 
 @functools.cache
-def _long(far: bool, max_contacts: int) -> Kernel:
+def _long(table: Table, max_contacts: int) -> Kernel:
     """ℓ from ℓ* and the stresses on the contacts around it."""
 
-    def lengths(parameters: Float[Array, "3 lanes"]) -> tuple[Array]:
-        if far:
-            beyond = double_series.solve_far(system_of(parameters, prestressed=False))
-            rise, (exact, status) = partial(double_series.rise_far, beyond), crossing_far(beyond, parameters)
-        else:
-            found = _plain(parameters, False)
-            relaxed = jnp.concatenate([parameters, jnp.zeros((2, parameters.shape[1]))])
-            rise, (exact, status) = partial(double_series.rise, found), crossing_in_bulk(found, relaxed)
+    def lengths(theta: Float[Array, "3 lanes"]) -> tuple[Array]:
+        found = series_of(theta, table)
+        exact, status = crossing(found, theta)
         last = jnp.floor(exact)  # the last contact that breaks
-        length = straight_line(last, rise(last)[0], rise(last + 1)[0])
+        length = straight_line(last, double_series.rise(found, last)[0], double_series.rise(found, last + 1)[0])
         return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
 
     return lengths
@@ -302,12 +289,18 @@ def _with_edge(
     edge = np.full(length.shape, np.nan)
     b = 2 * (1 + lanes[2]) * lanes[1] * lanes[0]
     may = (status == Outcome.ARRESTED) & ((b >= NEVER) | (lanes[3:] != 0).any(0))
-    for kernel, layout in ((_edge, IN_BULK), (_careful_edge, CAREFULLY)):
+    for table in ("plain", "regular"):
         left = may & np.isnan(edge)
         if left.any():
             behind = np.vstack([lanes[:, left], np.maximum(np.ceil(length[left]), 1)])
-            (edge[left],) = over_lanes(kernel, behind, layout)
+            (edge[left],) = over_lanes(_edges(table), behind, LAYOUTS[table])
     return length, status, edge
+
+
+@functools.cache
+def _edges(table: Table) -> Kernel:
+    """Stress on contact 0 at (θ, contacts broken)."""
+    return lambda lanes: (double_series.edge_stress(series_of(lanes[:5], table), lanes[5]),)
 
 
 def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[np.ndarray, "..."]:
@@ -352,11 +345,3 @@ def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[n
     bracket = [grid[np.maximum(first[some] - before, 0)] for before in (1, 0)]
     onset[some] = find_root(overload, bracket, args=tuple(x[some] for x in every), tolerances={"xrtol": 1e-12}).bracket[1]
     return onset.reshape(height.shape)
-
-
-def _edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
-    return (double_series.edge_stress(_plain(lanes[:5], True), lanes[5]),)
-
-
-def _careful_edge(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
-    return (double_series.edge_stress(double_series.solve(system_of(lanes[:5], prestressed=True)), lanes[5]),)

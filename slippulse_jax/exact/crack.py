@@ -33,7 +33,6 @@ FARTHEST = 1e3
 NODES = 96
 """Number of positions, in geometric progression, among which the first stop is searched."""
 
-
 NOISE = 1e9
 """Error of a length in units of rounding: on soft contacts the stress at the tip hardly changes from one to the next."""
 
@@ -109,13 +108,12 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
     ratio = (friction - prestress) / (1 - prestress)
     far = FARTHEST * jnp.asarray(slider.height) * (1 + slider.b)
     node = jnp.exp(jnp.linspace(0, 1, NODES, dtype=q.dtype) * jnp.log(far))
-    excess = jax.vmap(lambda n: stress_ahead(slider, ratio, n) - 1)(jax.lax.stop_gradient(node))
-    first = jnp.argmax(excess < 0)
-    stops = (excess < 0).any()
 
     def above(parameters: tuple[Slider, Array], n: Array) -> Array:
         return stress_ahead(*parameters, n) - 1
 
+    below = jax.vmap(lambda n: above((slider, ratio), n))(jax.lax.stop_gradient(node)) < 0
+    first, stops = jnp.argmax(below), below.any()
     low, high = node[jnp.maximum(first - 1, 0)], node[jnp.maximum(first, 1)]
     found = crossing(above, (slider, ratio), low, high, NOISE)
     inside = (friction >= 0) & (friction < 1) & (jnp.abs(prestress) < 1) & in_domain(slider)

@@ -5,8 +5,11 @@ Any number of fronts is treated at once; the lane axis is last, and no lane depe
 finds inside a bracket. Near run-away, beyond it, and on falling thresholds the stress may dip to the threshold and recover. A
 careful search then proceeds from the edge in steps that do not skip a dip, and accepts a crossing only if the next contact
 stays below its threshold.
+
+The parameters of a front are θ = (H/λc, k/K, ν) and, unless both are zero, φ and ε.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -17,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from slippulse_jax import double_series
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.double_series import FarSeries, Lanes, Series, System
+from slippulse_jax.double_series import Lanes, Series, Table
 from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -36,8 +39,8 @@ ROUNDED = 1e-4
 rounding moves the crossing by as much, and the steps never become small."""
 
 
-def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
-    """Set up the series at θ = (H/λc, k/K, ν, φ, …); φ is ignored unless `prestressed`."""
+def series_of(theta: Float[Array, "n *lanes"], table: Table = "regular") -> Series:
+    """The series at θ; without a φ it has one family of terms fewer."""
 
     def modes_of(height: Array, stiffness: Array, poisson: Array) -> Any:
         return lattice_modes(Slider(height, stiffness, poisson))
@@ -45,25 +48,26 @@ def system_of(theta: Float[Array, "n *lanes"], prestressed: bool) -> System:
     for _ in theta.shape[1:]:
         modes_of = jax.vmap(modes_of, in_axes=-1, out_axes=-1)
     modes = modes_of(theta[0], theta[1], theta[2])
-    phi = theta[3] if prestressed else None
+    phi = theta[3] if len(theta) > 3 else None
     start = modes.drive if phi is None else (1 - phi)[None] * modes.drive
     coupling, reflected = modes.ratio * modes.weight, modes.ratio[:, None] * modes.reflection
-    return double_series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
+    system = double_series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
+    return double_series.solve(system, table)
 
 
-def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -> tuple[Lanes, Lanes]:
-    """Find ℓ* and the `Outcome`, both in one floating type; unless `careful`, all fronts must be simple.
+def crossing(found: Series, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
+    """Find ℓ* and the `Outcome`, both in one floating type.
 
-    Parameters
-    ----------
-    found : Series
-        Of a regular table.
-    theta : array, shape (5, *lanes)
-        (H/λc, k/K, ν, φ, ε).
-    careful : bool
-        Whether some lanes may be other than simple.
+    What a far or a plain table does not determine to every digit, or soon, is left as `NOT_CONVERGED`.
     """
-    slope, edge = theta[4], double_series.at_edge(found)
+    if found.far:
+        return _far(found, theta)
+    return _regular(found, theta) if found.echo is not None else _plain(found, theta)
+
+
+def _regular(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
+    """By a table that holds from the edge on; without φ and ε every front is simple."""
+    slope, edge, careful = _slope(theta), double_series.at_edge(found), len(theta) > 3
     moves, zero = edge > slope, jnp.zeros_like(edge)
     simple = _simple(found, slope) if careful else jnp.ones_like(moves)
     start = jnp.where(simple & moves, _start(found, theta), 0)
@@ -89,16 +93,16 @@ def crossing(found: Series, theta: Float[Array, "5 *lanes"], *, careful: bool) -
     return length_of(s, status), status
 
 
-def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[Lanes, Lanes]:
-    """Do `crossing` on plain tables; lanes that these do not determine to every digit, or soon, are left as `NOT_CONVERGED`.
+def _plain(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
+    """By a plain table.
 
     With a prestress, a lane that is not simple gets the careful search if its table ends within the rows stored: only then does
     the table hold from the edge on. Without one, lanes that are not simple are left. Newton's method on the first rows
     comes within about 1e-5 of the crossing; on all rows it finishes.
     """
-    slope = theta[4]
-    if found.amplitude.shape[0] > 2:
-        length, status = crossing(found, theta, careful=True)
+    slope = _slope(theta)
+    if len(found.amplitude) > 2:
+        length, status = _regular(found, theta)
         from_there = jnp.where(_simple(found, slope) & (status == Outcome.ARRESTED), length, 0)
         known = found.sound & double_series.died_out(found, from_there)
         return jnp.where(known, length, jnp.nan), jnp.where(known, status, jnp.asarray(Outcome.NOT_CONVERGED, status.dtype))
@@ -113,13 +117,14 @@ def crossing_in_bulk(found: Series, theta: Float[Array, "5 *lanes"]) -> tuple[La
     return length_of(s, status), status
 
 
-def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
-    """Do `crossing_in_bulk` for relaxed lanes on level thresholds that cross where the far series holds.
+def _far(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
+    """By a far table, of relaxed lanes on level thresholds that cross where it holds.
 
     Such a front is simple: the crossing lies beyond `begins` if, and only if, the stress there is above the threshold.
     """
-    rise = partial(double_series.rise_far, found)
-    slope, low = jnp.zeros_like(found.begins), found.begins
+    rise = partial(double_series.rise, found)
+    low = found.begins
+    slope = jnp.zeros_like(low)
     beyond = found.sound & (rise(low)[0] > 0)
     start = jnp.where(beyond, jnp.maximum(_start(found, theta), low), 0)
     s, before = _newton(rise, slope, start, low, tolerance=CLOSE, most=TURNS)
@@ -128,10 +133,10 @@ def crossing_far(found: FarSeries, theta: Float[Array, "n *lanes"]) -> tuple[Lan
     return length_of(s, status), status
 
 
-def excess(found: Series, theta: Float[Array, "5 *lanes"], s: Lanes) -> tuple[Lanes, Lanes]:
+def excess(found: Series, theta: Float[Array, "n *lanes"], s: Lanes) -> tuple[Lanes, Lanes]:
     """t(s) − 1 − εs, and its slope in s."""
-    rise, slope = double_series.rise(found, s)
-    return rise - theta[4] * s, slope - theta[4]
+    (rise, fall), slope = double_series.rise(found, s), _slope(theta)
+    return rise - slope * s, fall - slope
 
 
 def length_of(s: Lanes, status: Lanes) -> Lanes:
@@ -140,25 +145,40 @@ def length_of(s: Lanes, status: Lanes) -> Lanes:
     return jnp.where(status == Outcome.ARRESTED, s, without.astype(s.dtype))
 
 
+def _slope(theta: Array) -> Lanes:
+    """ε."""
+    return theta[4] if len(theta) > 3 else jnp.zeros_like(theta[0])
+
+
 def _simple(found: Series, slope: Lanes) -> Bool[Array, "*lanes"]:
     return (found.system.plateau < SIMPLE) & (slope >= 0)
 
 
-def _start(found: Series | FarSeries, theta: Array) -> Lanes:
-    """First guess: from the tail c_2 ρ_2^s far from the edge, or the macroscopic law on a rigid upper layer."""
-    slider = Slider(theta[0], theta[1], theta[2])
+def _start(found: Series, theta: Array) -> Lanes:
+    """First guess: from the tail c_2 ρ_2^s far from the edge, or the length on a rigid upper layer."""
     excess = found.amplitude[1] / (1 - jnp.minimum(found.system.plateau, SIMPLE)) - 1
-    b = slider.b
-    by_tail = excess > 0.1
-    return jnp.log1p(jnp.where(by_tail, excess, b / (2 + b))) / jnp.where(by_tail, found.system.rate[1], slider.kappa_2)
+    return jnp.where(
+        excess > 0.1, jnp.log1p(jnp.maximum(excess, 0.1)) / found.system.rate[1], expected_length(theta[0], theta[1], theta[2])
+    )
+
+
+def expected_length(height: Any, stiffness: Any, poisson: Any) -> Any:
+    """Leading term of Eq. (25), ln[2/(1+β)]/κ_2 in λc, of tall relaxed sliders; by arrays of NumPy or JAX.
+
+    With ln(1 + x) ≈ 2x/(2 + x): correctly rounded operations alone, which round the same way everywhere.
+    """
+    shape = 2 * (1 + poisson)
+    b = shape * stiffness * height
+    x = b / (2 + b)
+    return 2 * x / (2 + x) * height * (shape * (1 + 1 / b)) ** 0.5
 
 
 def _newton(
-    rise: double_series.Rise, slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int
+    rise: Callable[[Lanes], tuple[Lanes, Lanes]], slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int
 ) -> tuple[Lanes, Lanes]:
     """Iterate by Newton's method, inside a bracket from `low` on, until every lane is close; return s and the s before it.
 
-    A lane that is close stays as it is; s = 0 marks a lane without a crossing.
+    `rise` is t(s) − t(0) and t'(s). A lane that is close stays as it is; s = 0 marks a lane without a crossing.
     """
 
     def turn(carry: Any) -> Any:

@@ -29,16 +29,13 @@ from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_domain, check_kind
 from slippulse_jax.exact import crack
-from slippulse_jax.exact.crossing import crossing, excess, length_of, system_of
+from slippulse_jax.exact.crossing import crossing, excess, length_of, series_of
 from slippulse_jax.front.front import in_domain
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import as_float
-
-Plain = tuple[bool, bool]
-"""Whether prestress and threshold slope are known to be zero, so that compiled code can leave them out."""
 
 
 class ExactFront(NamedTuple):
@@ -88,16 +85,16 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     """
     check_kind("slider", slider, Slider)
     if rule is None:
-        return _map(_length, slider, interface)
+        return _each(_length, *broadcast(slider, *_contacts(interface)))
     prestress, threshold_slope = uniform(interface)
     if not _is_zero(threshold_slope):
         raise ValueError("a crack-like front has a closed form on level thresholds only: interface.threshold_slope must be 0")
     requirement = "must be 0 or more and below the threshold of 1"
     check_domain("CrackLike.friction", as_float(rule.friction), lambda x: (x >= 0) & (x < 1), requirement)
-    return _each(_crack_length, (True, True), *of_one_type(slider, rule.friction, prestress))
+    return _each(_crack_length, *of_one_type(slider, rule.friction, prestress))
 
 
-def _crack_length(_: Plain, *numbers: Array) -> Array:
+def _crack_length(*numbers: Array) -> Array:
     return crack.length(Slider(*numbers[:3]), *numbers[3:])[0]
 
 
@@ -113,7 +110,7 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
     status is then `REBREAK`, as in `first_precursor`, and ℓ* the length of the front, not of the event.
     """
     check_kind("slider", slider, Slider)
-    return ExactFront(*_map(_front, slider, interface))
+    return ExactFront(*_each(_front, *broadcast(slider, *_contacts(interface))))
 
 
 def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | None = None) -> Float[Array, "..."]:
@@ -136,14 +133,12 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
     """
     check_kind("slider", slider, Slider)
     check_domain("s", as_float(s), lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
-    prestress, _ = uniform(interface)
-    return _each(_stress, (_is_zero(prestress), True), *of_one_type(slider, prestress, s))
+    return _each(_stress, *of_one_type(slider, *_contacts(interface), s))
 
 
-def _stress(plain: Plain, *arguments: Array) -> Array:
-    return by_forward_mode(lambda theta, s: double_series.stress(_solve(plain, theta), s)[0])(
-        jnp.stack(arguments[:-1]), arguments[-1]
-    )
+def _stress(*arguments: Array) -> Array:
+    *theta, s = arguments
+    return by_forward_mode(lambda theta, s: double_series.stress(series_of(theta), s)[0])(jnp.stack(theta), s)
 
 
 def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> Fields:
@@ -167,32 +162,24 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
 
     Notes
     -----
-    The stress behind the front is what the later breaks have put back on a contact repinned at zero stretch:
-    σ(i) = Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^i X_n with X_m = Σ_{i≤j<s} r_m^{j−i} t(j), a sum in closed form.
+    The stress behind the front is what the later breaks have put back on a contact repinned at zero stretch, a sum in closed
+    form (`slippulse_jax.double_series.fields`).
     """
     check_kind("slider", slider, Slider)
     for name, value in (("s", s), ("site", site)):
         check_domain(name, as_float(value), lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
-    prestress, _ = uniform(interface)
-    plain = (_is_zero(prestress), True)
-    return Fields(*_each(_fields, plain, *of_one_type(slider, prestress, s, site)))
+    return Fields(*_each(_fields, *of_one_type(slider, *_contacts(interface), s, site)))
 
 
-def _fields(plain: Plain, *arguments: Array) -> tuple[Array, Array, Array]:
+def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
     @in_full
     def fields(theta: Array, s: Array, site: Array) -> Array:
         modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
-        solution = _solve(plain, theta)
-        rate, behind = solution.system.mode_rate, site < s
-        ahead = jnp.exp(-jnp.maximum(site - s, 0) * rate) * double_series.parts(solution, jnp.minimum(site, s))
-        later = jnp.where(behind, double_series.stress_sums(solution, site, jnp.maximum(s, site)), 0)
-        back = modes.weight * later
-        echo = jnp.exp(-site * rate) * (modes.reflection @ (jnp.exp(-site * rate) * later))
-        mode = ahead + back + echo
-        held = jnp.where(behind, (back + echo).sum(), solution.system.prestress + mode.sum())
-        return jnp.stack([modes.upper @ mode, mode.sum(), held])
+        mode, stress = double_series.fields(series_of(theta), modes.weight, modes.reflection, s, site)
+        return jnp.stack([modes.upper @ mode, mode.sum(), stress])
 
-    upper, layer, stress = by_forward_mode(fields)(jnp.stack(arguments[:-2]), *arguments[-2:])
+    *theta, s, site = arguments
+    upper, layer, stress = by_forward_mode(fields)(jnp.stack(theta), s, site)
     return upper, layer, stress
 
 
@@ -219,48 +206,43 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
     return interface.prestress, interface.threshold_slope
 
 
-def _map(function: Any, slider: Slider, interface: Interface | None) -> Any:
-    prestress, threshold_slope = uniform(interface)
-    plain = (_is_zero(prestress), _is_zero(threshold_slope))
-    return _each(function, plain, *broadcast(slider, prestress, threshold_slope))
+def _contacts(interface: Interface | None) -> tuple[AnyArrayLike, ...]:
+    """φ and ε of a uniform interface; nothing where both are left at zero, so that compiled code can leave them out."""
+    numbers = uniform(interface)
+    return () if all(map(_is_zero, numbers)) else numbers
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _each(function: Any, static: Any, *arguments: Array) -> Any:
+def _is_zero(value: Any) -> bool:
+    """Whether the caller left `value` at zero."""
+    return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
+
+
+@partial(jax.jit, static_argnums=0)
+def _each(function: Any, *arguments: Array) -> Any:
     """`function` of scalars, mapped over arguments that broadcast; compiled once for each function and set of shapes.
 
     Quantities that depend on some of the arguments only, as the series does on the slider, are computed once for those:
     `jnp.vectorize` maps only the axes that an argument has.
     """
-    return jnp.vectorize(lambda *scalars: function(static, *scalars))(*arguments)
+    return jnp.vectorize(function)(*arguments)
 
 
-def _is_zero(value: Any) -> bool:
-    """Whether the caller left `value` at zero, so that compiled code can leave it out."""
-    return not isinstance(value, jax.Array) and np.ndim(value) == 0 and value == 0
+def _length(*theta: Array) -> Array:
+    return by_forward_mode(lambda x: crossing_of(x)[0])(jnp.stack(theta))
 
 
-def _solve(plain: Plain, theta: Float[Array, " n"]) -> double_series.Series:
-    """The series of θ = (H/λc, k/K, ν, φ, …)."""
-    return double_series.solve(system_of(theta, not plain[0]))
-
-
-def _length(plain: Plain, *theta: Array) -> Array:
-    return by_forward_mode(lambda x: crossing_of(x, plain)[0])(jnp.stack(theta))
-
-
-def _front(plain: Plain, *theta: Array) -> tuple[Array, Array, Array, Array]:
-    both = by_forward_mode(lambda x: jnp.stack(crossing_of(x, plain, rebreaks=True)))(jnp.stack(theta))
+def _front(*theta: Array) -> tuple[Array, Array, Array, Array]:
+    both = by_forward_mode(lambda x: jnp.stack(crossing_of(x, rebreaks=True)))(jnp.stack(theta))
     length, status = both[0], both[1].astype(jnp.int32)
     load = lattice_modes(Slider(*theta[:3])).load
-    if not plain[0]:
+    if len(theta) > 3:
         load = (1 - theta[3]) * load
     finite = jnp.isfinite(length)
     count = jnp.where(finite, double_series.whole_contacts(jnp.where(finite, length, 0)), -1).astype(jnp.int32)
     return length, count, jnp.where(status == Outcome.INVALID, jnp.nan, load), status
 
 
-def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = False) -> tuple[Array, Array]:
+def crossing_of(theta: Float[Array, " n"], *, rebreaks: bool = False) -> tuple[Array, Array]:
     """(ℓ*, status) with the forward derivatives of an implicit function: dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s.
 
     `REBREAK` is told from `ARRESTED` with `rebreaks` only, since that takes one more sum.
@@ -268,9 +250,9 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = Fals
 
     @jax.custom_jvp
     def crossed(theta: Array) -> tuple[Array, Array]:
-        found = _solve(plain, theta)
-        length, status = crossing(found, theta, careful=plain != (True, True))
-        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & Interface(theta[3], theta[4]).in_domain()
+        found = series_of(theta)
+        length, status = crossing(found, theta)
+        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & Interface(*theta[3:]).in_domain()
         status = jnp.where(valid, status, Outcome.INVALID)
         length = length_of(length, status)
         if rebreaks:
@@ -285,7 +267,7 @@ def crossing_of(theta: Float[Array, "5"], plain: Plain, *, rebreaks: bool = Fals
         length, status = crossed(*primals)
         arrested = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
         at = jnp.where(arrested, length, 1)
-        (_, slope), (change, _) = jax.jvp(lambda x: excess(_solve(plain, x), x, at), primals, tangents)
+        (_, slope), (change, _) = jax.jvp(lambda x: excess(series_of(x), x, at), primals, tangents)
         # a constant where nothing follows contact 0; never a number where there is no length
         elsewhere = jnp.where(status == Outcome.NO_DOMINO, 0, jnp.nan)
         return (length, status), (jnp.where(arrested, -1 / slope, elsewhere) * change, jnp.zeros_like(status))

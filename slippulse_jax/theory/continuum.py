@@ -30,7 +30,6 @@ class _Line(NamedTuple):
     reflection: Array  # R_mn
     start: Array  # V_m when contact 0 has broken, u_b(0) = u_s
     initial: Array  # V_m at nucleation (cra18), sum 1
-    load: Array  # U0
     excess: Array  # t(0) − 1: what contact 0, repinned at u_s, adds
 
 
@@ -52,7 +51,7 @@ def _line(slider: Slider) -> _Line:
     back = [amplitudes(-weight[n] * upper[n], weight[n] * (k[n] - slider.kappa**2)) for n in (0, 1)]
     released = amplitudes(jnp.zeros_like(KT), q)
     broken = load * per_load + released
-    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, load, released.sum())
+    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, released.sum())
 
 
 def _solution(line: _Line) -> double_series.Series:
@@ -106,13 +105,5 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> Fields:
 @in_full
 def _fields(slider: Slider, s: Array, x: Array) -> Float[Array, "3"]:
     line = _line(slider)
-    solution = _solution(line)
-    behind, beyond = jnp.where(x < s, x, s), jnp.where(x < s, 0, x - s)  # not min and max: one-sided derivatives at x = s
-    near = jnp.where(s == 0, line.initial, double_series.parts(solution, behind))
-    later = double_series.stress_sums(solution, behind, s)
-    ahead = jnp.exp(-beyond * line.rate) * near
-    back = line.weight * later
-    echo = jnp.exp(-x * line.rate) * (line.reflection @ (jnp.exp(-x * line.rate) * later))
-    mode = ahead + back + echo
-    held = jnp.where(x < s, (back + echo).sum(), mode.sum())
-    return jnp.stack([line.upper @ mode, mode.sum(), held])
+    mode, stress = double_series.fields(_solution(line), line.weight, line.reflection, s, x, line.initial)
+    return jnp.stack([line.upper @ mode, mode.sum(), stress])

@@ -99,24 +99,16 @@ def _a3_start(slider: Slider, printed: bool) -> Array:
     return (slider.kappa * psi3 + first) / (1 + slider.kappa)
 
 
-class _Integrated(NamedTuple):
-    """t(s) = [A_3(0) e^{g − as} + Σ_n weight_n ∫_0^s e^{−a(s−y) − rate_n y} dy] e^{−gz} + A_4(0) e^{−κ_2 s}, z = e^{−2κs}."""
+@in_full
+def _a3_parts(slider: Slider, s: Array, printed: bool) -> tuple[Array, Array]:
+    """p(s) and f(s) of A_3(s) = A_3(0) e^{p(s)} + f(s), cra55 integrated.
 
-    A3_0: Array
-    A4_0: Array
-    excess: Array  # A_0 − 1
-    a: Array
-    g: Array
-    kappa: Array
-    kappa_2: Array
-    rate: Float[Array, " terms"]
-    weight: Float[Array, " terms"]
+    With its integrating factor e^{as + gz}, z = e^{−2κs}, expanded in gz,
 
-
-def _integrated(slider: Slider, printed: bool) -> _Integrated:
-    """A_3(s) + A_4(s) from cra55, whose integrating factor is e^{as + gz}, expanded in gz."""
+        p(s) = g(1 − z) − as,    f(s) = e^{−gz} Σ_n weight_n ∫_0^s e^{−a(s−y) − rate_n y} dy.
+    """
     k, k2 = slider.kappa, slider.kappa_2
-    g = _released(slider) * (1 - k) / (4 * (1 + k))
+    a, g = k * (1 + slider.beta) / 2, _released(slider) * (1 - k) / (4 * (1 + k))
     source = _load(slider) * _psi2(slider) / (1 + k)
     slope_far = k * (1 + k) / 2
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
@@ -124,28 +116,24 @@ def _integrated(slider: Slider, printed: bool) -> _Integrated:
     power = exponential_terms(g)
     n = np.arange(power.size + 1)
     weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
-    A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
-    # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to
-    excess = A3 + A4 - 1 if printed else jnp.asarray(slider.stiffness) / (k * (1 + k))
-    return _Integrated(A3, A4, excess, k * (1 + slider.beta) / 2, g, k, k2, k2 + 2 * n * k, weight)
-
-
-@in_full
-def _stress_of(x: _Integrated, s: Array) -> Array:
-    total = x.A3_0 * jnp.exp(x.g - x.a * s) + x.weight @ overlap(x.a, x.rate, s)
-    return total * jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) + x.A4_0 * jnp.exp(-x.kappa_2 * s)
-
-
-@in_full
-def _excess_of(x: _Integrated, s: Array) -> Array:
-    """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
-    kept = jnp.expm1(-x.a * s - x.g * jnp.expm1(-2 * x.kappa * s))
-    held = jnp.exp(-x.g * jnp.exp(-2 * x.kappa * s)) * (x.weight @ overlap(x.a, x.rate, s))
-    return x.excess + x.A3_0 * kept + held + x.A4_0 * jnp.expm1(-x.kappa_2 * s)
+    forced = jnp.exp(-g * jnp.exp(-2 * k * s)) * (weight @ overlap(a, k2 + 2 * n * k, s))
+    return -a * s - g * jnp.expm1(-2 * k * s), forced
 
 
 def _stress(slider: Slider, s: Array, printed: bool) -> Array:
-    return _stress_of(_integrated(slider, printed), s)
+    """A_3(s) + A_4(s)."""
+    exponent, forced = _a3_parts(slider, s, printed)
+    return _a3_start(slider, printed) * jnp.exp(exponent) + forced + _a4(slider, s)
+
+
+def _excess(slider: Slider, s: Array, printed: bool) -> Array:
+    """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
+    k = slider.kappa
+    A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
+    # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to
+    at_edge = A3 + A4 - 1 if printed else jnp.asarray(slider.stiffness) / (k * (1 + k))
+    exponent, forced = _a3_parts(slider, s, printed)
+    return at_edge + A3 * jnp.expm1(exponent) + forced + A4 * jnp.expm1(-slider.kappa_2 * s)
 
 
 @partial(jax.jit, static_argnames="printed")
@@ -174,7 +162,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
 
     def one(slider: Slider) -> Array:
         about = leading_length(slider)
-        return crossing(_excess_of, _integrated(slider, printed), jnp.zeros_like(about), 4 * about + 2)
+        return crossing(partial(_excess, printed=printed), slider, jnp.zeros_like(about), 4 * about + 2)
 
     return each_slider(one, slider)
 
