@@ -80,7 +80,9 @@ def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[in
     return jax.jit(refusing, static_argnums=static_argnums)  # outermost: a rule by itself is bound anew in every call
 
 
-def crossing(function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array, accept: float = 1e4) -> Array:
+def root_between(
+    function: Callable[[Any, Array], Array], parameters: Any, low: Array, high: Array, accept: float = 1e4
+) -> Array:
     """Find the x in [low, high] at which a function turns negative.
 
     ``function(parameters, x)`` changes sign there from + to −; the result is NaN if it does not. Newton's method is used,

@@ -490,7 +490,7 @@ def test_bulk_leaves_falling_thresholds_to_the_careful_search(prestressed):
     if prestressed:
         rows = [[40.0, 0.01, 0.3, 0.3, -2e-5], [2.0, 1e-6, 0.3, 0.3, 0], [10.0, 0.3, 0.3, 0.3, -1e-4]]
     theta = np.array(rows).T
-    length, status = crossing.crossing(series_of(theta if prestressed else theta[:3], "plain"), theta)
+    length, status = crossing.first_crossing(series_of(theta if prestressed else theta[:3], "plain"), theta)
     assert status.tolist() == [Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.NOT_CONVERGED]
     expected, *_, one_by_one = fronts(*rows)
     assert one_by_one[2] in (Outcome.ARRESTED, Outcome.REBREAK)

@@ -61,7 +61,9 @@ class Motion(NamedTuple):
     status: Int[Array, ""]
 
 
-class _Now(NamedTuple):
+class MotionState(NamedTuple):
+    """State after a time step."""
+
     x: tuple[Array, Array]
     v: tuple[Array, Array]
     pull: tuple[Array, Array]
@@ -192,16 +194,16 @@ def _simulate(
     def kinetic(v: tuple[Array, Array]) -> Array:
         return ((mass[0] * v[0] ** 2 * held).sum() + (v[1] ** 2).sum()) / 2
 
-    def damp(now: _Now) -> _Now:
+    def damp(now: MotionState) -> MotionState:
         v = (jnp.where(sites == 0, velocity, keep * now.v[0]), keep * now.v[1])
         work, broken, damped, rubbed = now.books
         return now._replace(v=v, books=(work, broken, damped + kinetic(now.v) - kinetic(v), rubbed))
 
-    def push(now: _Now) -> Array:
+    def push(now: MotionState) -> Array:
         """Force that holds the left edge."""
         return -now.pull[0][0]
 
-    def verlet(now: _Now) -> _Now:
+    def verlet(now: MotionState) -> MotionState:
         v = (now.v[0] + held * now.pull[0] * dt / (2 * mass[0]), now.v[1] + now.pull[1] * dt / 2)
         x = (now.x[0] + dt * v[0], now.x[1] + dt * v[1])
         # the pinning point of a sliding contact moves with the layer, so that the contact always carries the friction
@@ -219,7 +221,7 @@ def _simulate(
         )
         return after._replace(books=books)
 
-    def break_those(now: _Now, those: Array) -> _Now:
+    def break_those(now: MotionState, those: Array) -> MotionState:
         t = chain.stress(now.x[1], now.pinning)
         lost = jnp.where(those, t - friction, 0)
         pinning = now.pinning + lost * soft
@@ -235,11 +237,11 @@ def _simulate(
             books=(work, broken + energy, damped, rubbed),
         )
 
-    def overloaded(now: _Now) -> Array:
+    def overloaded(now: MotionState) -> Array:
         over = chain.stress(now.x[1], now.pinning) - chain.threshold
         return jnp.where(attached & ~now.sliding, over, -jnp.inf)
 
-    def step(now: _Now) -> _Now:
+    def step(now: MotionState) -> MotionState:
         now = damp(verlet(damp(now)))
         if isinstance(rule, CrackLike):
             now = now._replace(sliding=now.sliding & (now.v[1] > 0))
@@ -253,7 +255,7 @@ def _simulate(
         energy = kinetic(now.v) + potential_energy(chain, now.x, now.pinning)
         return now._replace(worst=jnp.maximum(now.worst, jnp.abs(energy - initial - work + broken + damped + rubbed)))
 
-    def going(now: _Now) -> Array:
+    def going(now: MotionState) -> Array:
         quiet = (
             (kinetic(now.v) < rest) & (overloaded(now).max() < 0) & (damping > 0) & (now.since > 10 * dt) & ~now.sliding.any()
         )
@@ -263,7 +265,7 @@ def _simulate(
     x = (start.upper, start.layer)
     initial = potential_energy(chain, x, state.pinning)
     v = (jnp.zeros_like(start.upper).at[0].set(velocity), jnp.zeros_like(start.layer))
-    now = _Now(
+    now = MotionState(
         x=x,
         v=v,
         pull=forces(chain, state.pinning, x),

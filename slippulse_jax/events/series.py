@@ -256,7 +256,7 @@ _hard_series = without_derivative(
 # --- from event to event ---
 
 
-class Now(NamedTuple):
+class SeriesState(NamedTuple):
     """State between two events, in B blocks of M contacts."""
 
     stress: Float[Array, "B M"]
@@ -282,11 +282,11 @@ EMPTY_ROW = {
 """Columns of a catalogue, and their value where there is no event."""
 
 
-def load_through(shape: Shape, body: Relaxed, loading: Loading) -> Now:
+def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
     """Run events until the series ends."""
     events, recorded, delay, _ = shape
     zero, none = jnp.zeros_like(body.prestress[0, 0]), jnp.zeros((), jnp.int32)
-    begin = Now(
+    begin = SeriesState(
         stress=body.prestress,
         released=jnp.zeros_like(body.prestress),
         born=None if loading.ageing is None else jnp.full_like(body.prestress, -jnp.inf),
@@ -303,7 +303,7 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> Now:
     return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, body, loading, delay), begin)
 
 
-def _next_event(body: Relaxed, loading: Loading, delay: int, now: Now) -> Now:
+def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -> SeriesState:
     """Load to the next break, run the event and record it."""
     response, k, ageing = body.response, body.stiffness, loading.ageing
     rise, trigger, begins = _raised(body, loading, now)
@@ -358,7 +358,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: Now) -> Now:
         Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until),
     }
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
-    return Now(
+    return SeriesState(
         stress=after.reshape(stress.shape),
         released=now.released + found.contacts.released,
         born=None if now.born is None else jnp.where(found.contacts.times > 0, load, now.born),
@@ -377,7 +377,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: Now) -> Now:
     )
 
 
-def _raised(body: Relaxed, loading: Loading, now: Now) -> tuple[Array, Array, Array]:
+def _raised(body: Relaxed, loading: Loading, now: SeriesState) -> tuple[Array, Array, Array]:
     """Find the increase of load to the next event, and the contact that breaks first whatever the rounding; −1 for none.
 
     Return also whether any load brings a contact to its threshold; the increase is 0 if none does.
@@ -401,7 +401,7 @@ def _raised(body: Relaxed, loading: Loading, now: Now) -> tuple[Array, Array, Ar
     return jnp.where(begins, rise, 0), trigger, begins
 
 
-def _catalogue(body: Relaxed, end: Now, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
+def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
     """Make the catalogue; `stress` and `stored` are those of the final state, solved afresh."""
     columns = {name: column[:-1] for name, column in end.rows.items()}
     place = jnp.arange(end.order.size - 1, dtype=jnp.int32)
@@ -419,5 +419,5 @@ def _catalogue(body: Relaxed, end: Now, state: State, stress: Float[Array, " N"]
     )
 
 
-def _end_state(body: Relaxed, end: Now, sites: int) -> State:
+def _end_state(body: Relaxed, end: SeriesState, sites: int) -> State:
     return State((body.response.soft * end.released).reshape(-1)[:sites], end.load)

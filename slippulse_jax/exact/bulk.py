@@ -25,7 +25,7 @@ from slippulse_jax import double_series
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
 from slippulse_jax.double_series import Table
-from slippulse_jax.exact.crossing import crossing, excess, expected_length, series_of
+from slippulse_jax.exact.crossing import excess, expected_length, first_crossing, series_of
 from slippulse_jax.exact.front import uniform
 from slippulse_jax.front.front import LengthDerivatives, straight_line
 from slippulse_jax.interface import Interface
@@ -164,7 +164,7 @@ def fronts(table: Table, prestressed: bool) -> Kernel:
 
     def kernel(theta: Float[Array, "5 lanes"]) -> tuple[Array]:
         found = series_of(theta if prestressed else theta[:3], table)
-        return (jnp.stack(crossing(found, theta)),)
+        return (jnp.stack(first_crossing(found, theta)),)
 
     return kernel
 
@@ -264,7 +264,7 @@ def _long(table: Table, max_contacts: int) -> Kernel:
 
     def lengths(theta: Float[Array, "3 lanes"]) -> tuple[Array]:
         found = series_of(theta, table)
-        exact, status = crossing(found, theta)
+        exact, status = first_crossing(found, theta)
         last = jnp.floor(exact)  # the last contact that breaks
         length = straight_line(last, double_series.rise(found, last)[0], double_series.rise(found, last + 1)[0])
         return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)

@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import Modes, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import crossing
+from slippulse_jax.derivatives import root_between
 from slippulse_jax.front.front import first_of, in_domain, length_or_reason
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -115,7 +115,7 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
     below = jax.vmap(lambda n: above((slider, ratio), n))(jax.lax.stop_gradient(node)) < 0
     first, stops = jnp.argmax(below), below.any()
     low, high = node[jnp.maximum(first - 1, 0)], node[jnp.maximum(first, 1)]
-    found = crossing(above, (slider, ratio), low, high, NOISE)
+    found = root_between(above, (slider, ratio), low, high, NOISE)
     inside = (friction >= 0) & (friction < 1) & (jnp.abs(prestress) < 1) & in_domain(slider)
     endings = {
         Outcome.INVALID: ~inside,

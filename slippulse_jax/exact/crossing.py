@@ -55,7 +55,7 @@ def series_of(theta: Float[Array, "n *lanes"], table: Table = "regular") -> Seri
     return double_series.solve(system, table)
 
 
-def crossing(found: Series, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
+def first_crossing(found: Series, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
     """Find ℓ* and the `Outcome`, both in one floating type.
 
     What a far or a plain table does not determine to every digit, or soon, is left as `NOT_CONVERGED`.

@@ -29,7 +29,7 @@ from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_domain, check_kind
 from slippulse_jax.exact import crack
-from slippulse_jax.exact.crossing import crossing, excess, length_of, series_of
+from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
 from slippulse_jax.front.front import in_domain
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
@@ -251,7 +251,7 @@ def crossing_of(theta: Float[Array, " n"], *, rebreaks: bool = False) -> tuple[A
     @jax.custom_jvp
     def crossed(theta: Array) -> tuple[Array, Array]:
         found = series_of(theta)
-        length, status = crossing(found, theta)
+        length, status = first_crossing(found, theta)
         valid = in_domain(Slider(theta[0], theta[1], theta[2])) & Interface(*theta[3:]).in_domain()
         status = jnp.where(valid, status, Outcome.INVALID)
         length = length_of(length, status)

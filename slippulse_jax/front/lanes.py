@@ -4,8 +4,8 @@ The step is `slippulse_jax.front.front.advance`, given NumPy arrays of single nu
 modes as its leading axis. What else a loop over lanes costs was read off the compiled program:
 
 - A turn is one loop over the lanes that computes every number once (`slippulse_jax.bulk.compiler.in_one_loop`).
-- A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS` are taken in a turn and two turns between two
-  looks, the second writing where the first has read.
+- A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS_PER_TURN` are taken in a turn and two turns
+  between two looks, the second writing where the first has read.
 - R is symmetric (a pinning point at i moves site j as one at j moves site i), so half of it is handed on.
 - A front that has arrested stays as it is: nothing has to be recorded elsewhere.
 - Nothing but sums, products, quotients and square roots, and exponentials where a chain ends: the same bits whatever the lane's
@@ -34,7 +34,7 @@ from slippulse_jax.front.front import Front, advance, never_stops_after, outcome
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 
-BREAKS = 6
+BREAKS_PER_TURN = 6
 """Breaks per turn."""
 
 FAR_END = 1e9
@@ -42,27 +42,27 @@ FAR_END = 1e9
 
 
 class Lane(NamedTuple):
-    """What stays as it is: a waveguide, and the contacts on it."""
+    """Constants of a lane: the modes of its chain, and its interface."""
 
     gap: Any  # 1 − r_m
     weight: Any  # w_m
     prestress: Any  # φ; None on a relaxed, uniform interface
     slope: Any  # ε, threshold 1 + ε s; likewise
     end: Any  # breaks after which a front that is still running never stops; mostly inf
-    most: Any  # breaks after which it is given up, if it must not go on for a few more
+    most: Any  # limit on breaks where it must be exact; elsewhere a front may overshoot it by up to 11
     echo: Any = None  # η_m of the right end; None for a semi-infinite chain
     rate: Any = None  # 2 ln r_m
     last: Any = None  # N − 1
 
 
-class State(NamedTuple):
+class LaneState(NamedTuple):
     """A front on its lane, or the tangent of one, whose fields are None where it does not move."""
 
     front: Front
     lane: Lane
 
 
-Now = tuple[State, tuple[State, ...]]
+WithRates = tuple[LaneState, tuple[LaneState, ...]]
 """A chunk of lanes, and its tangents along height, stiffness, poisson[, prestress, slope]."""
 
 
@@ -112,11 +112,11 @@ def _until_all_arrest(
     with_rates: bool = False,
     with_edge: bool = False,
     right: RightEnd = "semi-infinite",
-) -> Now:
+) -> WithRates:
     nucleate = functools.partial(_nucleate, with_rates=with_rates, most=max_contacts if with_edge else None, right=right)
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
 
-    def some_go(now: Now) -> Bool[Array, ""]:
+    def some_go(now: WithRates) -> Bool[Array, ""]:
         state = _opened(now[0])
         (goes,) = _goes(state, _stress_and_excess(state, _echo(state))[1])
         return jnp.any(goes & (now[0].front.position[0] < max_contacts))
@@ -157,10 +157,10 @@ def _array(numbers: Any) -> Any:
     return found
 
 
-def _opened(state: State) -> State:
+def _opened(state: LaneState) -> LaneState:
     """As arrays, of the reflection both halves."""
     front = Front(*map(_array, state.front))
-    return State(front._replace(reflected=front.reflected[PAIRS]), Lane(*map(_array, state.lane)))
+    return LaneState(front._replace(reflected=front.reflected[PAIRS]), Lane(*map(_array, state.lane)))
 
 
 def _closed(front: Front) -> Front:
@@ -169,13 +169,13 @@ def _closed(front: Front) -> Front:
     return Front(*(None if x is None else x.tolist() for x in half))
 
 
-def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightEnd) -> Now:
+def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightEnd) -> WithRates:
     """A lane whose contact 0 has broken, at its threshold exactly; with `most`, the stress on it too."""
     none, one = jnp.zeros_like(fields[0]), jnp.ones_like(fields[0])
     *numbers, end = fields if len(fields) > 3 else (*fields, None)
     cap, end = None if most is None else [most * one], None if end is None else [end]
 
-    def begun(*numbers: Number) -> State:
+    def begun(*numbers: Number) -> LaneState:
         sites, machine = numbers[5:] or (None, None)
         modes = mode_numbers(numbers[0], numbers[1], numbers[2], None if sites is None else (right, sites), machine)
         prestress, slope = ([x] for x in numbers[3:5]) if len(numbers) > 3 else (None, None)
@@ -190,30 +190,30 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         reach = None if most is None else _array(modes["weight"]) + half[PAIRS].sum(0)
         before = Front(drive, half[PAIRS], reach, _array([none]), _array([none]), None if most is None else _array([none]))
         guide = lane._replace(gap=_array(modes["gap"]), weight=_array(modes["weight"]))
-        echo = _echo(State(before, Lane(*map(_array, lane))))
-        return State(_closed(advance(guide, before, _array([one]), echo)), lane)
+        echo = _echo(LaneState(before, Lane(*map(_array, lane))))
+        return LaneState(_closed(advance(guide, before, _array([one]), echo)), lane)
 
     state = begun(*numbers)
 
-    def along(which: int) -> State:
+    def along(which: int) -> LaneState:
         front, lane = jax.jvp(lambda x: begun(*numbers[:which], x, *numbers[which + 1 :]), (numbers[which],), (one,))[1]
         still = Lane(*[None] * len(Lane._fields))
         if which < 3:  # prestress and slope enter by the contacts alone
             moves = front._replace(position=None)
-            return State(moves, still._replace(gap=lane.gap, weight=lane.weight))
+            return LaneState(moves, still._replace(gap=lane.gap, weight=lane.weight))
         moves = Front(front.stress, None, None, None, front.behind, None)
-        return State(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
+        return LaneState(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
 
     return state, tuple(along(which) for which in range(len(numbers))) if with_rates else ()
 
 
-def _echo(state: State) -> Any:
+def _echo(state: LaneState) -> Any:
     """Factor e_m at the contact ahead, of a chain with a right end; of arrays."""
     front, lane = state
     return None if lane.last is None else 1 + lane.echo * _exp((lane.last - front.position) * lane.rate)
 
 
-def _stress_and_excess(state: State, echo: Any) -> tuple[Any, Any]:
+def _stress_and_excess(state: LaneState, echo: Any) -> tuple[Any, Any]:
     """On the contact ahead, and of the former over its threshold; of arrays."""
     front, lane = state
     t = stress_ahead(front, echo)
@@ -223,7 +223,7 @@ def _stress_and_excess(state: State, echo: Any) -> tuple[Any, Any]:
     return t, t - (1 + lane.slope * front.position)
 
 
-def _goes(state: State, excess: Any) -> Any:
+def _goes(state: LaneState, excess: Any) -> Any:
     """Whether the contact ahead breaks, by how far its stress exceeds its threshold; of arrays."""
     goes = _array([excess[0] >= 0])
     for last in (state.lane.end, state.lane.most):
@@ -231,15 +231,15 @@ def _goes(state: State, excess: Any) -> Any:
     return goes
 
 
-def _turn(state: State, rates: tuple[State, ...]) -> Now:
-    """`BREAKS` breaks."""
-    for _ in range(BREAKS):
-        rates = tuple(State(_tangent(_break, state, rate), rate.lane) for rate in rates)
+def _turn(state: LaneState, rates: tuple[LaneState, ...]) -> WithRates:
+    """`BREAKS_PER_TURN` breaks."""
+    for _ in range(BREAKS_PER_TURN):
+        rates = tuple(LaneState(_tangent(_break, state, rate), rate.lane) for rate in rates)
         state = state._replace(front=_break(state))
     return state, rates
 
 
-def _break(state: State) -> Front:
+def _break(state: LaneState) -> Front:
     """Break the contact ahead, where it breaks."""
     front, lane = state = _opened(state)
     echo = _echo(state)
@@ -249,7 +249,7 @@ def _break(state: State) -> Front:
     return _closed(Front(*kept)._replace(reflected=after.reflected, reach=after.reach))  # no use where it has arrested
 
 
-def _tangent(f: Callable[[State], Any], state: State, rate: State) -> Any:
+def _tangent(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState) -> Any:
     """Tangent of ``f(state)`` along what moves; of a front, in the fields in which it moves."""
     values, ways = (*state.front, *state.lane), (*rate.front, *rate.lane)
     moving = [i for i, way in enumerate(ways) if way is not None]
@@ -258,7 +258,7 @@ def _tangent(f: Callable[[State], Any], state: State, rate: State) -> Any:
         everything = list(values)
         for i, x in zip(moving, moved, strict=True):
             everything[i] = x
-        return f(State(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
+        return f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
 
     found = jax.jvp(of_moving, tuple(values[i] for i in moving), tuple(ways[i] for i in moving))[1]
     if isinstance(found, Front):
@@ -266,7 +266,7 @@ def _tangent(f: Callable[[State], Any], state: State, rate: State) -> Any:
     return found
 
 
-def _crossing(state: State) -> Float[Array, " lanes"]:
+def _crossing(state: LaneState) -> Float[Array, " lanes"]:
     """ℓ, of a front that has arrested."""
     opened = _opened(state)
     _, ahead = _stress_and_excess(opened, _echo(opened))
@@ -274,7 +274,7 @@ def _crossing(state: State) -> Float[Array, " lanes"]:
     return length
 
 
-def _length(state: State, max_contacts: int) -> Float[Array, " lanes"]:
+def _length(state: LaneState, max_contacts: int) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
     broken, opened = state.front.position[0], _opened(state)
     (ahead,) = _stress_and_excess(opened, _echo(opened))[1]

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax import double_series
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import by_forward_mode, crossing
+from slippulse_jax.derivatives import by_forward_mode, root_between
 from slippulse_jax.slider import Fields, Slider, each_slider
 from slippulse_jax.theory.frozen import leading_length
 
@@ -85,7 +85,7 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
             solution, first = x
             return first + double_series.rise(solution, s)[0]
 
-        return crossing(excess, (_solution(line), line.excess), jnp.zeros_like(about), 4 * about + 4)
+        return root_between(excess, (_solution(line), line.excess), jnp.zeros_like(about), 4 * about + 4)
 
     return each_slider(_differentiable(one), slider)
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import crossing
+from slippulse_jax.derivatives import root_between
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
@@ -162,7 +162,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
 
     def one(slider: Slider) -> Array:
         about = leading_length(slider)
-        return crossing(partial(_excess, printed=printed), slider, jnp.zeros_like(about), 4 * about + 2)
+        return root_between(partial(_excess, printed=printed), slider, jnp.zeros_like(about), 4 * about + 2)
 
     return each_slider(one, slider)
 
@@ -227,7 +227,7 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
         return (1 + k2 / k3) * jnp.log1p((k2 + gamma) / (k3 - gamma)) - target
 
     log_k = jnp.log(k)
-    root = crossing(mismatch, (k2, gamma, jnp.log(far / A0)), log_k - 12, log_k + 7)
+    root = root_between(mismatch, (k2, gamma, jnp.log(far / A0)), log_k - 12, log_k + 7)
     k3 = jnp.exp(root) + jnp.maximum(gamma, 0)
     alpha, C = 1 + k2 / k3, (k2 + gamma) / (k3 - gamma)
 
@@ -237,7 +237,7 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
         small = jnp.exp(-k3 * s)
         return jnp.log(A0) + alpha * jnp.log((1 + C) / (1 + C * small)) + (1 - alpha) * k3 * s
 
-    found = crossing(excess, (A0, alpha, C, k3), zero, 4 * leading_length(slider) + 2)
+    found = root_between(excess, (A0, alpha, C, k3), zero, 4 * leading_length(slider) + 2)
     B = A0 * (1 + C) ** alpha
     first = load / slider.beta, _psi1(slider), psi2, load + _released(slider)
     psi6_0 = psi6(slider, zero, printed=printed)

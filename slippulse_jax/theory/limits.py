@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import crossing
+from slippulse_jax.derivatives import root_between
 from slippulse_jax.domains import POISSON, PRESTRESS, Domain
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
@@ -109,7 +109,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
 
         plateau = 2 * phi
         far = jnp.log(4 / jnp.maximum(1 - plateau, 1e-12)) * (1 + beta) + 2
-        z = crossing(excess, (beta, released, phi), jnp.zeros_like(b), far)
+        z = root_between(excess, (beta, released, phi), jnp.zeros_like(b), far)
         # beyond, inf by a function without a finite derivative; before, one that reverse mode can multiply by zero
         z = jnp.where(plateau < 1, z, -jnp.log(jnp.maximum(1 - plateau, 0)))
         good = [domain.holds(x) for domain, x in zip(_DOMAIN.values(), (b, nu, phi), strict=True)]
