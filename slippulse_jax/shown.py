@@ -1,7 +1,6 @@
-"""Results as people and programs read them: numbers, lines, tables for notebooks, plain values for JSON."""
+"""Numbers, lines and tables that show objects, the tables in notebooks."""
 
 import dataclasses
-import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -67,19 +66,3 @@ def html(title: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = (), b
     more = f"<tr><td>… {len(rows) - MOST_ROWS} more</td></tr>" * (len(rows) > MOST_ROWS)
     after = f"<div>{escape(below)}</div>" * bool(below)
     return f'<div style="overflow-x: auto"><b>{escape(title)}</b><table>{"".join(lines)}{more}</table>{after}</div>'
-
-
-def shortened(message: str) -> str:
-    """Cut out the middle of a long message, since a damaged file may have a cell of megabytes."""
-    return message if len(message) <= 2000 else f"{message[:1400]} … {message[-400:]}"
-
-
-def plain(content: Any) -> Any:
-    """Convert arrays and tuples to lists, and numbers that are not finite to None, as JSON needs."""
-    if isinstance(content, dict):
-        return {name: plain(value) for name, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [plain(value) for value in content]
-    if hasattr(content, "tolist"):  # an array, or a NumPy scalar
-        return plain(content.tolist())
-    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
-from slippulse_jax.shown import shortened
+from slippulse_jax.files import shortened
 
 Numbers = Array | ArrayLike
 """Types that a constructor accepts as numbers, including sequences."""

@@ -13,7 +13,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.cli import main as cli
-from slippulse_jax.shown import plain
+from slippulse_jax.files import plain
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent

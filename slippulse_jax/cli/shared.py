@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from slippulse_jax.files import FIGURE_FORMATS
-from slippulse_jax.shown import plain, shortened
+from slippulse_jax.files import FIGURE_FORMATS, plain, shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

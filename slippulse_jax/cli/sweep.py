@@ -19,7 +19,7 @@ from slippulse_jax.cli.shared import (
     save_figure,
     table_path,
 )
-from slippulse_jax.shown import shortened
+from slippulse_jax.files import shortened
 
 TIMEOUT = 10
 """Seconds to wait for a scheduler to answer."""

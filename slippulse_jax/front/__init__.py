@@ -4,6 +4,5 @@
 `delayed`           the same with contacts that repin after a delay
 `arrest`            where and how a front ends: what the doors above call
 `sensitivity`       the derivative in the threshold and prestress of every contact
-`readings`          slip and stress along the interface, as gauges would read them
 `lanes`             the front for many sliders at once: chunks of lanes that advance in step
 """

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.block import Control
 from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESHOLD_SLOPE, YOUNG
-from slippulse_jax.shown import html, short, shortened
+from slippulse_jax.files import shortened
+from slippulse_jax.shown import html, short
 from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:

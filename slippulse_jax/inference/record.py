@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.files import read_whole
+from slippulse_jax.files import plain, read_whole, shortened
 from slippulse_jax.inference.budget import AsSlider, Moved
 from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.verdict import Identifiability
-from slippulse_jax.shown import plain, shortened
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 

@@ -69,7 +69,7 @@ def _front(slider: Slider, **options: Any) -> Columns:
 @_by_delay
 def _gradients(slider: Slider, **options: Any) -> Columns:
     found = bulk.lengths(slider, derivatives=1, **options)
-    slopes = vars(found.slider) | vars(found.interface)
+    slopes = vars(found.slider) | ({} if found.interface is None else vars(found.interface))
     return {f"dlength_d{name}": slope for name, slope in slopes.items() if name != "repin_delay"}
 
 
@@ -86,7 +86,8 @@ def _smooth(request: Request, columns: Columns) -> np.ndarray:
 def _block(request: Request, columns: Columns) -> np.ndarray:
     numbers = _fields(columns, *SLIDER, "push_height")
     block = resolution.many(*numbers, push_width=columns.get("push_width"), control=request.push_control)
-    return resolution.lengths(block, Interface(*_fields(columns, "prestress", "threshold_slope")), "full")
+    prestress, slope = _fields(columns, "prestress", "threshold_slope")
+    return resolution.lengths(block, Interface(prestress, slope), "full")
 
 
 def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:

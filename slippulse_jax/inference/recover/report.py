@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.shown import plain
+from slippulse_jax.files import plain
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.recover.recovery import RecoveredProfile
