@@ -1,4 +1,4 @@
-"""How many contacts of a block are followed: enough for the event to stop, or fewer and larger ones where the block is tall.
+"""Number of contacts followed on a block: enough for the event to stop, or fewer and larger ones where the block is tall.
 
 The contacts resolved grow in number until the event stops before the last of them. Of a tall block they are too many, but a
 length over H depends on their size only as 1/n, n being the number that breaks. So the event is followed on larger contacts of
