@@ -66,7 +66,7 @@ LEAST, STORED = 5, 11
 SOUND = 1e3
 """Amplitude from which a pole nearby has cost too many digits."""
 
-FADED = 37.0
+ROUNDING_EXPONENT = 37.0
 """Exponent from which a decaying term is rounding."""
 
 Lanes = Float[Array, "*lanes"]
@@ -120,7 +120,7 @@ class Series(NamedTuple):
     @property
     def begins(self) -> Lanes:
         """The s from which a far table holds."""
-        return FADED / jnp.minimum(self.system.column_rate, self.system.rate[0])
+        return ROUNDING_EXPONENT / jnp.minimum(self.system.column_rate, self.system.rate[0])
 
 
 def system_of(

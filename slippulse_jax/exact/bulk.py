@@ -51,7 +51,7 @@ LONG = 2000.0
 
 DECAY, LIFT = 35, 0.01
 """Expected decay exponent at the crossing, and b, from which a far table is tried. A front is 5 to 11 % longer than expected;
-the table holds from the exponent `slippulse_jax.double_series.FADED` on, and loses the digits of b."""
+the table holds from the exponent `slippulse_jax.double_series.ROUNDING_EXPONENT` on, and loses the digits of b."""
 
 NEVER = 3.0
 """b below which contact 0 of a relaxed interface on level thresholds never breaks again: the onset falls towards 3.0872
