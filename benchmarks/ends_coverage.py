@@ -16,9 +16,9 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.inference.model import regime
-from slippulse_jax.inference.parameters import Inputs
-from slippulse_jax.inference.verdict import LEVELS, Identifiability
+from slippulse_jax.inference.fitted import LEVELS, Identifiability
+from slippulse_jax.inference.fronts import FirstFront
+from slippulse_jax.inference.inputs import Inputs
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -33,7 +33,7 @@ def study(rng: np.random.Generator) -> tuple[sp.Measurements, float]:
     middle = float(np.median(height))
     stiffness = np.exp(rng.uniform(*np.log([0.3, 2.0]))) / (2 * (1 + POISSON) * middle)
     sites = np.round(rng.uniform(3, 6) * height)
-    block = regime(Inputs.of([middle], stiffness, POISSON)).edge_stiffness[0]
+    block = FirstFront().regime(Inputs.of([middle], stiffness, POISSON)).edge_stiffness[0]
     machine = float(np.exp(rng.uniform(0, np.log(10))) * block)
     fronts = [
         dense_chain.first_precursor(h, stiffness, POISSON, int(n), "free", machine) for h, n in zip(height, sites, strict=True)

@@ -18,10 +18,10 @@ import numpy as np
 
 from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.inference.calibrate import calibrated
-from slippulse_jax.inference.model import lengths, longest_length
-from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.fitted import LEVELS, Identifiability
+from slippulse_jax.inference.fronts import FirstFront
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.verdict import LEVELS, Identifiability
 
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")
@@ -53,14 +53,14 @@ def holds(pieces: Iterable[Interval], truth: float) -> bool:
 
 def model(height: np.ndarray, stiffness: float, poisson: float = 0.3) -> np.ndarray:
     """ℓ* in λc."""
-    return lengths(Inputs.of(height, stiffness, poisson)).value
+    return FirstFront().lengths(Inputs.of(height, stiffness, poisson))
 
 
 def stiffness_at(height: float, share: float) -> float:
     """k/K below the peak at which the length is this share of the longest."""
-    longest, top = longest_length(Inputs.of([height], 1.0, 0.3), np.array([np.log(1e-4)]), np.array([0.0]))
+    longest, top = FirstFront().longest(Inputs.of([height], 1.0, 0.3), np.array([np.log(1e-4)]), np.array([0.0]))
     log_stiffness = np.linspace(np.log(1e-4), top[0], 401)
-    length = lengths(Inputs.of(height, np.exp(log_stiffness), 0.3)).value
+    length = FirstFront().lengths(Inputs.of(height, np.exp(log_stiffness), 0.3))
     return float(np.exp(np.interp(share * longest[0], length, log_stiffness)))
 
 
@@ -128,7 +128,7 @@ def degenerate(rng: np.random.Generator, kind: str) -> bool:
         length = model(height[:1], stiffness_at(float(height[0]), rng.uniform(0.7, 0.97)))
         m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
     elif kind == "length above the ceiling":
-        longest = longest_length(Inputs.of(height[:1], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
+        longest = FirstFront().longest(Inputs.of(height[:1], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
         length = longest * rng.uniform(1.02, 1.5)
         m, free = Measurements(height=height[:1], poisson=0.3, length=length, length_sigma=SIGMA * length), ["stiffness"]
     else:

@@ -23,11 +23,12 @@ from scipy.optimize import curve_fit
 
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
-from slippulse_jax.inference.likelihood import Loss, make_problem
-from slippulse_jax.inference.model import longest_length
+from slippulse_jax.inference.fitted import LEVELS
+from slippulse_jax.inference.fronts import FirstFront
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import Inputs, parameter_set
-from slippulse_jax.inference.verdict import LEVELS
+from slippulse_jax.inference.parameters import parameter_set
 
 STARTS = np.log([1e-5, 1.0])
 REGIMES = ("three, identifiable", "three, near the plateau", "one, two roots", "one, above the ceiling")
@@ -67,7 +68,7 @@ def draw(rng: np.random.Generator, regime: str) -> Study:
     height = rng.uniform(15, 60, many)
     middle = float(np.median(height))
     if regime == "one, above the ceiling":
-        longest = longest_length(Inputs.of([middle], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
+        longest = FirstFront().longest(Inputs.of([middle], 1.0, 0.3), np.array([np.log(1e-6)]), np.array([0.0]))[0]
         length, truth = longest * rng.uniform(1.1, 1.5), np.nan
     else:
         share = rng.uniform(*{REGIMES[0]: (0.4, 0.8), REGIMES[1]: (0.9, 0.995), REGIMES[2]: (0.7, 0.97)}[regime])
@@ -136,7 +137,7 @@ def by_search(study: Study) -> Answer:
     """Of this package, Levenberg and Marquardt's search from the one start; no error bar."""
     m = measurements(study)
     q = parameter_set(m, ["stiffness"])
-    end = minimise(make_problem(m, q, Loss("normal"), m.sigma), study.starts[:1, None], q.low, q.high)
+    end = minimise(make_problem(m, q, "normal", m.sigma), study.starts[:1, None], q.low, q.high)
     return float(end.theta[0, 0]), []
 
 

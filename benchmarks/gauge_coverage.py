@@ -19,9 +19,9 @@ from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
-from slippulse_jax.inference.likelihood import Loss, make_problem
+from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS
+from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.verdict import IMPROBABLE, LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -90,7 +90,7 @@ def measured(heights: np.ndarray, ratio: float, rng: np.random.Generator) -> Stu
 def rises(one: Study) -> np.ndarray:
     """Rise of the deviance at the truth: of both parameters, of the stiffness, of the strength; and its least value."""
     m = one.measurements
-    problem = make_problem(m, parameter_set(m, ["stiffness", "strength"]), Loss(), m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness", "strength"]), "normal", m.sigma)
     log_stiffness = np.log(one.stiffness) + np.concatenate([[0], np.linspace(-SCANNED, SCANNED, 401)])
     theta = np.column_stack([log_stiffness, np.full(len(log_stiffness), np.log(STRENGTH))])
     assert m.gauges is not None

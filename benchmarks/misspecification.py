@@ -24,9 +24,7 @@ SIGMA, SITES = 0.02, 160
 
 ERRORS = {
     "σ alone": [],
-    "discrepancy": ["discrepancy"],
     "model factor 1 ± 0.1": [sp.Parameter("model_factor", prior=(1, 0.1))],
-    "both": ["discrepancy", sp.Parameter("model_factor", prior=(1, 0.1))],
 }
 
 

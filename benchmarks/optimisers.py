@@ -22,10 +22,11 @@ import numpy as np
 
 from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference import model
-from slippulse_jax.inference.likelihood import Loss, make_problem
+from slippulse_jax.inference import fronts
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.optimise import METHODS, Convergence, Descents, Starts, descend, minimise
-from slippulse_jax.inference.parameters import Inputs, parameter_set
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search import search
 
 STARTS, STEPS, CLOSE = 32, 60, 1e-3
@@ -78,7 +79,7 @@ def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
     """Heights of 15–60 λc, at a stiffness where the longest of them is this share of its longest."""
     height = np.sort(rng.uniform(15, 60, kind.heights))
     truth = stiffness_at(float(np.median(height)), rng.uniform(*kind.share))
-    length = model.lengths(Inputs.of(height, truth, 0.3, kind.prestress)).value
+    length = fronts.FirstFront().lengths(Inputs.of(height, truth, 0.3, kind.prestress))
     sigma = SIGMA * length
     measured = length + sigma * rng.standard_normal(len(height))
     if kind.whole:
@@ -97,13 +98,13 @@ class Tally:
 
     def __init__(self) -> None:
         self.count = 0
-        original = model.exact_fronts
+        original = fronts.exact_fronts
 
         def counted(lanes: np.ndarray, **settings: Any) -> Any:
             self.count += lanes.shape[1]
             return original(lanes, **settings)
 
-        model.exact_fronts = counted
+        fronts.exact_fronts = counted
 
     def take(self) -> int:
         count, self.count = self.count, 0
@@ -122,7 +123,7 @@ class Run(NamedTuple):
 def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> list[Run]:
     """By starts, by search, by fit."""
     parameters = parameter_set(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
-    problem = make_problem(m, parameters, Loss("normal"), m.sigma)
+    problem = make_problem(m, parameters, "normal", m.sigma)
     points = np.random.default_rng(seed).uniform(parameters.low, parameters.high, (STARTS, problem.p))
 
     def by_starts() -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +132,7 @@ def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> l
 
     def by_search() -> tuple[np.ndarray, np.ndarray]:
         found = search(problem, method=method, max_steps=STEPS, seed=0)
-        return np.array([found.deviance]), np.array([bool(found.minima)])
+        return np.array([found.deviance]), np.array([bool(found.roots)])
 
     def by_fit() -> tuple[np.ndarray, np.ndarray]:
         result = fit(m, kind.free, method=method, max_steps=STEPS)

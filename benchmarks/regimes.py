@@ -15,7 +15,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.inference.verdict import LEVELS, Identifiability
+from slippulse_jax.inference.fitted import LEVELS, Identifiability
 
 YOUNG, LAMBDA = 3e9, 1e-5  # Pa, m
 

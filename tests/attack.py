@@ -222,7 +222,7 @@ def gauges(rng: np.random.Generator, count: int) -> Found:
 
 
 REQUESTS = [
-    b'# a request\nloss = "huber"\nseed = 3\n\n[parameters.stiffness]\nbounds = [0.001, 0.5]\n\n[parameters.poisson]\nprior = [0.3, 0.02]\n',
+    b'# a request\nloss = "student"\nseed = 3\n\n[parameters.stiffness]\nbounds = [0.001, 0.5]\n\n[parameters.poisson]\nprior = [0.3, 0.02]\n',
     b'{"request": {"loss": "normal", "parameters": {"stiffness": {"each": "specimen"}, "prestress": {"prior": [0.0, 0.1]}}}}',
 ]
 

@@ -14,3 +14,8 @@ def section(report, head):
     start = next(i for i, line in enumerate(lines) if line.strip("│ ").startswith(head))
     end = next((i for i in range(start, len(lines)) if not lines[i].strip()), len(lines))
     return lines[start:end]
+
+
+def moves(result):
+    """First move of every parameter by each change, by the names of both."""
+    return {change.name: {name: by[0] for name, by in change.moves.items()} for change in result.changes}

@@ -160,7 +160,7 @@ def test_what_is_not_found_is_one_line_and_exit_3(arguments, monkeypatch, in_thi
     def lost(lanes, **_):
         return np.full(lanes.shape[1], np.nan), np.full(lanes.shape[1], Outcome.NOT_CONVERGED)
 
-    monkeypatch.setattr("slippulse_jax.inference.model.exact_fronts", lost)
+    monkeypatch.setattr("slippulse_jax.inference.fronts.exact_fronts", lost)
     done = in_this_process(*arguments)
     assert done.returncode == 3
     *_, last = done.stderr.splitlines()

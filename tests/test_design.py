@@ -23,8 +23,8 @@ from slippulse_jax.inference.design.information import (
     log_likelihoods,
     outcomes,
 )
-from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.fronts import WholeEvent
+from slippulse_jax.inference.inputs import Inputs
 
 
 def normal_prior(sd, nodes=801):
@@ -224,7 +224,7 @@ def test_designs_take_lengths_as_the_fit_did():
     m = sp.Measurements(height, 0.3, length, 0.02 * length)
     whole = sp.Knowledge.from_fit(sp.fit(m, event="full", intervals="profile"))
     found = sp.design(whole, height=40.0, sigma=1.0)
-    expected = lengths(Inputs.of(40.0, np.exp(whole.theta), 0.3), event="full").value
+    expected = WholeEvent().lengths(Inputs.of(40.0, np.exp(whole.theta), 0.3))
     np.testing.assert_array_equal(found.length[:, 0], expected)
     assert (expected > sp.exact_lengths(sp.Slider(40.0, np.exp(whole.theta), 0.3)) + 0.2).mean() > 0.5
     assert "those of whole events" in found.report()
@@ -235,9 +235,6 @@ def test_designs_take_lengths_as_the_fit_did():
     crack = sp.fit(m, fixed={"friction": 0.3}, event="crack", intervals="profile")
     with pytest.raises(ValueError, match="the fit is of crack-like fronts: designs predict"):
         sp.Knowledge.from_fit(crack)
-    smooth = sp.fit(m, ("stiffness", sp.Parameter("width", value=0.005)), intervals="profile")
-    with pytest.raises(ValueError, match="the fit is under a smooth break rule: designs predict"):
-        sp.Knowledge.from_fit(smooth)
     with pytest.raises(ValueError, match="event = 'crack'"):
         sp.Knowledge([0.0], event="crack")  # pyright: ignore[reportArgumentType]
 

@@ -12,18 +12,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from reports import section, unfolded
+from reports import moves, section, unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.events.resolution import tall_length
 from slippulse_jax.inference import interpolation
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import BlockEvent
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.interpolation import block_grid, block_lengths
-from slippulse_jax.inference.model import recursion_status
-from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request
-from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 
@@ -34,7 +34,7 @@ HEIGHT = np.array([300.0, 400.0, 520.0, 700.0, 900.0])
 def inputs_of(height, b, push, poisson=0.3, width=np.inf, force=0.0):
     height, b, push = np.broadcast_arrays(height, b, push)
     plain = Inputs.of(height, b / (2 * (1 + poisson) * height), poisson)
-    return plain._replace(log_push=np.log(push), log_push_width=np.log(width) + 0 * push, push_force=force + 0 * push)
+    return plain.given(log_push=np.log(push), log_push_width=np.log(width) + 0 * push, push_force=force + 0 * push)
 
 
 def stiffness_at(b):
@@ -174,7 +174,7 @@ def test_a_fit_of_lengths_where_no_event_stops():
         sp.fit(m, bounds=(0.02, 0.03))
     inputs = inputs_of([30.0, 40.0], 2.0, 0.1)._replace(prestress=np.array([0.8, 0.8]))
     assert np.isinf(block_lengths(inputs)[0]).all()
-    assert (recursion_status(inputs) == Outcome.RUN_AWAY).all()
+    assert (BlockEvent().status(inputs) == Outcome.RUN_AWAY).all()
 
 
 @pytest.mark.parametrize(("b", "decay"), [(0.1, 5.193), (0.3, 3.105), (1, 1.896), (3, 1.373), (10, 1.140), (1e9, 1.027)])
@@ -188,13 +188,14 @@ def test_decay_of_an_edge_load(b, decay):
 
 def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted):
     stiffness, m = study
-    assert fitted.parameters.body == "block"
+    assert fitted.parameters.front.body == "block"
     assert fitted.identifiability is Identifiability.IDENTIFIED
     assert fitted.values["stiffness"] == pytest.approx(stiffness, rel=0.02)
     (piece,) = fitted.intervals["stiffness"][0.95]
     assert piece.low < stiffness < piece.high
     slider = sp.fit(m, body="slider")
-    assert fitted.as_slider.values["stiffness"] == pytest.approx(slider.values["stiffness"], rel=1e-9)
+    moved = np.exp(moves(fitted)["slider"]["stiffness"])
+    assert moved == pytest.approx(slider.values["stiffness"] / fitted.values["stiffness"], rel=1e-9)
     report = fitted.report()
     assert "block under two-dimensional elasticity" in unfolded(report)
     rows = section(report, "What else would move it")
@@ -211,8 +212,9 @@ def test_where_the_side_is_pushed_decides(study):
     higher = sp.fit(dataclasses.replace(m, push_height=0.5 * HEIGHT))
     assert higher.values["stiffness"] < 0.2 * stiffness
     slider = sp.fit(m, body="slider")
-    assert slider.as_slider is None
-    assert slider.values["stiffness"] == pytest.approx(higher.as_slider.values["stiffness"], rel=1e-9)
+    assert "slider" not in moves(slider)
+    moved = np.exp(moves(higher)["slider"]["stiffness"])
+    assert slider.values["stiffness"] == pytest.approx(higher.values["stiffness"] * moved, rel=1e-9)
 
 
 def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
@@ -220,9 +222,7 @@ def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
     found = sp.fit(dataclasses.replace(m, push_height_sigma=0.02 * m.push_height))
     assert len([name for name in found.inputs if name.startswith("push_height")]) == len(HEIGHT)
     assert found.stderrs["stiffness"] > fitted.stderrs["stiffness"]
-    assert (
-        fitted.budget["push_height"].change["stiffness"] < 0
-    )  # a higher push makes longer fronts, so the interface must be softer
+    assert moves(fitted)["push_height"]["stiffness"] < 0  # a higher push makes longer fronts, so the interface must be softer
 
 
 def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
@@ -237,7 +237,7 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     content = json.loads(found.stdout)
     assert content["model"]["body"] == "block"
     assert "body" not in content["request"]  # it was not asked for
-    assert content["as_slider"]["values"]["areal_stiffness"] > 0
+    assert "slider" in {one["name"] for one in content["changes"]}
     again = sp.fit(sp.read_measurements(table), **from_request(content["request"]))
     assert again.values["areal_stiffness"] == pytest.approx(content["values"]["areal_stiffness"], rel=1e-12)
     assert as_request(again.request) == content["request"]
@@ -263,7 +263,7 @@ def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
     result = sp.fit(m)
     moved = np.log(sp.fit(dataclasses.replace(m, push_height=1.05 * m.push_height)).values["areal_stiffness"])
     moved -= np.log(result.values["areal_stiffness"])
-    assert result.budget["push_height"].change["areal_stiffness"] == pytest.approx(moved, abs=0.002)
+    assert moves(result)["push_height"]["areal_stiffness"] == pytest.approx(moved, abs=0.002)
     assert abs(moved) > 0.05
 
 
@@ -309,13 +309,13 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     length = sp.exact_lengths(sp.Slider(HEIGHT, stiffness_at(0.6), 0.3))
     m = sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length)
     found = sp.fit(m)
-    assert set(found.unstated_push) == {"0.5", "0.25", "0.1"}
+    (high, middle, low) = np.exp(next(one for one in found.changes if one.name == "block").moves["stiffness"])
     block = sp.fit(dataclasses.replace(m, push_height=0.25 * HEIGHT))
     ratio = block.values["stiffness"] / found.values["stiffness"]
-    assert found.unstated_push["0.25"]["stiffness"] == pytest.approx(ratio, rel=0.1)
-    assert found.unstated_push["0.5"]["stiffness"] < 0.3
-    assert np.isnan(found.unstated_push["0.1"]["stiffness"])
-    ratios = [found.unstated_push[at]["stiffness"] for at in ("0.5", "0.25")]
+    assert middle == pytest.approx(ratio, rel=0.1)
+    assert high < 0.3
+    assert np.isnan(low)
+    ratios = [high, middle]
     rows = section(found.report(), "What else would move it")
     (row,) = [
         row for row in rows if row.startswith("  a real block, pushed from 0.5, 0.25, 0.1 H up (column push_height fits one)")
@@ -323,7 +323,7 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none fits")
     factor = f"{ratios[0]:.2g} to {ratios[1]:.2g} times this, or none fits, depending on where its side is pushed."
     assert f"For a real block the stiffness is {factor}" in unfolded(found.report())
-    assert set(block.unstated_push) == {"0.1 H high"}  # no longer by where it is pushed
+    assert {"block", "push_width"} & moves(block).keys() == {"push_width"}  # no longer by where it is pushed
 
 
 def test_the_command_has_lengths_of_blocks():

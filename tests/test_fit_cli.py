@@ -60,7 +60,7 @@ def test_pictures(tmp_path):
         (["--fix", "young=3"], r"Error: young = 3 Pa, where young_GPa says 3e\+09 Pa: .*; is it in GPa\?"),
         (["--range", "young=1,5"], r"Error: young = 1 to 5 Pa, where young_GPa says 3e\+09 Pa: .*; is it in GPa\?"),
         (["--bounds", "10", "30"], r"no domino starts at k/K from 3\.333e-14 to 1e-13; expected within \S+ to \S+ Pa/m"),
-        (["--loss", "huber", "--posterior", "10"], "a posterior needs a likelihood"),
+        (["--sigma", "relative", "--posterior", "10"], "a posterior needs a likelihood"),
         (["--each-specimen", "offset", "--range", "offset=1,0"], "increasing order"),
     ],
 )
@@ -72,11 +72,11 @@ def test_refusals(arguments, message):
     assert re.search(message, done.output)
 
 
-def test_lengths_on_the_plateau_are_said_before_the_fit(tmp_path):
+def test_lengths_on_the_plateau_are_named_in_the_remarks(tmp_path):
     path = tmp_path / "plateau.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,26.2,0.3\n40,0.3,30,0.3\n")
     done = CliRunner().invoke(command, [str(path)])
-    assert done.stderr.startswith("before fitting: 1 of 2 lengths lies within 3% of the longest attainable")
+    assert "\n  - 1 of 2 lengths lies within 3% of the longest attainable" in done.stdout
     assert run("--free", "stiffness", "--json").stderr == ""
 
 
@@ -97,7 +97,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     monkeypatch.setattr("slippulse_jax.inference.fit.attainable", endless)
     done = run("--json")
     assert done.exit_code == 0, done.output
-    assert {one["attainable"] for one in json.loads(done.stdout)["measurements"]} == {None}
+    assert set(json.loads(done.stdout)["attainable"]) == {None}
 
 
 def test_intervals_are_simulated_where_two_sides_of_the_peak_fit(tmp_path):

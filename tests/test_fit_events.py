@@ -14,12 +14,12 @@ from reports import unfolded
 import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import FRONTS
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.interpolation import whole_over_front
 from slippulse_jax.inference.likelihood import log_density
-from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import Inputs
 from slippulse_jax.inference.record import as_request, from_request
-from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plot.labels import AGAIN
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
@@ -65,12 +65,12 @@ def test_the_model_of_a_fit_against_the_cascade():
     height, poisson = np.exp(rng.uniform(np.log(15), np.log(60), 60)), rng.uniform(0.2, 0.4, 60)
     stiffness = b / (2 * (1 + poisson) * height)
     inputs = Inputs.of(height, stiffness, poisson)
-    found = lengths(inputs, ("log_stiffness",), "full")
+    found = FRONTS["slider", "full"].predict(inputs, ("log_stiffness",))
     off = found.value / sp.precursor_lengths(sp.Slider(height, stiffness, poisson), event="full") - 1
     assert np.sqrt(np.mean(off[b < 10] ** 2)) < 2e-3
     assert np.sqrt(np.mean(off[b > 10] ** 2)) < 0.01
     assert np.abs(off).max() < 0.03
-    front = lengths(inputs, ("log_stiffness",))
+    front = FRONTS["slider", "domino"].predict(inputs, ("log_stiffness",))
     early = b < 2.4
     np.testing.assert_array_equal(found.value[early], front.value[early])
     np.testing.assert_array_equal(found.slopes["log_stiffness"][early], front.slopes["log_stiffness"][early])
@@ -124,8 +124,6 @@ def test_what_a_fit_of_whole_events_does_not_take():
     _, m = study(6.5)
     with pytest.raises(ValueError, match=r"event = 'whole': one of domino, full, crack"):
         sp.fit(m, event="whole")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=r"parameter width: the smooth rule follows one front"):
-        sp.fit(m, ("stiffness", sp.Parameter("width", value=0.005)), event="full")
     with pytest.raises(ValueError, match=r"gauges, block_length and machine_stiffness need the model of one front"):
         sp.fit(dataclasses.replace(m, block_length=20 * m.height), event="full")
     result = sp.fit(m, event="full", intervals="profile")

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot
-from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import Inputs
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import FirstFront
+from slippulse_jax.inference.inputs import Inputs
 
 EXAMPLES = Path(__file__).parents[1] / "fit_examples"
 HEIGHT_OF_P = (40.0, 60.0, 80.0, 100.0)
@@ -20,7 +20,7 @@ HEIGHTS = (2.5, 5.0, 7.5)
 def lengths_of(height, stiffness):
     """ℓ* in λc of sliders whose fields broadcast."""
     inputs = Inputs.of(height, stiffness, 0.3)
-    return lengths(inputs.ravel()).value.reshape(inputs.poisson.shape)
+    return FirstFront().lengths(inputs.ravel()).reshape(inputs.poisson.shape)
 
 
 def texts(ax):

@@ -18,22 +18,22 @@ from click.testing import CliRunner
 
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference import model
 from slippulse_jax.inference.bayes import Posterior, theta_of
-from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
-from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import STIFFEST, Inputs, parameter_set, softest
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
+from slippulse_jax.inference.fronts import STIFFEST, FirstFront
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.likelihood import log_density, make_problem
+from slippulse_jax.inference.parameters import parameter_set
 
 DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
 
 
-def outside(inputs, relaxed):
+def outside(self, inputs, relaxed):
     """The length from the batches that a fit works with, called from within a compiled function."""
     del relaxed
 
     def length(inputs):
-        return lengths(Inputs(*(None if x is None else np.atleast_1d(x) for x in inputs))).value[0]
+        return self.lengths(inputs.map(np.atleast_1d))[0]
 
     return jax.pure_callback(length, jax.ShapeDtypeStruct((), inputs.poisson.dtype), inputs, vmap_method="sequential")
 
@@ -41,11 +41,11 @@ def outside(inputs, relaxed):
 def tabulated(m):
     """The length of measurements of which the stiffness alone is fitted, from a table of it."""
     log_height, first = np.unique(np.log(m.height), return_index=True)
-    log_stiffness = np.linspace(np.log(softest(m).min()), np.log(STIFFEST), 6001)
+    log_stiffness = np.linspace(np.log(FirstFront().softest(m).min()), np.log(STIFFEST), 6001)
     every = Inputs.of(m.height[first][:, None], np.exp(log_stiffness), m.poisson[first][:, None])
-    table = lengths(every.ravel()).value.reshape(every.poisson.shape)
+    table = FirstFront().lengths(every.ravel()).reshape(every.poisson.shape)
 
-    def length(inputs, relaxed):
+    def length(self, inputs, relaxed):
         row = jnp.argmin(jnp.abs(log_height - inputs.log_height))
         return jnp.interp(inputs.log_stiffness, log_stiffness, jnp.asarray(table)[row])
 
@@ -54,14 +54,14 @@ def tabulated(m):
 
 @pytest.mark.parametrize("loss", ["normal", "student"])
 def test_density_is_the_objective(loss, monkeypatch):
-    """At random points, with counts, censoring, discrepancy and a prior."""
-    monkeypatch.setattr(model, "traced_length", outside)
+    """At random points, with counts, censoring and a prior."""
+    monkeypatch.setattr(FirstFront, "traced", outside)
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
-    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02)), "discrepancy"])
-    problem = make_problem(m, q, Loss(loss), m.sigma)
-    theta = np.random.default_rng(0).uniform([-7, 0.2, -5], [-4, 0.4, -2], (4, 3))
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
+    problem = make_problem(m, q, loss, m.sigma)
+    theta = np.random.default_rng(0).uniform([-7, 0.2], [-4, 0.4], (4, 2))
     density = jax.jit(jax.vmap(partial(log_density, problem=problem)))(theta)
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
 
@@ -69,12 +69,12 @@ def test_density_is_the_objective(loss, monkeypatch):
 @pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_traced_length_is_that_of_the_fit(relaxed):
     inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)
-    assert float(model.traced_length(inputs, relaxed)) == pytest.approx(lengths(inputs.ravel()).value[0], rel=1e-11)
+    assert float(FirstFront().traced(inputs, relaxed)) == pytest.approx(FirstFront().lengths(inputs.ravel())[0], rel=1e-11)
 
 
 def test_command_line(monkeypatch):
     """`slippulse fit --posterior`: four chains whose interval is that of the profile, in the report and as JSON."""
-    monkeypatch.setattr(model, "traced_length", tabulated(read_measurements(DATA)))
+    monkeypatch.setattr(FirstFront, "traced", tabulated(read_measurements(DATA)))
     monkeypatch.setattr(FitResult, "posterior", partialmethod(FitResult.posterior, warmup=100))
     done = CliRunner().invoke(command, [DATA, "--posterior", "150", "--seed", "3", "--json"])
     assert done.exit_code == 0, done.output
@@ -93,7 +93,7 @@ def test_arviz_takes_the_posterior(monkeypatch):
     """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
     az = import_arviz()
     result = fit(DATA)
-    monkeypatch.setattr(model, "traced_length", tabulated(result.measurements))
+    monkeypatch.setattr(FirstFront, "traced", tabulated(result.measurements))
     drawn = result.posterior(samples=60, warmup=60, chains=2, progress=False)
     table = az.summary(drawn)
     assert list(table.index) == ["areal_stiffness"]
@@ -124,7 +124,7 @@ def test_missing_sampler_is_named(monkeypatch):
 @pytest.mark.slow  # the sampler takes minutes to compile
 def test_posterior_profile_and_bootstrap_agree():
     height = np.array([15.0, 20, 25, 30, 40, 50])
-    length = lengths(Inputs.of(height, 0.004, 0.3)).value
+    length = FirstFront().lengths(Inputs.of(height, 0.004, 0.3))
     rng = np.random.default_rng(1)
     m = Measurements(
         height=height, poisson=0.3, length=length * (1 + 0.01 * rng.standard_normal(6)), length_sigma=0.01 * length

@@ -20,13 +20,15 @@ import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
 from slippulse_jax.front.front import readings
-from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import FirstFront
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.likelihood import log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.model import slips, stresses
+from slippulse_jax.inference.observables import slips, stresses
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.parameters import Inputs, parameter_set
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.tables import read_measurements
-from slippulse_jax.inference.verdict import Identifiability
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11
 RATIO = AREAL * LC / YOUNG
@@ -47,7 +49,7 @@ def at_gauges(height, stiffness, prestress, place, beyond, counted):
     """Inputs of the model for readings of gauges."""
     further = np.broadcast_arrays(np.log(place), beyond, counted, height)[:3]
     names = ("log_position", "beyond", "counted")
-    return Inputs.of(height, stiffness, 0.3, prestress)._replace(**dict(zip(names, further, strict=True)))
+    return Inputs.of(height, stiffness, 0.3, prestress).given(**dict(zip(names, further, strict=True)))
 
 
 @pytest.mark.parametrize(("height", "stiffness", "prestress"), [(25.0, 0.03, 0.0), (40.0, 0.01, 0.2), (15.0, 0.1, 0.3)])
@@ -64,8 +66,8 @@ def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
     np.testing.assert_allclose(between[1], step * stress[:64] + (1 - step) * stress_before[:64], atol=1e-12)
     places = np.array([3.25, count - 1.5, count + 20])
     inputs = at_gauges(np.full(3, height), stiffness, prestress, places, 0.0, count)
-    np.testing.assert_allclose(slips(inputs).value, np.interp(places, np.arange(120), slip), atol=1e-12)
-    np.testing.assert_allclose(stresses(inputs).value, np.interp(places, np.arange(120), stress), atol=1e-12)
+    np.testing.assert_allclose(slips(FirstFront(), inputs).value, np.interp(places, np.arange(120), slip), atol=1e-12)
+    np.testing.assert_allclose(stresses(FirstFront(), inputs).value, np.interp(places, np.arange(120), stress), atol=1e-12)
 
 
 def test_a_front_without_a_count_stops_at_its_length():
@@ -74,7 +76,7 @@ def test_a_front_without_a_count_stops_at_its_length():
     length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)) + 0.4
     with jax.enable_x64(True):
         slip, _ = readings(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
-    found = slips(inputs).value
+    found = slips(FirstFront(), inputs).value
     assert found[0] == pytest.approx(float(slip[1500]), abs=1e-9)
     assert found[1] == np.inf
 
@@ -105,7 +107,7 @@ def test_objective(kind):
     m = table(kind, np.random.default_rng(0))
     q = parameter_set(m, ["stiffness", "strength", "prestress", sp.Parameter("correlation_length", prior=(LC, LC / 10))])
     assert [one.label for one in q.free if one.nuisance] == (["arrest[0]", "arrest[1]"] if kind == "length" else [])
-    problem = make_problem(m, q, Loss(), m.sigma)
+    problem = make_problem(m, q, "normal", m.sigma)
     theta = np.array([np.log(AREAL) - 0.05, np.log(STRENGTH) + 0.03, 0.02, np.log(1.02 * LC), 0.35, 0.6])[: problem.p]
     step = 1e-5 * np.eye(problem.p)
     slope = (problem(theta + step).value - problem(theta - step).value) / 2e-5
@@ -146,7 +148,7 @@ def rises(kind, studies, seed):
     for _ in range(studies):
         m = table(kind, rng)
         q = parameter_set(m, ["stiffness", "strength"])
-        problem = make_problem(m, q, Loss(), m.sigma)
+        problem = make_problem(m, q, "normal", m.sigma)
         start = np.append(np.log([AREAL, STRENGTH]), np.full(problem.p - 2, 0.5))
         best, true = (minimise(problem, start, q.low, q.high, held=np.arange(problem.p) < n).value[0] for n in (0, 2))
         found.append(2 * (true - best))
@@ -259,7 +261,7 @@ def test_command_line(tmp_path):
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     assert found["values"]["areal_stiffness"] == pytest.approx(AREAL, rel=1e-3)
-    assert [one["observable"] for one in found["further"]] == ["slip"] * 9
+    assert [(one["observable"], len(one["fitted"])) for one in found["further"]] == [("slip", 9)]
     assert figure.stat().st_size > 5000
     refused = CliRunner().invoke(command, [lengths, "--gauge-figure", str(figure)])
     assert refused.exit_code == 2

@@ -12,7 +12,7 @@ from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.likelihood import Loss, log_density, make_problem
+from slippulse_jax.inference.likelihood import log_density, make_problem
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.status import Outcome
 
@@ -99,7 +99,7 @@ def test_lengths_of_cracks_are_fitted_and_traced(tmp_path):
 def test_second_derivatives_where_there_is_no_friction():
     """Differences stay within the range: a crack with less than none has no length."""
     m = sp.Measurements([20.0, 40.0], 0.3, [15.0, 30.0], 0.3)
-    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], "crack"), Loss(), m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], "crack"), "normal", m.sigma)
     at, near = (problem(np.array([[np.log(0.004), x]]), order=2).curvature for x in (0.0, 1e-3))
     np.testing.assert_allclose(at, near, rtol=0.05)  # one-sided at the limit
 

@@ -67,8 +67,8 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         sp.load_fit(path)
     for content, message in (
-        ("{}", "its schema is not 1"),
-        ('{"schema": 99}', "its schema is not 1"),
+        ("{}", "its schema is not 2"),
+        ('{"schema": 99}', "its schema is not 2"),
         ("[1", "fit.json"),
     ):
         path.write_text(content)
@@ -142,10 +142,10 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("fitted again")
 
-    for module in ("budget", "hints", "search", "profile", "scatter", "bootstrap"):
+    for module in ("changes", "search", "profile", "scatter", "bootstrap"):
         monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
-    monkeypatch.setattr("slippulse_jax.inference.budget._refitted", refuse)
-    monkeypatch.setattr("slippulse_jax.inference.hints._helps", refuse)
+    for name in ("_refitted", "_helps"):
+        monkeypatch.setattr(f"slippulse_jax.inference.changes.{name}", refuse)
     monkeypatch.setattr("slippulse_jax.inference.fit.fit", refuse)
     loaded = sp.load_fit(tmp_path / "fit.json")
     assert loaded.report(verbose=True) == said

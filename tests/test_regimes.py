@@ -6,10 +6,10 @@ import pytest
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
 from slippulse_jax.inference.counts import allowed_by_counts
-from slippulse_jax.inference.likelihood import NORMAL, make_problem
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search import _minimised, scan, search
-from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
 
@@ -19,7 +19,7 @@ def whole(height, length):
 
 
 def problem_of(m, *free):
-    return make_problem(m, parameter_set(m, free), NORMAL, np.ones(len(m)) if m.length_sigma is None else m.sigma)
+    return make_problem(m, parameter_set(m, free), "normal", np.ones(len(m)) if m.length_sigma is None else m.sigma)
 
 
 @pytest.mark.parametrize("count", [57, 47])
@@ -77,8 +77,8 @@ def test_the_scan_keeps_every_point_the_data_do_not_exclude():
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     deviance = 2 * problem(grid).value
     found = search(problem, method="lm", max_steps=60, seed=0)
-    assert found.minima[0].deviance <= deviance.min() + 1e-9
-    near = grid[deviance < found.minima[0].deviance + 12]
+    assert found.roots[0].deviance <= deviance.min() + 1e-9
+    near = grid[deviance < found.roots[0].deviance + 12]
     assert len(near) > 3
     held = ((cells.low <= near[:, None]) & (near[:, None] <= cells.high)).all(-1).any(-1)
     assert held.all()

@@ -8,7 +8,7 @@ from typing import Any
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 HERE = Path(__file__).resolve().parent
 

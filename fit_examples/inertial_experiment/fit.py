@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import slippulse_jax as sp
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 TRUE_STIFFNESS = 0.01
 INERTIA = 1.14  # by what inertia lengthens fronts at this damping, known from elsewhere
@@ -18,7 +18,7 @@ def main() -> FitResult:
     assert interval.low > 1.5 * TRUE_STIFFNESS  # wrong by far more than the error bar …
     assert naive.p_value is not None
     assert naive.p_value > 0.05  # … and nothing in the data objects
-    informed = sp.fit(data, free=("stiffness", "discrepancy"), fixed={"model_factor": INERTIA})
+    informed = sp.fit(data, sigma="relative", fixed={"model_factor": INERTIA})
     print(informed.report())
     assert any(piece.low < TRUE_STIFFNESS < piece.high for piece in informed.intervals["stiffness"][0.95])
     return informed

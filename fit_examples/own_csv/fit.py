@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import slippulse_jax as sp
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 TABLE = Path(__file__).with_name("lengths.csv")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 PRINTED_STIFFNESS = 0.03  # k/K of the numerical solution the length was read from
 

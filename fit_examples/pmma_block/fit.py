@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import slippulse_jax as sp
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 TRUE_AREAL_STIFFNESS = 2.0e10  # Pa/m, what make_data.py put in
 

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import slippulse_jax as sp
-from slippulse_jax.inference.result import FitResult
+from slippulse_jax.inference.fit import FitResult
 
 TRUE_STIFFNESS, UNKNOWN = 0.01, 0.4
 

@@ -8,7 +8,7 @@ import click
 from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.fit import FitResult
 
 
 def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, list[float]]:
@@ -44,7 +44,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")
 @click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
-@click.option("--loss", type=click.Choice(["normal", "huber", "student"]), help="Loss function.")
+@click.option("--loss", type=click.Choice(["normal", "student"]), help="Loss function.")
 @click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Take σ as given, or only the ratios of σ.")
 @click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
 @click.option(
@@ -101,9 +101,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     from slippulse_jax.inference.bayes import Posterior
     from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
-    from slippulse_jax.inference.hints import before_fit
     from slippulse_jax.inference.measurements import MeasurementWarning
-    from slippulse_jax.inference.parameters import event_and_body, mistaken_priors
     from slippulse_jax.inference.record import from_request, read_request
     from slippulse_jax.inference.tables import read_measurements
 
@@ -112,13 +110,9 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(csv, gauges=options["gauges"])
         settings = from_request(_with_options(request, options))
-        event, body = event_and_body(measurements, settings.get("event"), settings.get("body"))
-        prestressed = any(one.name == "prestress" for one in settings["free"])
-        likely = before_fit(measurements, event, body, prestressed=prestressed)
-        for warning in (*likely, *mistaken_priors(measurements, settings["free"])):
-            click.echo(f"before fitting: {warning}", err=True)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeasurementWarning)  # printed above
+            warnings.simplefilter("always", MeasurementWarning)
+            warnings.showwarning = lambda message, *_: click.echo(f"before fitting: {message}", err=True)
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
         more, drawn = {}, {}
         if options["bootstrap"]:

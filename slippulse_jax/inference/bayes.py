@@ -6,7 +6,7 @@ range searched, a positive one in its logarithm.
 
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,8 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.inference.bootstrap import Samples
+from slippulse_jax.inference.fitted import Fitted
 from slippulse_jax.inference.likelihood import log_density
-
-if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
 
 GOOD_RHAT = 1.01
 GOOD_ESS = 400.0
@@ -78,7 +76,7 @@ class Posterior(Samples):
 
 
 def posterior(
-    result: "FitResult",
+    result: Fitted,
     *,
     samples: int = 1000,
     warmup: int = 500,
@@ -91,7 +89,7 @@ def posterior(
     Parameters
     ----------
     result : FitResult
-        Result of a fit with the normal or the Student loss and absolute σ.
+        Result of a fit with absolute σ.
     samples, warmup : int
         Samples kept and discarded, per chain.
     chains : int
@@ -111,15 +109,12 @@ def posterior(
     ModuleNotFoundError
         Without the extra ``bayes``.
     ValueError
-        If the deviance of this fit is no −2 ln(likelihood): Huber's loss, or scaled σ; or the break rule is a smooth one; or
-        lengths are those of whole events.
+        If the deviance of this fit is no −2 ln(likelihood), as σ was scaled; or lengths are those of whole events.
     """
-    if result.parameters.smooth:
-        raise ValueError("a posterior needs the hard break rule: leave out width, or use bootstrap")
-    if result.parameters.event == "full":
+    if result.parameters.front.event == "full":
         raise ValueError("event = 'full': a posterior needs a length that can be traced; use bootstrap")
-    if result.problem.loss.name == "huber" or result.scaled:
-        raise ValueError("a posterior needs a likelihood: the normal or the Student loss, and sigma = 'absolute'")
+    if result.scaled:
+        raise ValueError("a posterior needs a likelihood: sigma = 'absolute'")
     try:
         with warnings.catch_warnings():  # which announces its next version on import
             warnings.simplefilter("ignore", FutureWarning)
@@ -176,7 +171,7 @@ def posterior(
     return az.InferenceData(**groups) if before_1 else xarray.DataTree.from_dict(groups)  # pyright: ignore
 
 
-def theta_of(result: "FitResult", samples: Any) -> np.ndarray:
+def theta_of(result: Fitted, samples: Any) -> np.ndarray:
     """θ of samples of a fit, (n, p): an array of them, a `Bootstrap`, or what `posterior` returns."""
     if not hasattr(samples, "posterior"):
         return np.reshape(getattr(samples, "theta", samples), (-1, result.problem.p))

@@ -1,16 +1,13 @@
 """Bootstrap: refits of simulated or resampled measurements, all at once."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
 from slippulse_jax.inference.optimise import Convergence, minimise
-from slippulse_jax.inference.verdict import LEVELS
-
-if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
 
 KINDS = ("parametric", "case")
 MOST_STARTS = 4
@@ -79,7 +76,7 @@ class Bootstrap(Samples):
         return "\n".join(rows)
 
 
-def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
+def bootstrap(result: Fitted, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
     """Refit simulated or resampled measurements `count` times.
 
     Parameters
@@ -131,7 +128,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: str = "parametric
     )
 
 
-def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def refitted(result: Fitted, problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """θ, deviance and convergence of the best refit per replicate; converged refits come before others."""
     starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
@@ -143,16 +140,14 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
     return ends.theta.reshape(count, many, -1)[chosen], 2 * value[chosen], good[chosen] & np.isfinite(value[chosen])
 
 
-def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
+def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fitted model, and new values of the inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for block in problem.blocks:
         mu = problem.predict(result.theta, block.observable)[0]
         sigma = block.data.sigma
-        if q.discrepancy is not None and block.data.has_discrepancy:
-            sigma = np.hypot(sigma, np.exp(result.theta[q.discrepancy]) * block.data.value[0])
-        student = problem.loss.name == "student"
+        student = problem.loss == "student"
         noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
         drawn = mu + sigma * noise
         whole, beyond = block.data.kind == "whole", block.data.kind == "at_least"
@@ -166,7 +161,7 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
     return problem.with_replicates(values, weights, means)
 
 
-def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
+def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
     values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.profile import Curve, Interval, Intervals, pieces_of
-from slippulse_jax.inference.search import SLACK, Cells, Minimum
+from slippulse_jax.inference.search import SLACK, Cells, Root
 
 SIMULATIONS = {1: 2000, 2: 500}
 """By the number of fitted parameters."""
@@ -56,7 +56,7 @@ def can_be_calibrated(problem: Problem) -> bool:
 
 
 def to_be_simulated(
-    problem: Problem, wanted: str, minima: list[Minimum], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
+    problem: Problem, wanted: str, minima: list[Root], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
 ) -> bool:
     """Whether to simulate intervals: as requested, or where valleys compete or one is not parabolic.
 
@@ -64,7 +64,7 @@ def to_be_simulated(
     ----------
     problem : Problem
     wanted : {"auto", "profile", "calibrated"}
-    minima : list of Minimum
+    minima : list of Root
         Best first.
     deviance : float
         The least.

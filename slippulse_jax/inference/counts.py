@@ -5,8 +5,6 @@ starts. For one fitted parameter the ends of that set are crossings of ℓ* with
 several measurements it is the intersection. The set is the answer; or there is none, and some counts are at odds.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from slippulse_jax.inference.likelihood import Problem
@@ -16,15 +14,10 @@ from slippulse_jax.inference.search import first_edges
 HALVINGS = 48  # of a bracket of the scan: to rounding
 
 
-class Allowed(NamedTuple):
-    """Values of θ that all counts allow."""
+def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
+    """Values of the parameter under which every count holds, as pieces in increasing order.
 
-    pieces: list[Interval]  # in increasing order; empty where there is none
-    at_odds: list[int]  # if none: the fewest measurements without which there would be one, by index
-
-
-def allowed_by_counts(problem: Problem) -> Allowed:
-    """Values of the parameter under which every count holds.
+    If there are none: the fewest measurements without which there would be some, by index.
 
     Between two edges of the scan, which has the peak of every length among them, each length is taken to be monotonic.
     """
@@ -53,8 +46,8 @@ def allowed_by_counts(problem: Problem) -> Allowed:
     inside = holds.all(axis=1)
     if not inside.any():
         best = int(np.argmax(holds.sum(axis=1)))
-        return Allowed([], block.measurement[~holds[best]].tolist())
+        return [], block.measurement[~holds[best]].tolist()
     starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
     stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
     own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]
-    return Allowed(pieces_of(own, bool(inside[0]), bool(inside[-1])), [])
+    return pieces_of(own, bool(inside[0]), bool(inside[-1])), []

@@ -1,40 +1,43 @@
 """The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
 
 import dataclasses
+import functools
+import json
 import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
+from slippulse_jax.files import write_atomically
+from slippulse_jax.inference import record, report
+from slippulse_jax.inference.bayes import posterior
+from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
-from slippulse_jax.inference.counts import Allowed, allowed_by_counts
-from slippulse_jax.inference.interpolation import block_lengths
+from slippulse_jax.inference.changes import Change, changes, next_steps, total
+from slippulse_jax.inference.counts import allowed_by_counts
+from slippulse_jax.inference.fitted import LEVELS, Fitted
+from slippulse_jax.inference.fronts import Body, MeasuredEvent
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.model import attainable, lengths, straight_lengths
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
-    Body,
-    Inputs,
-    MeasuredEvent,
     Parameter,
-    event_and_body,
+    attainable,
     mistaken_priors,
     parameter_set,
     with_errors_of_measuring,
 )
-from slippulse_jax.inference.profile import Curve, Intervals, Rise, allowed, profile
-from slippulse_jax.inference.result import FitResult, root_of
+from slippulse_jax.inference.profile import Curve, Interval, Intervals, allowed, profile, rise_of
 from slippulse_jax.inference.scatter import Scatter, scatter_about
-from slippulse_jax.inference.search import SLACK, Cells, Minimum, describe, first_look, same, search
+from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, search
 from slippulse_jax.inference.tables import measurements_of
-from slippulse_jax.inference.verdict import LEVELS, Evidence, judge, trusted
+from slippulse_jax.inference.verdict import Direction, directions, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,13 +50,114 @@ BETWEEN = 0.5
 """Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
 
 
+class FitResult(Fitted):
+    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`.
+
+    What else would move it (`changes`, `next_steps`) is found by fitting again, once, when it is first asked for: by one of
+    these names, or by `report`, `str`, `to_dict` and `save`, which contain them. A result that `load_fit` reads has them.
+    """
+
+    @functools.cached_property
+    def changes(self) -> list[Change]:
+        """Changes of inputs, ends, pushes and bodies that would move the parameters, and how far; largest first."""
+        return changes(self)
+
+    @functools.cached_property
+    def next_steps(self) -> list[str]:
+        """Suggestions with their options: what a rejected fit lacks, or errors of inputs that specimens may share."""
+        return next_steps(self)
+
+    @property
+    def stderrs_with_inputs(self) -> dict[str, float | None]:
+        """Standard errors with usual errors of inputs taken as exact (`changes`): those to publish; None as in `stderrs`."""
+        return {name: total(self, name, self.changes) for name in self.names}
+
+    @functools.cached_property
+    def directions(self) -> list[Direction]:
+        """Combinations of the parameters by how well they are determined."""
+        return directions(self.problem, self.theta)
+
+    @property
+    def notes(self) -> list[str]:
+        """Remarks to read before using the numbers."""
+        return list(report.notes(self))
+
+    def report(self, *, verbose: bool = False) -> str:
+        """Format the result as text: a box, what else would move it, the data, remarks; everything else if `verbose`."""
+        return report.report(self, self.changes, self.next_steps, verbose=verbose)
+
+    def methods(self) -> str:
+        """Write a sentence for the methods section of a paper, with the numbers of this fit."""
+        return report.methods(self, self.changes)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
+        return f"FitResult({self.identifiability.name}: {values}; report() says more)"
+
+    def _repr_html_(self) -> str:
+        return report.html_of(self, self.changes)
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
+        more = {
+            "stderr_with_inputs": self.stderrs_with_inputs,
+            "directions": [
+                {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in self.directions
+            ],
+            "notes": self.notes,
+        }
+        return record.to_dict(self, self.changes, self.next_steps, **more)
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return measurements and model as a pandas.DataFrame, one row per measurement, in the unit of the table."""
+        return record.to_dataframe(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result as JSON, as ``slippulse fit --json`` prints it; `load_fit` reads it."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, (text + "\n").encode())
+
+    def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
+        """Refit simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
+        return bootstrap(self, count, kind=kind, seed=seed)
+
+    def posterior(
+        self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
+    ) -> Any:
+        """Sample the posterior by NUTS, for ArviZ: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
+        return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed, progress=progress)
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitResult:
+    """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
+
+    Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
+    What else would move a fit that version 0.2 wrote is found when it is first asked for.
+
+    Raises
+    ------
+    OSError
+        If there is no such file, or it cannot be opened.
+    ValueError
+        If it is no fit, or has another schema.
+    """
+    found, moved, steps = record.of_dict(record.read_record(path))
+    result = FitResult(**{one.name: getattr(found, one.name) for one in dataclasses.fields(found)})
+    known = {"changes": moved, "next_steps": steps}
+    vars(result).update({name: x for name, x in known.items() if x is not None})  # where `cached_property` keeps them
+    return result
+
+
 def fit(
     measurements: "Measurements | pd.DataFrame | str | os.PathLike[str]",
     free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
     *,
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
-    loss: str = "normal",
+    loss: Loss = "normal",
     sigma: str = "absolute",
     method: str = "lm",
     max_steps: int = 60,
@@ -83,8 +187,8 @@ def fit(
         k/K = 1.
     fixed : dict, optional
         Values of parameters that are neither fitted nor stated with the measurements, as {"prestress": 0.1}.
-    loss : {"normal", "huber", "student"}
-        Loss function of the residuals; the last two are robust against outliers.
+    loss : {"normal", "student"}
+        Loss function of the residuals; Student's, with 4 degrees of freedom, is robust against outliers.
     sigma : {"absolute", "relative"}
         The stated σ are standard errors; or only their ratios are used, and their size is taken from the scatter. Measurements
         without σ are fitted as if "relative" with equal errors, and the report says so.
@@ -136,10 +240,9 @@ def fit(
         "event": event,
         "body": body,
     }
-    event, body = event_and_body(measurements, event, body)
     settings = (
-        *(("method", method, METHODS), ("sigma", sigma, SIGMAS)),
-        *(("intervals", intervals, INTERVALS), ("event", event, get_args(MeasuredEvent)), ("body", body, get_args(Body))),
+        *(("loss", loss, get_args(Loss)), ("method", method, METHODS), ("sigma", sigma, SIGMAS)),
+        ("intervals", intervals, INTERVALS),
     )
     for name, value, known in settings:
         if value not in list(known):
@@ -150,76 +253,62 @@ def fit(
     every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
     parameters = parameter_set(measurements, every, event, body)
     errors = measurements.stated_sigma
-    problem = make_problem(measurements, parameters, Loss(loss), errors)
+    problem = make_problem(measurements, parameters, loss, errors)
     _check_scaled(measurements, problem, scaled)
     _check_calibrated(problem, intervals, scaled)
-    # lengths of whole events are interpolated: no count holds or fails by them with certainty
-    counts = allowed_by_counts(problem) if event != "full" and problem.only_counts else None
+    counts = allowed_by_counts(problem) if problem.only_counts and not parameters.front.interpolated else None
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
-        problem = make_problem(measurements, parameters, Loss(loss), np.hypot(errors, between))
-    scatter = None
-    if counts and counts.pieces:
-        explored = _of_counts(problem, counts)
+        problem = make_problem(measurements, parameters, loss, np.hypot(errors, between))
+    scatter, (held, at_odds) = None, counts or ([], None)
+    if held:
+        found = _of_counts(problem, held)
     else:
         with _progress(problem) as shown:
             if scaled:
-                problem, scatter, explored = _explore_scaled(shown, measurements, method, max_steps, seed)
+                problem, scatter, found = _explore_scaled(shown, measurements, method, max_steps, seed)
             else:
-                explored = _explore(shown, method, max_steps, seed)
-    minima, curves, best, deviance, unconverged, cells = explored
-    rise = _rise(problem, scatter)
+                found = _explore(shown, method, max_steps, seed)
+    best, deviance, names = found.theta, found.deviance, parameters.names
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
-    limits = {level: deviance + rise(level) for level in LEVELS}
-    pieces = {j: allowed(problem, j, curves[j], limits) for j in asked}
+    limits = {level: deviance + rise_of(level, dof=scatter and scatter.dof) for level in LEVELS}
+    pieces = {j: allowed(problem, j, found.curves[j], limits) for j in asked}
     if counts is not None:
-        pieces = {0: dict.fromkeys(LEVELS, counts.pieces)}
+        pieces = {0: dict.fromkeys(LEVELS, held)}
     reported, covered = pieces, {}
-    if counts is None and not scaled and to_be_simulated(problem, intervals, minima, deviance, pieces, best):
+    if counts is None and not scaled and to_be_simulated(problem, intervals, found.roots, deviance, pieces, best):
         with _progress(problem) as shown:
-            found = calibrated(shown, LEVELS, curves=curves, cells=cells, seed=seed)
-        reported, covered = ({j: one.intervals for j, one in found.items()}, {j: one.covered for j, one in found.items()})
+            simulated = calibrated(shown, LEVELS, curves=found.curves, cells=found.cells, seed=seed)
+        reported = {j: one.intervals for j, one in simulated.items()}
+        covered = {names[j]: one.covered for j, one in simulated.items()}
     longest, longest_at = attainable(parameters, best)
-    evidence = Evidence(
-        measurements=measurements,
-        problem=problem,
-        minima=minima,
-        best=best,
-        deviance=deviance,
-        dof=None if scaled else problem.testable(best),
-        rise=rise,
-        attainable=longest,
-        curves=curves,
-        profiled=pieces,
-        reported=reported,
-        covered=covered,
-        # counts at odds are named; the search of such a misfit need not converge
-        lost=[] if counts else [message for value, message in unconverged if value <= limits[LEVELS[-1]]],
-        closest=scatter and scatter.closest,
-        at_odds=counts and counts.at_odds,
-    )
-    verdicts = {j: judge(j, evidence) for j in asked}
-    reported = {j: trusted(j, verdicts[j], evidence) for j in asked}
-    names = parameters.names
-    return FitResult(
+    result = FitResult(
         measurements=measurements,
         problem=problem,
         request=request,
         theta=best,
         deviance=deviance,
-        roots=[root_of(problem, one) for one in evidence.roots],
-        curves={names[j]: curves[j] for j in asked},
-        intervals=_in_units(problem, best, {names[j]: reported[j] for j in asked}),
-        verdicts={names[j]: verdicts[j] for j in asked},
-        rise=rise,
+        minima=found.roots,
+        curves={names[j]: found.curves[j] for j in asked},
+        intervals={},
+        verdicts={},
         scatter=scatter and scatter.factor,
-        testable_dof=evidence.dof,
-        unconverged=evidence.lost,
+        scatter_dof=scatter and scatter.dof,
+        closest=scatter and scatter.closest,
+        testable_dof=None if scaled else problem.testable(best),
+        # counts at odds are named; the search of such a misfit need not converge
+        unconverged=[] if counts else [message for value, message in found.unconverged if value <= limits[LEVELS[-1]]],
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
-        complete=bool(counts and counts.pieces) or (cells is not None and cells.complete),
-        calibrated=bool(covered),
+        complete=bool(held) or (found.cells is not None and found.cells.complete),
+        covered=covered,
+    )
+    judged = {names[j]: judge(result, j, pieces[j], reported[j], at_odds) for j in asked}
+    return dataclasses.replace(
+        result,
+        verdicts={name: verdict for name, (verdict, _) in judged.items()},
+        intervals=_in_units(problem, best, {name: trusted for name, (_, trusted) in judged.items()}),
     )
 
 
@@ -279,10 +368,6 @@ def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
             f"{problem.count} data{different} for {problem.p} fitted parameters: no size of errors can be taken from the "
             "scatter; give σ"
         )
-    if problem.parameters.discrepancy is not None:
-        raise ValueError(
-            "parameter discrepancy: cannot be fitted together with the size of all errors; give σ, with sigma = 'absolute'"
-        )
     if not problem.exact_values:
         raise ValueError("sigma = 'relative': counts and fronts without arrest have no scatter to take a size from; give σ")
 
@@ -296,88 +381,53 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
         raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
 
 
-def _rise(problem: Problem, scatter: Scatter | None) -> Rise:
-    dof = problem.count - problem.p
-    if scatter is not None:
-        return Rise(problem.loss.rise, scatter.dof)
-    if problem.parameters.discrepancy is not None and dof >= 0:
-        return Rise(problem.loss.rise, dof + 1, problem.count)
-    return Rise(problem.loss.rise)
-
-
-class Explored(NamedTuple):
-    """What the search found."""
-
-    minima: list[Minimum]  # best first
-    curves: dict[int, Curve]
-    best: np.ndarray  # (p,), of least deviance
-    deviance: float
-    unconverged: list[tuple[float, str]]
-    cells: Cells | None  # of the scan, if there was one
-
-
 def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
-    """Typical |ℓ − ℓ*| of every length in λc, 0 for counts; None where all are small compared with their σ.
+    """Typical error of every length by its definition, or by interpolation, in λc; None where all are small compared with σ.
 
-    ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
-    continuation does. A length is measured to neither convention. Of whole events it is how far the interpolated length is
-    from that of the cascade, which matters to counts as well; of a block how far it may be off.
+    It is 0 for counts, unless lengths are interpolated.
     """
     block, q = problem.blocks[0], problem.parameters
-    plain = (block.data.kind == "length") | (q.event == "full")
-    # ℓ and ℓ* lie between the same two contacts, so they differ by less than one
-    widest = np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
-    if q.body == "block":
-        theta = first_look(problem, seed)
-        off = block_lengths(q.inputs_at(theta))[1] * np.exp(q.scales["length"](theta))
-        return off if (off > BETWEEN * block.data.sigma).any() else None
-    if q.smooth or q.event == "crack" or not (plain & (widest > BETWEEN * block.data.sigma)).any():
+    concerned = (block.data.kind == "length") | q.front.interpolated
+    widest = q.front.most_off * np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
+    if not (concerned & (widest > BETWEEN * block.data.sigma)).any():
         return None
     theta = first_look(problem, seed)
-    contact = np.exp(q.scales["length"](theta))
-    # at several stiffnesses nearby: a length that ends exactly on a contact shows no difference
-    inputs, nearby = q.inputs_at(theta), np.linspace(-0.15, 0.15, 13)[:, None]
-    around = Inputs(*(None if x is None else np.broadcast_to(x, (13, x.size)) for x in inputs))
-    around = around._replace(log_stiffness=inputs.log_stiffness + nearby).ravel()
-    around = around.endless  # as the exact solution is
-    exact = lengths(around, event=q.event).value
-    stops, off = np.isfinite(exact), np.zeros(len(exact))
-    off[stops] = straight_lengths(around.take(stops), q.event) - exact[stops]
-    off = np.where(np.isfinite(off), off, 0).reshape(13, -1) * contact
-    typical = np.sqrt(np.mean(off**2, axis=0))
-    typical = np.where(plain, typical, 0.0)
-    return typical if (typical > BETWEEN * block.data.sigma).any() else None
+    off = q.front.uncertainty(q.inputs_at(theta))
+    if off is None:
+        return None
+    off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
+    return off if (off > BETWEEN * block.data.sigma).any() else None
 
 
-def _of_counts(problem: Problem, counts: Allowed) -> Explored:
+def _of_counts(problem: Problem, held: list[Interval]) -> Found:
     """Put a root in the middle of every range that the counts allow, the softest first."""
-    middle = np.array([[(piece.low + piece.high) / 2] for piece in counts.pieces])
+    middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
     value = 2 * problem(middle).value
     roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    return Explored(roots, {0: profile(problem, 0, roots, middle)}, middle[0], float(value.min()), [], None)
+    return Found(roots, middle[0], float(value.min()), [], None, {0: profile(problem, 0, roots, middle)})
 
 
 def _explore_scaled(
     problem: Problem, m: Measurements, method: str, max_steps: int, seed: int
-) -> tuple[Problem, Scatter, Explored]:
+) -> tuple[Problem, Scatter, Found]:
     """Search with σ scaled to the scatter about the best fit known."""
     theta, rounds = first_look(problem, seed), 0
     while True:
         scatter = scatter_about(problem, theta, of_lengths=m.length_sigma is None)
-        explored = _explore(scatter.problem, method, max_steps, seed)
+        found = _explore(scatter.problem, method, max_steps, seed)
         rounds += 1
-        if explored.deviance >= scatter.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
-            return dataclasses.replace(scatter.problem, tick=None), scatter, explored
-        theta = explored.best
+        if found.deviance >= scatter.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
+            return dataclasses.replace(scatter.problem, tick=None), scatter, found
+        theta = found.theta
 
 
-def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explored:
+def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Found:
     """Search the range, and compute the profile of every requested parameter."""
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, method=method, max_steps=max_steps, seed=seed)
     if not np.isfinite(found.deviance):
         raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
-    roots, best, deviance = found.minima, found.theta, found.deviance
+    roots, best, deviance = found.roots, found.theta, found.deviance
     curves: dict[int, Curve] = {}
     for _ in range(SEARCH_ROUNDS):
         roots = _ordered(roots)
@@ -393,15 +443,15 @@ def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Explor
             break
         more = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
         before = len(roots)
-        roots = _merged(problem, roots, more.minima)
+        roots = _merged(problem, roots, more.roots)
         if len(roots) == before:
             break
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in found.unconverged if not known or value < min(known) - 1e-6]
-    return Explored(roots, curves, best, deviance, lost, found.cells)
+    return Found(roots, best, deviance, lost, found.cells, curves)
 
 
-def _ordered(roots: list[Minimum]) -> list[Minimum]:
+def _ordered(roots: list[Root]) -> list[Root]:
     """Sort by deviance; of minima equal to rounding the softest comes first, so that specimens do not differ by chance."""
     least = min((root.deviance for root in roots), default=0.0)
     return sorted(roots, key=lambda root: (max(root.deviance - least - 1e-6 * max(1.0, abs(least)), 0.0), root.theta.sum()))
@@ -413,13 +463,13 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
     return 1 + np.nonzero(inner)[0]
 
 
-def _near(curve: Curve, i: int, root: Minimum) -> bool:
+def _near(curve: Curve, i: int, root: Root) -> bool:
     """Whether a root lies within the two cells around node i."""
     j = int(np.argmin(np.abs(curve.theta[i] - curve.node[i])))
     return bool(curve.node[i - 1] <= root.theta[j] <= curve.node[i + 1])
 
 
-def _lowest(roots: list[Minimum], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
+def _lowest(roots: list[Root], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
     """Return the best root if nothing lies lower; otherwise a point of a profile, such as the end of the range."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
@@ -430,7 +480,7 @@ def _lowest(roots: list[Minimum], curves: dict[int, Curve], best: np.ndarray, de
     return best, deviance
 
 
-def _merged(problem: Problem, roots: list[Minimum], more: list[Minimum]) -> list[Minimum]:
+def _merged(problem: Problem, roots: list[Root], more: list[Root]) -> list[Root]:
     kept = list(roots)
     for one in more:
         if not any(same(one.theta, one.deviance, other, problem) for other in kept):

@@ -23,7 +23,7 @@ from tqdm.auto import tqdm
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.events.resolution import many, tall_lengths
 from slippulse_jax.exact.bulk import NEVER
-from slippulse_jax.inference.parameters import Inputs
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import lengths
 from slippulse_jax.slider import Slider
@@ -136,10 +136,10 @@ def block_lengths(inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.nda
     It is 0 where no domino starts, and inf where the event does not stop at any node around.
     """
     height = np.exp(inputs.log_height)
-    width = np.exp(inputs.log_push_width)
+    width, at = (np.exp(inputs.get(name)) for name in ("log_push_width", "log_push"))
     patch = np.isfinite(width)
-    kind = patch + 2 * inputs.push_force
-    at = (1 / height, inputs.log_b, inputs.poisson, inputs.prestress, np.exp(inputs.log_push), np.where(patch, width, 0), kind)
+    kind = patch + 2 * inputs.get("push_force")
+    at = (1 / height, inputs.log_b, inputs.poisson, inputs.prestress, at, np.where(patch, width, 0), kind)
     found, error = block_grid()(np.stack(at, axis=1)).T
     return np.where(np.isnan(found), np.inf, found) * height, error * height
 

@@ -2,7 +2,7 @@
 
 `log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
 `at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
-predictions and their derivatives come from the bulk functions of `slippulse_jax.inference.model`, value and derivatives of the
+predictions and their derivatives come from the models of `slippulse_jax.inference.fronts`, value and derivatives of the
 same cost functions from `jax.grad`, and the chain rule, θ being linear in the inputs, joins the two.
 
 Constants are left out such that a datum the model meets exactly costs nothing: twice the sum is χ² for plain lengths.
@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,15 +20,14 @@ import numpy as np
 from jax.scipy import special
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.special import digamma, erf, ndtr
+from scipy.special import digamma, erf
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
-from slippulse_jax.inference.model import PREDICTED, Prediction, lengths, traced
-from slippulse_jax.inference.parameters import Inputs, Linear, ParameterSet, at_theta
+from slippulse_jax.inference.observables import PREDICTED, traced
+from slippulse_jax.inference.parameters import Linear, ParameterSet
 
-LOSSES = ("normal", "huber", "student")
-HUBER_AT = 1.345
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3
 """Blur, in λc, used for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
@@ -46,86 +45,39 @@ ELEMENTS = 2_000_000
 """Elements of the largest array held at once; more points are evaluated in turns."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Loss:
-    """Loss function of a residual of r standard errors.
+Loss = Literal["normal", "student"]
+"""Loss function of a residual of r standard errors: r²/2, or that of the t distribution with 4 degrees of freedom.
 
-    "normal" is r²/2; "huber" is linear beyond 1.345 σ; "student" is the t distribution with 4 degrees of freedom. Intervals
-    (counts, fronts without arrest) keep their own likelihood under every loss.
-    """
-
-    name: str = "normal"
-
-    def __post_init__(self) -> None:
-        if self.name not in LOSSES:
-            raise ValueError(f"loss = {self.name!r}: one of {', '.join(LOSSES)}")
-
-    def __call__(self, half_square: ArrayLike) -> Array:
-        """Loss as a function of r²/2; its derivative is the weight of a residual."""
-        u = jnp.asarray(half_square)
-        if self.name == "huber":
-            near = u <= HUBER_AT**2 / 2
-            far = HUBER_AT * jnp.sqrt(2 * jnp.where(near, 1, u)) - HUBER_AT**2 / 2
-            return jnp.where(near, u, far)
-        if self.name == "student":
-            return (STUDENT_DOF + 1) / 2 * jnp.log1p(2 * u / STUDENT_DOF)
-        return u
-
-    @property
-    def information(self) -> float:
-        """Information of one datum with σ = 1: 1/variance of the estimate if its errors are distributed as the loss assumes."""
-        if self.name == "huber":
-            slope, variance = _huber_moments()
-            return slope**2 / variance
-        return (STUDENT_DOF + 1) / (STUDENT_DOF + 3) if self.name == "student" else 1.0
-
-    @property
-    def expected(self) -> float:
-        """Mean deviance of one datum whose errors are distributed as the loss assumes."""
-        if self.name == "huber":
-            slope, variance = _huber_moments()
-            return 2 * slope - variance
-        if self.name == "student":
-            return (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))
-        return 1.0
-
-    @property
-    def rise(self) -> float:
-        """Factor on the rise of −2 ln p at the ends of an interval; not one for Huber's loss, which is not −ln p."""
-        if self.name == "huber":
-            slope, variance = _huber_moments()
-            return variance / slope
-        return 1.0
+Intervals (counts, fronts without arrest) keep their own likelihood under both.
+"""
+INFORMATION = {"normal": 1.0, "student": (STUDENT_DOF + 1) / (STUDENT_DOF + 3)}
+"""Information of one datum with σ = 1: 1/variance of the estimate if its errors are distributed as the loss assumes."""
+EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))}
+"""Mean deviance of one datum whose errors are distributed as the loss assumes."""
 
 
-def _huber_moments() -> tuple[float, float]:
-    """E ψ' and E ψ² for Gaussian errors."""
-    c = HUBER_AT
-    inside = 2 * float(ndtr(c)) - 1
-    density = float(np.exp(-(c**2) / 2) / np.sqrt(2 * np.pi))
-    return inside, inside - 2 * c * density + 2 * c**2 * (1 - float(ndtr(c)))
+def loss_of(half_square: ArrayLike, loss: Loss = "normal") -> Array:
+    """Loss as a function of r²/2; its derivative is the weight of a residual."""
+    u = jnp.asarray(half_square)
+    return (STUDENT_DOF + 1) / 2 * jnp.log1p(2 * u / STUDENT_DOF) if loss == "student" else u
 
 
-NORMAL = Loss()
-
-# −ln p of a datum given the prediction μ. `scatter` is the model's own error, δ times the value, added to σ in quadrature.
+# −ln p of a datum given the prediction μ.
 
 
-def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0, loss: Loss = NORMAL) -> Array:
-    """−ln p of a measured value, minus that of a perfect match at the stated σ; inf where the prediction is inf."""
-    total = jnp.sqrt(jnp.square(sigma) + jnp.square(scatter))
+def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, loss: Loss = "normal") -> Array:
+    """−ln p of a measured value, minus that of a perfect match; inf where the prediction is inf."""
     finite = jnp.isfinite(mu)
-    r = (jnp.where(finite, mu, value) - value) / total
-    # a variance that is itself fitted must carry its normalisation
-    return jnp.where(finite, loss(r**2 / 2) + jnp.log(total / sigma), jnp.inf)
+    r = (jnp.where(finite, mu, value) - value) / sigma
+    return jnp.where(finite, loss_of(r**2 / 2, loss), jnp.inf)
 
 
-def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0, sharpest: float = SHARPEST) -> Array:
+def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = SHARPEST) -> Array:
     """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ.
 
     A count of 1 is any length up to 1, 0 included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
     """
-    blur = _blur(sigma, scatter, sharpest)
+    blur = jnp.maximum(sigma, sharpest)
     finite = jnp.isfinite(mu)
     inside = jnp.where(finite, mu, value)
     a, b = (value - 1 - inside) / blur, (value - inside) / blur
@@ -138,15 +90,10 @@ def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike
     return jnp.where(finite, -top - jnp.log1p(-jnp.exp(below)), jnp.inf)
 
 
-def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, scatter: ArrayLike = 0.0) -> Array:
+def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
     """−ln Φ((μ − value)/σ): a front that ran past `value`; 0 for a prediction of inf."""
     finite = jnp.isfinite(mu)
-    return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / _blur(sigma, scatter)), 0)
-
-
-def _blur(sigma: ArrayLike, scatter: ArrayLike, sharpest: float = SHARPEST) -> Array:
-    total = jnp.square(sigma) + jnp.square(scatter)
-    return jnp.sqrt(jnp.maximum(total, sharpest**2))
+    return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / jnp.maximum(sigma, SHARPEST)), 0)
 
 
 def log_ndtr(x: Array) -> Array:
@@ -158,7 +105,7 @@ COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
 """By the kind of a measurement."""
 
 
-def _cost(kind: str, loss: Loss):
+def _cost(kind: str, loss: Loss) -> Callable[..., Array]:
     return partial(length_cost, loss=loss) if kind == "length" else COSTS[kind]
 
 
@@ -191,26 +138,22 @@ def _values(kind: str, exact: bool) -> Kernel:
 
 @cache
 def _derivatives(kind: str, loss: Loss) -> Kernel:
-    """Cost of data (μ, value, σ, ln scatter), and its derivatives in μ (first and second) and in ln scatter."""
+    """Cost of data (μ, value, σ), and its first and second derivative in μ."""
     cost = _cost(kind, loss)
 
-    def one(mu: Array, value: Array, sigma: Array, log_scatter: Array) -> tuple[Array, ...]:
-        def at(mu: Array, log_scatter: Array) -> Array:
-            return cost(mu, value, sigma, jnp.exp(log_scatter))
+    def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
+        def first(mu: Array) -> tuple[Array, Array]:
+            return jax.value_and_grad(cost)(mu, value, sigma)
 
-        def first(mu: Array) -> tuple[Array, tuple[Array, Array]]:
-            return jax.value_and_grad(at, (0, 1))(mu, log_scatter)
-
-        (found, (slope, by_scatter)), (_, (bend, _)) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
+        (found, slope), (_, bend) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
         if kind == "length":
             # the Gauss–Newton part, which weights the residual by the slope of the loss
-            total = jnp.square(sigma) + jnp.exp(2 * log_scatter)
-            r2 = jnp.where(jnp.isfinite(mu), jnp.square(mu - value) / total, 0)
-            bend = jnp.where(jnp.isfinite(mu), jax.grad(loss)(r2 / 2) / total, 0)
+            r2 = jnp.where(jnp.isfinite(mu), jnp.square((mu - value) / sigma), 0)
+            bend = jnp.where(jnp.isfinite(mu), jax.grad(loss_of)(r2 / 2, loss) / jnp.square(sigma), 0)
         else:
             # log-concave: between zero and the curvature of a single edge
-            bend = jnp.clip(bend, 0, 1 / jnp.square(_blur(sigma, jnp.exp(log_scatter))))
-        return found, slope, bend, by_scatter
+            bend = jnp.clip(bend, 0, 1 / jnp.square(jnp.maximum(sigma, SHARPEST)))
+        return found, slope, bend
 
     return lambda columns: jax.vmap(one)(*columns)
 
@@ -222,21 +165,18 @@ class Data(NamedTuple):
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
     sigma: np.ndarray  # (n,)
     weight: np.ndarray  # (R, n), how often a datum counts
-    has_discrepancy: bool  # whether the model's own error, relative to the value, adds to σ
 
 
 class Terms(NamedTuple):
-    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ and in ln of the discrepancy."""
+    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ."""
 
     value: np.ndarray
     slope: np.ndarray  # ∂/∂μ
     curvature: np.ndarray  # ∂²/∂μ², or the positive Gauss–Newton part of it
     information: np.ndarray  # its expectation under the model
-    log_discrepancy_slope: np.ndarray
-    log_discrepancy_information: np.ndarray
 
 
-def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepancy: np.ndarray | None) -> Terms:
+def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss) -> Terms:
     """−ln p of every datum, with derivatives.
 
     Parameters
@@ -246,37 +186,25 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss, log_discrepa
     data : Data
     lane : array of int, shape (B,)
         Which replicate each lane belongs to.
-    loss : Loss
-    log_discrepancy : array, shape (B,), optional
-        ln δ: the model is off by δ times the value, at random, beside σ.
+    loss : {"normal", "student"}
     """
     value, weight = data.value[lane], data.weight[lane]
-    log_scatter = np.full(mu.shape, -np.inf)
-    if log_discrepancy is not None and data.has_discrepancy:
-        with np.errstate(divide="ignore"):
-            log_scatter = log_discrepancy[:, None] + np.log(np.abs(value))
-    columns = _costs(mu, value, data, loss, log_scatter)
+    columns = _costs(mu, value, data, loss)
     columns = np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
-    variance = data.sigma**2 + np.exp(2 * log_scatter)
-    plain = np.where(np.isfinite(mu), loss.information / np.where(variance > 0, variance, 1), 0)
-    information = np.where(data.kind == "length", plain, columns[2])
-    share = np.exp(2 * log_scatter) / np.where(variance > 0, variance, 1)  # d ln σ / d ln δ
-    return Terms(
-        *(weight * x for x in (*columns[:3], information)),
-        log_discrepancy_slope=weight * columns[3],
-        log_discrepancy_information=weight * 2 * share**2,
-    )
+    exact = data.kind == "length"
+    plain = np.where(np.isfinite(mu), INFORMATION[loss] / np.where(exact, data.sigma, 1) ** 2, 0)
+    return Terms(*(weight * x for x in (*columns, np.where(exact, plain, columns[2]))))
 
 
-def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss, log_scatter: np.ndarray) -> np.ndarray:
-    """Evaluate `_derivatives` for every datum, by its kind; shape (4, B, n)."""
-    given = np.broadcast_arrays(mu, value, data.sigma, log_scatter)
-    columns = np.empty((4, *mu.shape))
+def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss) -> np.ndarray:
+    """Evaluate `_derivatives` for every datum, by its kind; shape (3, B, n)."""
+    given = np.broadcast_arrays(mu, value, data.sigma)
+    columns = np.empty((3, *mu.shape))
     for kind in COSTS:
         there = data.kind == kind
         if there.any():
             found = over_lanes(_derivatives(kind, loss), [x[:, there].ravel() for x in given], LAYOUT)
-            columns[:, :, there] = np.reshape(found, (4, len(mu), there.sum()))
+            columns[:, :, there] = np.reshape(found, (3, len(mu), there.sum()))
     return columns
 
 
@@ -336,10 +264,10 @@ class Problem:
         subtracted for parameters, and one with an error adds two, since a datum of probability below P occurs with a
         probability of at most P (2 P for counts, which are off either way), so that −2 ln P is at most χ² of two degrees.
         """
-        if self.parameters.discrepancy is not None or self.loss.name != "normal":
+        if self.loss != "normal":
             return None
         data, lane = self.blocks[0].data, np.zeros(1, int)  # counts and fronts without arrest are lengths
-        costs = terms(self.predict(theta), data, lane, self.loss, None).value[0]
+        costs = terms(self.predict(theta), data, lane, self.loss).value[0]
         binding = (data.kind != "length") & (costs - self._least > NOTHING)
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
@@ -413,40 +341,35 @@ class Problem:
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
-        d = self.parameters.discrepancy
         for block, (mu, first) in zip(self.blocks, predicted, strict=True):
-            cost = terms(mu, block.data, lane, self.loss, None if d is None else theta[:, d])
+            cost = terms(mu, block.data, lane, self.loss)
             value = value + cost.value.sum(axis=1)
             if first is None:
                 continue
             gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
             metric = metric + np.matmul(np.swapaxes(first, 1, 2) * cost.curvature[:, None, :], first)
-            if d is not None:
-                gradient[:, d] += cost.log_discrepancy_slope.sum(axis=1)
-                metric[:, d, d] += cost.log_discrepancy_information.sum(axis=1)
         return Evaluation(value) if predicted[0][1] is None else Evaluation(value, gradient, metric)
 
     def _predictions(self, block: Block, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
         """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
-        inputs = at_theta(block.inputs, theta)
+        inputs = block.inputs.at(theta)
         free = slice(None) if self.held is None else ~self.held
-        wanted = [name for name in inputs.names if order and getattr(block.inputs, name).slope[:, free].any()]
+        wanted = [name for name in inputs.names if order and block.inputs.get(name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
         if self.tick is not None:
             self.tick(lanes * distinct)
-        predict = partial(lengths, event=self.parameters.event) if block.observable == "length" else PREDICTED[block.observable]
-        model: Prediction = predict(inputs.ravel(), wanted)
+        model = PREDICTED[block.observable](self.parameters.front, inputs.ravel(), wanted)
         scale = np.exp(block.scale(theta))
         value = model.value.reshape(lanes, distinct)[:, block.rows] * scale
         mu = value + block.offset(theta)
         if not order:
             return mu, None
-        # scales, offset and discrepancy change the prediction even where no input does, as with a held stiffness
+        # scales and offset change the prediction even where no input does, as with a held stiffness
         size = np.where(np.isfinite(value), value, 0)[:, :, None]
         first = size * block.scale.slope + block.offset.slope
         if wanted:
             by_input = np.stack([model.slopes[name].reshape(lanes, distinct) for name in wanted], axis=-1)
-            slope = np.stack([getattr(block.inputs, name).slope for name in wanted], axis=1)
+            slope = np.stack([block.inputs.get(name).slope for name in wanted], axis=1)
             by_theta = np.matmul(by_input[:, :, None, :], slope)[:, :, 0]
             first = first + by_theta[:, block.rows] * scale[:, :, None]
         return mu, first
@@ -454,7 +377,7 @@ class Problem:
     @property
     def plain(self) -> bool:
         """Whether the deviance is a sum of squares: values with known Gaussian errors."""
-        return self.exact_values and self.loss.name == "normal" and self.parameters.discrepancy is None
+        return self.exact_values and self.loss == "normal"
 
     @property
     def named_deviance(self) -> str:
@@ -464,9 +387,9 @@ class Problem:
     @property
     def only_counts(self) -> bool:
         """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
-        (block, *others), q = self.blocks, self.parameters
+        block, *others = self.blocks
         exact = not (block.data.kind == "length").any() and not block.data.sigma.any()
-        return self.p == 1 and not others and exact and q.discrepancy is None and not self.prior_weight.any()
+        return self.p == 1 and not others and exact and not self.prior_weight.any()
 
     @property
     def gauged(self) -> bool:
@@ -504,7 +427,7 @@ class Problem:
         """
         off = np.clip(self.prior_mean[0], theta_low, theta_high) - self.prior_mean[0]
         total = (self.prior_weight * off**2).sum(axis=1) / 2
-        d, first = self.parameters.discrepancy, 0
+        first = 0
         for block in self.blocks:
             data = block.data
             n = len(data.sigma)
@@ -520,14 +443,7 @@ class Problem:
                     cost = data.weight[0] * ((mu - value) / data.sigma) ** 2 / 2
                 total = total + np.where(np.isfinite(mu), cost, np.inf).sum(axis=1)
                 continue
-            log_scatter = np.full(mu.shape, -np.inf)
-            if d is not None and data.has_discrepancy:
-                # the scatter that makes the datum most probable, r itself, clipped to the box
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    best = np.log(np.maximum((mu - value) ** 2 - data.sigma**2, 0)) / 2
-                    own = np.clip(best, theta_low[:, [d]] + np.log(np.abs(value)), theta_high[:, [d]] + np.log(np.abs(value)))
-                log_scatter = np.nan_to_num(own, nan=-np.inf, neginf=-np.inf)
-            total = total + (data.weight[0] * _costs(mu, value, data, self.loss, log_scatter)[0]).sum(axis=1)
+            total = total + (data.weight[0] * _costs(mu, value, data, self.loss)[0]).sum(axis=1)
         return total
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
@@ -538,17 +454,12 @@ class Problem:
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
         theta = np.atleast_2d(theta)
-        d = self.parameters.discrepancy
         rows = []
         for block in self.blocks:
             mu, first = self._predictions(block, theta, 1)
-            cost = terms(mu, block.data, np.zeros(1, int), self.loss, None if d is None else theta[:, d])
+            cost = terms(mu, block.data, np.zeros(1, int), self.loss)
             assert first is not None
             rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
-            if d is not None:
-                own = np.zeros((mu.shape[1], self.p))
-                own[:, d] = np.sqrt(cost.log_discrepancy_information[0])
-                rows.append(own)
         rows.append(np.diag(np.sqrt(self.prior_weight)))
         jacobian = np.concatenate(rows)
         return jacobian.T @ jacobian, jacobian
@@ -577,48 +488,43 @@ def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]
     The numbers of −`problem(theta)`, up to rounding. Forward mode only where gauges were read, and in double precision only
     under ``jax.enable_x64``. θ is in the order of ``problem.parameters.names``; the bounds are not part of it.
     """
-    if problem.parameters.event == "full":
-        raise ValueError("event = 'full': the length of a whole event cannot be traced; −problem(theta) has the density")
     off = theta - jnp.asarray(problem.prior_mean[0])
     return sum((_log_likelihood(theta, problem, block) for block in problem.blocks), -(problem.prior_weight * off**2).sum() / 2)
 
 
 def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
-    data, d = block.data, problem.parameters.discrepancy
+    data = block.data
     relaxed = not any(x.base.any() or x.slope.any() for x in (block.inputs.prestress, block.inputs.threshold_slope))
-    sites = _sites(problem, block) if block.inputs.log_position is not None else 0
-    predicted = jax.vmap(partial(traced, block.observable, relaxed=relaxed, sites=sites))(at_theta(block.inputs, theta))
+    sites = _sites(problem, block) if block.observable in READINGS else 0
+    predict = partial(traced, problem.parameters.front, block.observable, relaxed=relaxed, sites=sites)
+    predicted = jax.vmap(predict)(block.inputs.at(theta))
     mu = predicted[block.rows] * jnp.exp(block.scale(theta)) + block.offset(theta)
-    scatter = jnp.zeros(len(data.sigma))
-    if d is not None and data.has_discrepancy:
-        scatter = jnp.exp(theta[d]) * data.value[0]
     total = jnp.zeros(())
     for kind in COSTS:
         there = np.nonzero(data.kind == kind)[0]
         if len(there):
-            cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there], scatter[there])
+            cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there])
             total = total - (data.weight[0][there] * cost).sum()
     return total
 
 
 def _sites(problem: Problem, block: Block) -> int:
     """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
-    middle = at_theta(block.inputs, (problem.parameters.low + problem.parameters.high) / 2)
-    return 64 + 8 * int(max(np.exp(middle.log_position).max(), middle.counted.max()))
+    middle = block.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
+    return 64 + 8 * int(max(np.exp(middle.get("log_position")).max(), middle.get("counted").max()))
 
 
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
     """Set up the log density of these measurements; `sigma` is the standard error of each length, in λc."""
     every = np.arange(len(m))
     blocks = [_block(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
-    hard = parameters.inputs._replace(log_width=None)
     for observable in ("displacement", "force"):
         values = getattr(m, observable)
         if values is None or not np.isfinite(values).any():
             continue
         rows = np.nonzero(np.isfinite(values))[0]
         errors = getattr(m, f"{observable}_sigma")[rows]
-        blocks.append(_block(parameters, observable, rows, values[rows], errors, _of_rows(hard, rows)))
+        blocks.append(_block(parameters, observable, rows, values[rows], errors, parameters.inputs.take(rows)))
     if m.gauges is not None:
         blocks += [_gauge_block(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])
@@ -642,32 +548,20 @@ def _block(
 ) -> Block:
     """Collect the data of one observable, with each distinct input of the model once."""
     n = len(rows)
-    given = [one for one in inputs if one is not None]
+    given = [inputs.get(name) for name in inputs.names]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
     _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    of_length = observable == "length"
-    data = Data(
-        kind=np.full(n, "length") if kind is None else kind,
-        value=value[None],
-        sigma=sigma,
-        weight=np.ones((1, n)),
-        has_discrepancy=of_length,
-    )
+    data = Data(kind=np.full(n, "length") if kind is None else kind, value=value[None], sigma=sigma, weight=np.ones((1, n)))
     none = Linear(np.zeros(n), np.zeros((n, len(q.free))))
     return Block(
         observable=observable,
         measurement=rows,
-        inputs=_of_rows(inputs, first),
+        inputs=inputs.take(first),
         rows=own.ravel(),
-        scale=q.scales[observable].take(rows),
-        offset=q.offset if of_length else none,
+        scale=q.scales[observable][rows],
+        offset=q.offset if observable == "length" else none,
         data=data,
     )
-
-
-def _of_rows(inputs: Inputs, rows: np.ndarray) -> Inputs:
-    """The linear inputs of some measurements."""
-    return Inputs(*(None if one is None else one.take(rows) for one in inputs))
 
 
 def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Block:
@@ -678,10 +572,10 @@ def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) ->
     # a gauge at the very edge is placed a billionth of λc from it
     place = np.log(np.maximum(gauges.position[there] / m.correlation_length[rows], 1e-9))
     counted = np.where(np.array(m.kind)[rows] == "whole", m.length[rows], 0.0)
-    unit = q.scales["position"].take(rows)
-    inputs = _of_rows(q.inputs, rows)._replace(
+    unit = q.scales["position"][rows]
+    inputs = q.inputs.take(rows).given(
         log_position=Linear(place - unit.base, -unit.slope),  # x/λc shrinks as λc grows
-        beyond=q.beyond.take(rows),
+        beyond=q.beyond[rows],
         counted=Linear(counted, np.zeros_like(unit.slope)),
     )
     sigma = getattr(gauges, f"{name}_sigma")[there]

@@ -8,27 +8,16 @@ errors of their own are parameters with a prior, like any other.
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Body, Front, MeasuredEvent, WholeEvent, front_of
+from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
-from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS, machine_ratio
+from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
-MeasuredEvent = Literal["domino", "full", "crack"]
-"""What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
-or the front of a crack, behind which they slide."""
-Body = Literal["slider", "block"]
-"""What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
-STIFFEST = 1.0
-"""Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
-FULL_TO = 200.0
-"""Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
-BLOCK_FROM, BLOCK_TO = 3e-3, 40.0
-"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino; above it lengths on
-coarse contacts do not predict those on finer ones."""
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
@@ -38,88 +27,8 @@ FAR = 50.0
 """Factor between a parameter and the value in the table above which a unit is suspected: m and cm are 100 apart."""
 
 
-class Inputs(NamedTuple):
-    """Inputs of the model by name, all of one shape; None where a prediction does not depend on one."""
-
-    log_height: Any  # ln H/λc
-    log_stiffness: Any  # ln k/K
-    poisson: Any
-    prestress: Any  # φ, in σ_s
-    threshold_slope: Any  # ε, per contact
-    log_width: Any = None  # ln of the width of the smooth break rule, in σ_s
-    log_position: Any = None  # ln of a gauge's distance from the pushed edge, in λc
-    beyond: Any = None  # contacts broken beyond ℓ*, 0 to 1, when gauges were read
-    counted: Any = None  # contacts counted as broken when gauges were read; 0 where they were not
-    log_sites: Any = None  # ln L/λc of the block; inf for one without end
-    log_machine: Any = None  # ln M/K of the drive; inf where the edge is held
-    friction: Any = None  # σ_k behind a crack-like front, in σ_s
-    log_push: Any = None  # of a block: ln of the height of the push over H
-    log_push_width: Any = None  # ln of its width over H; inf where it covers everything above
-    push_force: Any = None  # 1 where its force is held, 0 where its displacement is
-
-    @property
-    def of_front(self) -> "Inputs":
-        """Inputs on which the front under the hard rule depends."""
-        return self._replace(log_width=None, log_position=None, beyond=None, counted=None)
-
-    @property
-    def endless(self) -> "Inputs":
-        """The inputs of blocks without end, whose edge is held."""
-        return self._replace(log_sites=None, log_machine=None)
-
-    @classmethod
-    def of(
-        cls,
-        height: ArrayLike,
-        stiffness: ArrayLike,
-        poisson: ArrayLike,
-        prestress: ArrayLike = 0,
-        threshold_slope: ArrayLike = 0,
-    ) -> "Inputs":
-        """Inputs from H/λc, k/K, ν, φ and ε, which broadcast."""
-        numbers = np.log(height), np.log(stiffness), poisson, prestress, threshold_slope
-        return cls(*np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers)))
-
-    @property
-    def log_b(self) -> Any:
-        """Logarithm of b, the areal stiffness times H over the shear modulus."""
-        return np.log(2 * (1 + self.poisson)) + self.log_stiffness + self.log_height
-
-    @property
-    def ratio(self) -> Any:
-        """k/K."""
-        return np.exp(self.log_stiffness)
-
-    @property
-    def common_ratio(self) -> float | None:
-        """k/K where it is one number, to rounding."""
-        ratio = self.ratio
-        return float(ratio[0]) if np.ptp(ratio) <= 1e-12 * ratio[0] else None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the inputs that are not None."""
-        return tuple(name for name, value in self._asdict().items() if value is not None)
-
-    def table(self) -> np.ndarray:
-        """Stack those inputs as columns, shape (…, len(names))."""
-        return np.stack([value for value in self if value is not None], axis=-1)
-
-    @classmethod
-    def from_table(cls, names: Sequence[str], table: np.ndarray) -> "Inputs":
-        """Inverse of `table`."""
-        return cls(**dict(zip(names, np.moveaxis(table, -1, 0), strict=True)))
-
-    def take(self, rows: Any) -> "Inputs":
-        """Select some rows of every input."""
-        return Inputs(*(None if value is None else value[rows] for value in self))
-
-    def ravel(self) -> "Inputs":
-        """Flatten every input."""
-        return Inputs(*(None if value is None else np.ravel(value) for value in self))
-
-
-class Linear(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Linear:
     """One number per measurement, linear in θ."""
 
     base: np.ndarray  # (n,)
@@ -129,7 +38,7 @@ class Linear(NamedTuple):
         """Values at θ of shape (…, p); shape (…, n)."""
         return self.base + theta @ self.slope.T
 
-    def take(self, rows: Any) -> "Linear":
+    def __getitem__(self, rows: Any) -> "Linear":
         """Select some measurements."""
         return Linear(self.base[rows], self.slope[rows])
 
@@ -239,24 +148,13 @@ class ParameterSet:
     scales: dict[str, Linear]  # ln(unit of measurement per unit of the model), for each of SCALES
     offset: Linear  # added to a length, in λc
     beyond: Linear  # contacts broken beyond ℓ* when gauges were read
-    discrepancy: int | None  # which θ is the logarithm of the model's own relative error
-    event: MeasuredEvent  # what a length is that of
+    front: Front  # the model of a length
     wanted: tuple[Parameter, ...]  # of which it was made, with those that measuring adds
-
-    @property
-    def body(self) -> Body:
-        """What carries the contacts."""
-        return "slider" if self.inputs.log_push is None else "block"
 
     @property
     def names(self) -> list[str]:
         """Label of every θ."""
         return [one.label for one in self.free]
-
-    @property
-    def smooth(self) -> bool:
-        """Whether the lengths are those under a smooth break rule."""
-        return self.inputs.log_width is not None
 
     def index(self, name: str) -> int:
         """Index of the θ called `name`.
@@ -290,23 +188,18 @@ class ParameterSet:
 
     def rows_of(self, index: int) -> np.ndarray:
         """Indices of the measurements whose inputs depend on a parameter; of all if none do."""
-        slopes = np.array([one.slope[:, index] for one in self.inputs if one is not None])
+        slopes = np.array([self.inputs.get(name).slope[:, index] for name in self.inputs.names])
         own = np.flatnonzero(slopes.any(axis=0))
         return own if own.size else np.arange(slopes.shape[1])
 
     def inputs_at(self, theta: np.ndarray) -> Inputs:
         """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
-        return at_theta(self.inputs, theta)
+        return self.inputs.at(theta)
 
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where a stiffness is fitted and k/K is the same for all measurements."""
         fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
         return self.inputs_at(theta).common_ratio if fitted else None
-
-
-def at_theta(inputs: Inputs, theta: Any) -> Inputs:
-    """Values of linear inputs at θ."""
-    return Inputs(*(None if one is None else one(theta) for one in inputs))
 
 
 class _Kind(NamedTuple):
@@ -337,9 +230,7 @@ PARAMETERS: dict[str, _Kind] = {
     "strength": _Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}),
     "offset": _Kind("offset", ("λc", "m"), False, {"offset": 1}),
     "model_factor": _Kind("model factor", ("", ""), True, {"length": 1}),
-    "width": _Kind("w", ("σ_s", "σ_s"), True, {"log_width": 1}),
     "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
-    "discrepancy": _Kind("discrepancy", ("", ""), True, {}),
 }  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
@@ -348,8 +239,6 @@ ARREST = (0.5, 12**-0.5)
 HEIGHTS = ("height", "push_height")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
-NOT_OF_BLOCKS = ("displacement", "force", "gauges", "block_length", "machine_stiffness")
-"""What measurements may state beside lengths, and a fit of a block cannot take."""
 OF_MEASURING = ("offset", "model_factor")
 """What is fitted beside for lengths of provenance "measured", and acts on these."""
 MODEL_ERROR = 0.1
@@ -358,7 +247,7 @@ elasticity that is pushed over all but the lowest quarter of its side. Other pus
 
 
 def parameter_set(
-    m: Measurements, wanted: Iterable[str | Parameter], event: MeasuredEvent = "domino", body: Body = "slider"
+    m: Measurements, wanted: Iterable[str | Parameter], event: MeasuredEvent | None = None, body: Body | None = None
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
@@ -368,10 +257,8 @@ def parameter_set(
     wanted : sequence of str or Parameter
         Parameters fitted or held; everything else is as stated with the measurements. "stiffness" stands for whichever
         stiffness the measurements determine.
-    event : {"domino", "full", "crack"}
-        What a length is that of, as in `precursor_lengths`.
-    body : {"slider", "block"}
-        What carries the contacts; a block needs event "full".
+    event, body : str, optional
+        What a length is that of, and what carries the contacts; as for `front_of`.
 
     Raises
     ------
@@ -380,11 +267,9 @@ def parameter_set(
         domain of the model.
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
-    chosen = _validated(m, wanted)
-    _check_friction({one.name for one in chosen}, event)
-    if body == "block":
-        _check_block(m, {one.name for one in chosen}, event)
-    builder = _Builder(m, smooth=any(one.name == "width" for one in chosen), event=event, body=body)
+    front, chosen = front_of(m, event, body), _validated(m, wanted)
+    front.check(m, {one.name for one in chosen})
+    builder = _Builder(m, front)
     for parameter in chosen:
         if parameter.value is not None:
             builder.hold(parameter)
@@ -392,7 +277,7 @@ def parameter_set(
             for label, rows in _groups(m, parameter):
                 builder.add(parameter, label, rows)
     fitted = {parameter.name for parameter in chosen}
-    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if body == "block" else [])):
+    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if front.body == "block" else [])):
         sigma = getattr(m, f"{name}_sigma")
         if sigma is None or not np.nan_to_num(sigma).any():
             continue
@@ -441,19 +326,8 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
 class _Builder:
     """Collects base and slope of every linear map."""
 
-    def __init__(self, m: Measurements, smooth: bool, event: MeasuredEvent, body: Body) -> None:
-        self.m, self.smooth = m, smooth
-        self.body: Body = body
-        self.event: MeasuredEvent = event
-        if event == "full" and smooth:
-            raise ValueError("parameter width: the smooth rule follows one front; leave it out, or event = 'full'")
-        of_front = m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None
-        if event == "full" and of_front:
-            raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
-        if event == "crack" and (smooth or m.block_length is not None or m.machine_stiffness is not None):
-            raise ValueError("event = 'crack': for the hard rule and a block without end, whose edge is held")
-        if event == "crack" and m.or_zero("threshold_slope").any():
-            raise ValueError(f"{m.source}: event = 'crack' takes level thresholds, without threshold_slope")
+    def __init__(self, m: Measurements, front: Front) -> None:
+        self.m, self.front = m, front
         n = len(m)
         self.stated = {
             "height": m.height,
@@ -466,15 +340,14 @@ class _Builder:
         }
         log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
         log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        push = pushed(m.height, m.push_height, m.push_width, m.push_control) if body == "block" else {}
-        self.inputs = (*Inputs._fields[: 5 + smooth], *_ends(m), *(["friction"] if event == "crack" else []), *push)
+        own = front.stated(m)
+        self.inputs = (*COMMON, *own)
         self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
             "log_height": np.log(m.height),
             "log_stiffness": log_lc - log_young,
             **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
             "force": log_lc.copy(),
-            **_ends(m),
-            **push,
+            **own,
         }
         self.free: list[Free] = []
         self.slopes: list[dict[str, np.ndarray]] = []
@@ -503,8 +376,6 @@ class _Builder:
     def hold(self, parameter: Parameter) -> None:
         """Hold a parameter at its value."""
         name = parameter.name
-        if name == "discrepancy":
-            raise ValueError(f"parameter {name}: it is fitted or absent, not held; add it to the stated errors instead")
         assert parameter.value is not None
         theta = np.log(parameter.value) if PARAMETERS[name].log else parameter.value
         rows = np.ones(len(self.m), dtype=bool)
@@ -555,7 +426,7 @@ class _Builder:
 
     def build(self, wanted: tuple[Parameter, ...]) -> ParameterSet:
         """Finish the map; check its limits against the domain of the model."""
-        n, names = len(self.m), [one.name for one in self.free]
+        n = len(self.m)
 
         def linear(target: str) -> Linear:
             slopes = [slope.get(target, np.zeros(n)) for slope in self.slopes]
@@ -564,64 +435,16 @@ class _Builder:
         result = ParameterSet(
             free=tuple(self.free),
             held=self.held,
-            inputs=Inputs(**{name: linear(name) for name in self.inputs}),
+            inputs=Inputs(*map(linear, COMMON), more={name: linear(name) for name in self.inputs if name not in COMMON}),
             scales={scale: linear(scale) for scale in SCALES},
             offset=linear("offset"),
             beyond=linear("beyond"),
-            discrepancy=names.index("discrepancy") if "discrepancy" in names else None,
-            event=self.event,
+            front=self.front,
             wanted=wanted,
         )
         _check_domain(self.m, result)
         _check_reached(self, result)
         return result
-
-
-def event_and_body(m: Measurements, event: MeasuredEvent | None, body: Body | None) -> tuple[MeasuredEvent, Body]:
-    """Choose the event and the body that are not given.
-
-    A block and its whole event where every measurement states how its side is pushed, unless the event is one of sliders only;
-    else a slider and its first front.
-    """
-    if body is None:
-        said = m.push_height is not None and not np.isnan(m.push_height).any()
-        body = "block" if said and event in (None, "full") else "slider"
-    if event is None:
-        event = "full" if body == "block" else "domino"
-    return event, body
-
-
-def pushed(
-    height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
-) -> dict[str, np.ndarray]:
-    """Inputs that describe the push on the side of a block, each of shape (n,)."""
-    assert at is not None
-    none = np.full(len(height), np.nan)
-    share = (none if width is None else width) / height
-    force = [one == "force" for one in control] or [False] * len(height)
-    return {
-        "log_push": np.log(at / height),
-        "log_push_width": np.log(np.where(np.isnan(share), np.inf, share)),
-        "push_force": np.array(force, dtype=float),
-    }
-
-
-def pushed_at(
-    inputs: Inputs, height: np.ndarray, at: np.ndarray | None, width: np.ndarray | None, control: Sequence[str] = ()
-) -> Inputs:
-    """Add the push on blocks to inputs, whose last axis is that of the pushes."""
-    push = pushed(height, at, width, control)
-    return inputs._replace(**{name: np.broadcast_to(x, inputs.poisson.shape) for name, x in push.items()})
-
-
-def _ends(m: Measurements) -> dict[str, np.ndarray]:
-    """Logarithms of L/λc and M/K where stated; inf in rows without one."""
-    found = {}
-    if m.block_length is not None:
-        found["log_sites"] = np.log(m.block_length)
-    if m.machine_stiffness is not None:
-        found["log_machine"] = np.log(machine_ratio(m.machine_stiffness, 1.0 if m.young is None else m.young))
-    return {name: np.where(np.isnan(x), np.inf, x) for name, x in found.items() if not np.isnan(x).all()}
 
 
 def _input_label(name: str, key: tuple[str, float, float]) -> str:
@@ -642,19 +465,16 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
-        # a smooth front on contacts softer than those at which a domino starts does not fade for long
-        lowest = softest(m, builder.body)[rows] / per_unit * (100 if builder.smooth else 1)
-        highest = stiffest(m, builder.event, builder.body)[rows] / per_unit
+        front = builder.front
+        lowest, highest = front.softest(m)[rows] / per_unit, front.stiffest(m)[rows] / per_unit
         # for blocks, the range in which all have a precursor and b is not too large for any
-        all_of = builder.body == "block" and lowest.max() < highest.min()
+        all_of = front.body == "block" and lowest.max() < highest.min()
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
     by_name = {
         "offset": (-longest * size, longest * size),
         "threshold_slope": (-0.5 / longest, 2 / longest),
-        "discrepancy": (1e-4, 1.0),
         "strength": (1.0, 1e12),
-        "width": (1e-4, 0.02),
         "friction": (0.0, 0.95),
         "poisson": (0.0, 0.5),
         "prestress": (-0.95, 0.95),
@@ -676,25 +496,25 @@ def _check_reached(builder: _Builder, q: ParameterSet) -> None:
 
     That is, where no measurement is of more than the contact at the edge, whatever the other parameters searched.
     """
-    from slippulse_jax.inference.model import lengths  # which takes `Inputs`
-
-    m, name = builder.m, stiffness_name(builder.m)
+    m, name, is_block = builder.m, stiffness_name(builder.m), q.front.body == "block"
     one = next(one for one in q.wanted if one.name in ("stiffness", name))
     key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
     if key is None or m.length.min() <= 1:
         return
-    reach = {each: _reach(q, getattr(q.inputs, each)) for each in q.inputs.names}
+    reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
     easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
     low, high = reach["log_stiffness"]
-    some = np.flatnonzero(high > np.log(softest(m)))
-    from_, to = np.maximum(low, np.log(softest(m)))[some], high[some]
-    rows = Inputs(**easiest).of_front.take(some)
+    softest = np.log(FRONTS["slider", "domino"].softest(m))
+    some = np.flatnonzero(high > softest)
+    from_, to = np.maximum(low, softest)[some], high[some]
+    rows = Inputs.from_table([*easiest], np.stack([*easiest.values()], axis=-1)).take(some)
+    front = FRONTS["slider", "domino"] if isinstance(q.front, WholeEvent) else q.front  # whose events start with it
     for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
         at = rows._replace(log_stiffness=from_ + share * (to - from_))
-        if (lengths(at, event="full" if q.body == "block" else "domino").value > 1).any():
+        if (front.lengths(at) > 1).any():
             return
     lowest, highest = _default_bounds(builder, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
-    lowest *= 1 if builder.smooth or q.body == "block" else 100  # the default range of sliders begins where none starts
+    lowest *= 1 if is_block else 100  # the default range of sliders begins where none starts
     in_si, numbers = m.correlation_length is not None, np.atleast_1d(getattr(one, key))
     unit, ratio = PARAMETERS[name].unit[in_si], numbers[0] / ratio_per_unit(m).max()
     shown = ", ".join(f"{x:g}" for x in numbers)
@@ -708,19 +528,6 @@ def _check_reached(builder: _Builder, q: ParameterSet) -> None:
 _LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99), "friction": (0.0, 0.99)}
 
 
-def softest(m: Measurements, body: Body = "slider") -> np.ndarray:
-    """k/K of each measurement below which certainly no domino starts (b far below (λc/H)²), so that the length is zero."""
-    if body == "block":
-        return BLOCK_FROM / (2 * (1 + m.poisson) * m.height)
-    return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
-
-
-def stiffest(m: Measurements, event: MeasuredEvent, body: Body = "slider") -> np.ndarray:
-    """Largest k/K of each measurement searched by default."""
-    most = np.inf if event != "full" else (BLOCK_TO if body == "block" else FULL_TO) / (2 * (1 + m.poisson) * m.height)
-    return np.broadcast_to(np.minimum(STIFFEST, most), m.height.shape)
-
-
 def ratio_per_unit(m: Measurements) -> np.ndarray:
     """k/K of each measurement per unit of its stiffness; with E = 1 where the table has none."""
     if m.correlation_length is None:
@@ -730,25 +537,12 @@ def ratio_per_unit(m: Measurements) -> np.ndarray:
 
 def _check_domain(m: Measurements, parameters: ParameterSet) -> None:
     """Check that no limit leads outside the domain of the model."""
-    limits = {
-        "log_height": (0.0, np.inf, "H/λc", "must exceed 1"),
-        "log_stiffness": (np.log(1e-30), np.log(1e3), "k/K", "must lie in 1e-30 to 1e3"),
-        "poisson": (POISSON.low, POISSON.high, "ν", POISSON.requirement),
-        "prestress": (PRESTRESS.low, PRESTRESS.high, "φ", PRESTRESS.requirement),
-        "threshold_slope": (THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, "ε", THRESHOLD_SLOPE.requirement),
-        "log_width": (np.log(1e-6), np.log(0.1), "w", "must lie in 1e-6 to 0.1, beyond which a front hardly fades"),
-        "log_sites": (np.log(2.0), np.inf, "L/λc", "must be at least 2"),
-        "friction": (0.0, 1.0, "σ_k", "must be 0 or more, and below 1"),
-        "log_machine": (np.log(1e-30), np.inf, "M/K", "must be positive"),
-        "log_push": (-np.inf, 0.0, "h/H", "the push must lie below the top of the block"),
-        "log_push_width": (-np.inf, np.inf, "w/H", ""),
-        "push_force": (0.0, 1.0, "", ""),
-    }
+    every = {**COMMON, **parameters.front.inputs}
     for name in parameters.inputs.names:
-        linear = getattr(parameters.inputs, name)
+        linear = parameters.inputs.get(name)
         least, most = _reach(parameters, linear)
         reach = [float(least.min()), float(most.max())]
-        low, high, symbol, requirement = limits[name]
+        symbol, low, high, requirement = every[name][:4]
         if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
             acting = [one for one in parameters.wanted if name in PARAMETERS[one.name].acts]
             if mistaken := "; ".join(mistaken_priors(m, acting)):
@@ -799,8 +593,6 @@ def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
         both = dict.fromkeys([*asked, "strength"])
         option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
         raise ValueError(f"{carrier} scales with σ_s: fit strength too, or hold it at its value in Pa: {option}")
-    if "width" in names:
-        _check_smooth(m, names)
     if not any(one.value is None for one in chosen):
         raise ValueError("nothing is fitted: every parameter is held")
     return chosen
@@ -852,55 +644,34 @@ def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
         )
 
 
-def _check_friction(names: set[str], event: MeasuredEvent) -> None:
-    """Check that the friction behind the front is given where there is one, and only there."""
-    if event == "crack" and "friction" not in names:
-        raise ValueError("event = 'crack': friction is neither fitted nor held; in σ_s, as fixed = {'friction': 0.3}")
-    if event == "crack" and "threshold_slope" in names:
-        raise ValueError("parameter threshold_slope: a crack-like front has a closed form on level thresholds only")
-    if event != "crack" and "friction" in names:
-        raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
-
-
-def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None:
-    """Check that the measurements state the push, and nothing that a fit of a block cannot take."""
-    if m.push_height is None:
-        raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
-    if np.isnan(m.push_height).any():
-        blank = m.place(int(np.argmax(np.isnan(m.push_height))))
-        raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push of every measurement")
-    if event != "full":
-        raise ValueError(
-            f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
-        )
-    for name in NOT_OF_BLOCKS:
-        if getattr(m, name) is not None:
-            own = m.columns.get(name, name)
-            why = {
-                "block_length": "without an end: leave it out where every front stopped well before the end; one that ran "
-                "through has the length of the block and the kind at_least",
-                "machine_stiffness": "whose pusher is held: leave it out",
-            }.get(name, "from lengths alone: leave it out")
-            push = m.columns.get("push_height", "push_height")
-            raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/howto/own_csv.md)")
-    if "threshold_slope" in names or m.or_zero("threshold_slope").any():
-        raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
-
-
-def _check_smooth(m: Measurements, names: Sequence[str]) -> None:
-    """Check that the interface is relaxed and uniform and the block endless: fits under a smooth rule take no others."""
-    for name in ("prestress", "threshold_slope"):
-        if name in names or m.or_zero(name).any():
-            raise ValueError(f"parameter width: the smooth rule is for relaxed, uniform interfaces, without {name}")
-    if _ends(m):
-        raise ValueError("parameter width: the smooth rule is for blocks without end whose edge is held while the front runs")
-    if m.gauges is not None:
-        raise ValueError("parameter width: readings of gauges are those of the hard rule; leave one of them out")
-
-
 def _carries_strength(m: Measurements) -> str:
     """Name the columns of a measured quantity that scales with σ_s, and their file; empty if there is none."""
     names = [name for name in ("displacement", "force") if getattr(m, name) is not None and np.isfinite(m.or_zero(name)).any()]
     if names:
         return f"{m.source}, column {' and '.join(m.columns.get(name, name) for name in names)}: what it states"
     return f"{m.gauges.source}: what gauges read" if m.gauges is not None else ""
+
+
+def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longest length of each measurement at any stiffness searched, in λc, and the k/K where; shapes (n,).
+
+    The other parameters stay as in `theta`.
+    """
+    inputs = parameters.inputs_at(theta)
+    longest, where = attainable_of(parameters, theta, np.arange(len(inputs.poisson)), inputs)
+    return longest * np.exp(parameters.scales["length"](theta)) + parameters.offset(theta), where
+
+
+def attainable_of(
+    parameters: ParameterSet, theta: np.ndarray, rows: np.ndarray, inputs: Inputs
+) -> tuple[np.ndarray, np.ndarray]:
+    """Longest length for other `inputs`, over the stiffness range of the measurements `rows`; in true λc, without offset."""
+    low, high = np.array(inputs.log_stiffness), np.array(inputs.log_stiffness)
+    for i, one in enumerate(parameters.free):
+        if one.name in STIFFNESSES:
+            on = parameters.inputs.log_stiffness.slope[rows, i] != 0
+            low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
+    distinct, own = distinct_rows(np.column_stack([inputs.table(), low, high]))
+    given = Inputs.from_table(inputs.names, distinct[:, :-2])
+    longest, where = parameters.front.longest(given, distinct[:, -2], distinct[:, -1])
+    return longest[own], np.exp(where[own])

@@ -2,7 +2,7 @@
 
 The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
 side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose deviance
-D = −2 ln(likelihood × prior) lies no more than a `Rise` above its minimum, in as many disjoint pieces as there are.
+D = −2 ln(likelihood × prior) lies no more than a rise (`rise_of`) above its minimum, in as many disjoint pieces as there are.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.optimise import minimise
-from slippulse_jax.inference.search import Cells, Minimum
+from slippulse_jax.inference.search import Cells, Root
 
 NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
@@ -49,26 +49,16 @@ def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interv
     return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
 
 
-@dataclasses.dataclass(frozen=True)
-class Rise:
-    """Rise of the deviance at the ends of an interval, by confidence level.
+def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
+    """Rise of the deviance at the ends of an interval: 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ.
 
-    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the errors
-    is itself estimated from n data it is larger, by the F distribution: exactly so for a straight-line model.
+    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the
+    errors is itself estimated, with `dof` degrees of freedom, it is larger, by the F distribution: exactly so for a
+    straight-line model.
     """
-
-    factor: float = 1.0  # of the loss
-    dof: float | None = None  # degrees of freedom, where the size of the errors is estimated
-    fitted_variance: int | None = None  # n, where it is a parameter of the likelihood
-
-    def __call__(self, level: float, parameters: int = 1) -> float:
-        """Rise of D at this level; 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ."""
-        if self.dof is None:
-            return self.factor * float(chdtri(parameters, 1 - level))
-        f = parameters * float(fdtri(parameters, self.dof, level))
-        if self.fitted_variance is None:
-            return self.factor * f
-        return self.factor * self.fitted_variance * float(np.log1p(f / self.dof))
+    if dof is None:
+        return float(chdtri(parameters, 1 - level))
+    return parameters * float(fdtri(parameters, dof, level))
 
 
 class Curve(NamedTuple):
@@ -101,12 +91,12 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
 
 
-def profile(problem: Problem, j: int, roots: list[Minimum], seeds: np.ndarray, cells: Cells | None = None) -> Curve:
+def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, cells: Cells | None = None) -> Curve:
     """Profile of parameter j over its whole range, or where a scan has left it, with nodes crowded around every root.
 
     Parameters
     ----------
-    roots : list of Minimum
+    roots : list of Root
     seeds : array, shape (s, p)
         Other good points to start from.
     cells : Cells, optional
@@ -167,7 +157,7 @@ def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarra
     return node[kept], starts[kept]
 
 
-def _predicted(node: np.ndarray, j: int, roots: list[Minimum], seeds: np.ndarray, problem: Problem) -> np.ndarray:
+def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, problem: Problem) -> np.ndarray:
     """Starts at each node, (g, s, p): every root moved along its ridge, and the other points."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
     for root in roots:

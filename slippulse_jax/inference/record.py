@@ -1,174 +1,207 @@
-"""Records of a fit for JSON, and the request that repeats it."""
+"""Records of a fit for JSON, written and read by their type hints, and the request that repeats it."""
 
 import dataclasses
+import enum
 import hashlib
 import json
-import math
 import os
 import platform
 import tomllib
-from collections.abc import Sequence
+import types
+import typing
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 import numpy as np
 
 from slippulse_jax.files import plain, read_whole, shortened
-from slippulse_jax.inference.budget import AsSlider, Moved
+from slippulse_jax.inference.changes import Change
+from slippulse_jax.inference.fitted import Fitted
+from slippulse_jax.inference.likelihood import Loss, make_problem
 from slippulse_jax.inference.measurements import GAUGE_COLUMNS, NUMERIC, Gauges, Measurements
-from slippulse_jax.inference.parameters import Parameter
-from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.parameters import Parameter, parameter_set, with_errors_of_measuring
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slippulse_jax.inference.result import FitResult, Root
+SCHEMA = 2
+"""Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
+LARGEST = 64 * 2**20
+"""Bytes of the largest request or saved fit that is read."""
 
 
-SCHEMA = 1
-"""Version of the record: larger where a record written before could not be read."""
+# --- records by their type hints --------------------------------------------------------------------------------------------
 
 
-def to_dict(result: "FitResult") -> dict[str, Any]:
-    """Return the whole result as plain Python values; open ends and missing numbers are None."""
-    q = result.parameters
+def encode(x: Any) -> Any:
+    """Convert a record to plain values; what is not finite becomes None, what is absent is left out."""
+    if isinstance(x, enum.Enum):
+        return x.name.lower()
+    if dataclasses.is_dataclass(x) or hasattr(x, "_fields"):
+        return {name: encode(getattr(x, name)) for name in _written(type(x)) if getattr(x, name) is not None}
+    if isinstance(x, dict):
+        return {str(key): encode(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [encode(value) for value in x]
+    return plain(x)
+
+
+def decode(hint: Any, x: Any, missing: float = np.inf, **given: Any) -> Any:
+    """Restore what `encode` made of a value of this type.
+
+    Parameters
+    ----------
+    hint : type
+        A class with annotated fields, an enumeration, or a type of numbers, texts, arrays and collections of these.
+    x : object
+        Plain values.
+    missing : float
+        What None means among numbers; NaN in tables of measurements.
+    **given
+        Fields that are not written, for every record that has them.
+    """
+    if isinstance(hint, types.UnionType):
+        return None if x is None else decode(next(one for one in get_args(hint) if one is not type(None)), x, missing, **given)
+    origin, of = get_origin(hint), get_args(hint)
+    if origin in (list, tuple):
+        each = of if origin is tuple and of[-1] is not ... else (of[0],) * len(x)
+        return origin(decode(one, value, missing, **given) for one, value in zip(each, x, strict=True))
+    if origin is dict:
+        return {of[0](key): decode(of[1], value, missing, **given) for key, value in x.items()}
+    if not isinstance(hint, type) or hint is dict:
+        return x
+    if issubclass(hint, enum.Enum):
+        return hint[x.upper()]
+    if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
+        missing = np.nan if hint in (Measurements, Gauges) else missing
+        hints, names = typing.get_type_hints(hint), set(_written(hint))
+        fields = {name: decode(hints[name], value, missing, **given) for name, value in x.items() if name in names}
+        absent = {name: given[name] for name in hints if name in given and name not in names}
+        return hint(**{name: None for name in names - {*fields} if type(None) in get_args(hints[name])}, **fields, **absent)
+    if hint is np.ndarray:
+        found = np.array(x) if _all_bools(x) else np.array(x, dtype=float)
+        return found if found.dtype == bool else np.where(np.isnan(found), missing, found)
+    return missing if x is None and hint is float else x
+
+
+def _written(hint: type) -> tuple[str, ...]:
+    """Names of the fields of a record that are written."""
+    if dataclasses.is_dataclass(hint):
+        return tuple(one.name for one in dataclasses.fields(hint) if one.metadata.get("written", True))
+    return hint._fields  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _all_bools(x: Any) -> bool:
+    return bool(x) and all(isinstance(one, bool) for one in x)
+
+
+# --- a fit ------------------------------------------------------------------------------------------------------------------
+
+
+def to_dict(fitted: Fitted, changes: list[Change], next_steps: list[str], **more: Any) -> dict[str, Any]:
+    """Return the whole result as plain Python values; open ends and missing numbers are None.
+
+    The record itself, by the fields of `Fitted`, after what follows from it.
+    """
+    q, at = fitted.parameters, fitted.fitted
     units = {one.label: one.unit for one in q.free}
-    content = {
+    follows = {
         "schema": SCHEMA,
-        "identifiability": result.identifiability.name.lower(),
-        "statement": result.identifiability.value,
-        "reason": result.reason or None,
-        "verdicts": {
-            name: {"identifiability": v.identifiability.name.lower(), "reason": v.reason or None}
-            for name, v in result.verdicts.items()
-        },
-        "converged": result.converged,
-        "model": {"body": q.body, "event": q.event},
-        "values": result.values,
-        "stderr": result.stderrs,
-        "stderr_with_inputs": result.stderrs_with_inputs,
-        "units": {name: units.get(name, "") for name in result.values},
-        "intervals": {
-            name: {f"{level:g}": [_ends(piece) for piece in pieces] for level, pieces in by_level.items()}
-            for name, by_level in result.intervals.items()
-        },
-        "correlations": [[a, b, value] for (a, b), value in result.correlations.items()],
-        "stiffness_ratios": [[*labels, *found] for labels, found in result.stiffness_ratios.items()],
-        "inputs": result.inputs,
-        "directions": [
-            {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in result.directions
-        ],
-        "roots": [_root(root, result) for root in result.roots],
+        "identifiability": fitted.identifiability.name.lower(),
+        "statement": fitted.identifiability.value,
+        "reason": fitted.reason or None,
+        "model": {"body": q.front.body, "event": q.front.event},
+        "values": fitted.values,
+        "stderr": fitted.stderrs,
+        **more,
+        "units": {name: units.get(name, "") for name in fitted.values},
+        "correlations": [[a, b, value] for (a, b), value in fitted.correlations.items()],
+        "stiffness_ratios": [[*labels, *found] for labels, found in fitted.stiffness_ratios.items()],
+        "inputs": fitted.inputs,
         "searched": {one.label: [one.value(one.low), one.value(one.high)] for one in q.free},
-        "deviance": result.deviance,
-        "chi2": result.deviance if result.problem.plain else None,
-        "dof": result.dof,
-        "p_value": result.p_value,
-        "sigma_scaled_by": result.scatter,
-        "measurements": [_measurement(result, i) for i in range(len(result.measurements))],
-        "further": [
-            {"observable": one.observable, "place": place, "measured": value, "sigma": sigma, "fitted": fitted}
-            for one in result.further
-            for place, value, sigma, fitted in zip(
-                one.places, one.value.tolist(), one.sigma.tolist(), one.fitted.tolist(), strict=True
-            )
-        ],
+        "chi2": fitted.deviance if fitted.problem.plain else None,
+        "dof": fitted.dof,
+        "p_value": fitted.p_value,
+        "sigma": fitted.sigma,
+        "fitted": at.length,
+        "residuals": fitted.residuals,
+        "contacts_broken": at.contacts_broken,
+        "front_status": [Outcome(int(one)).name.lower() for one in at.status],
+        "further": [encode(one) for one in fitted.further],
         "regime": {
-            "b": result.regime.b,
+            "b": fitted.regime.b,
             "rebreaking_b": rebreaking_b(),
-            "slow_decay_length": result.regime.slow_decay_length,
-            "block_length_over_height": result.block_length_over_height,
+            "slow_decay_length": fitted.regime.slow_decay_length,
+            "block_length_over_height": fitted.block_length_over_height,
         },
-        "as_slider": None
-        if result.as_slider is None
-        else {
-            "values": result.as_slider.values,
-            "stderr": result.as_slider.stderrs,
-            "verdicts": {name: one.name.lower() for name, one in result.as_slider.verdicts.items()},
-        },
-        "budget": {name: moved._asdict() for name, moved in result.budget.items()},
-        "unstated_ends": result.unstated_ends,
-        "unstated_push": result.unstated_push,
-        "next_steps": result.next_steps,
-        "notes": result.notes,
-        "source": result.measurements.source,
-        "data_sha256": data_hash(result.measurements),
-        "request": as_request(result.request),
-        "table": _columns(result.measurements),
-        "search": _search(result),
+    }
+    after = {
+        "changes": encode(changes),
+        "next_steps": next_steps,
+        "data_sha256": data_hash(fitted.measurements),
         "versions": versions(),
     }
-    return plain(content)
+    return plain(follows) | encode(fitted) | {"request": as_request(fitted.request)} | after
 
 
-def _columns(table: Any) -> dict[str, Any]:
-    """Columns of a table of measurements or gauges that are not None."""
-    held = {field.name: getattr(table, field.name) for field in dataclasses.fields(table)}
-    return {name: _columns(x) if isinstance(x, Gauges) else x for name, x in held.items() if x is not None}
+def of_dict(content: dict[str, Any]) -> tuple[Fitted, list[Change] | None, list[str] | None]:
+    """Restore a fit from what `to_dict` made of it, and what else would move it, as far as it is there.
+
+    Raises
+    ------
+    ValueError
+        If it was a fit of this package that this version has no model for.
+    """
+    if content["schema"] == 1:
+        content = _of_version_1(content)
+    request = from_request(content["request"])
+    if request.get("loss", "normal") not in get_args(Loss):
+        raise ValueError(f"loss = {request['loss']!r}, which this version does not have: repeat the fit with another")
+    m = decode(Measurements, content["measurements"])
+    size_known = m.length_sigma is not None and request["sigma"] == "absolute"
+    wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
+    request = {**request, "event": request.get("event"), "body": request.get("body")}
+    q = parameter_set(m, wanted, request["event"], request["body"])
+    between, scatter = content.get("between_contacts"), content.get("scatter")
+    sigma = m.stated_sigma if between is None else np.hypot(m.stated_sigma, np.array(between, dtype=float))
+    problem = make_problem(m, q, request["loss"], sigma)
+    if scatter is not None:
+        problem = problem.with_sigma(scatter, of_lengths=m.length_sigma is None)
+    found = decode(Fitted, {**content, "request": {}}, problem=problem, parameters=q)
+    changes = decode(list[Change], content["changes"], np.nan) if "changes" in content else None
+    return dataclasses.replace(found, request=request), changes, content.get("next_steps")
 
 
-def measurements_of_record(content: dict[str, Any]) -> Measurements:
-    """Restore the measurements of a record."""
-    table = dict(content["table"])
-    if "gauges" in table:
-        table["gauges"] = Gauges(**_numeric(table["gauges"], GAUGE_COLUMNS))
-    return Measurements(**_numeric(table, NUMERIC))
-
-
-def changes_of_record(content: dict[str, Any]) -> dict[str, Any]:
-    """Restore what else would move the result, by the attribute of `FitResult` that holds it."""
-
-    def number(x: float | None) -> float:
-        return math.nan if x is None else x
-
-    def numbers(given: dict[str, Any]) -> dict[str, float]:
-        return {name: number(x) for name, x in given.items()}
-
-    slider, other = content["as_slider"], None
-    older = any("opposite" not in one for one in content["budget"].values())
-    if older or (slider is not None and "verdicts" not in slider):  # version 0.2, which left them out
-        return {}
-    if slider is not None:
-        verdicts = {name: Identifiability[one.upper()] for name, one in slider["verdicts"].items()}
-        other = AsSlider(slider["values"], slider["stderr"], verdicts)
+def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
+    """The record as written by version 0.2, in the present form."""
+    found, none = content["search"], {"singular": [False] * len(content["search"]["theta"]), "share": 1.0}
+    verdicts = {name: {**one, "reason": one["reason"] or ""} for name, one in content["verdicts"].items()}
     return {
-        "budget": {
-            name: Moved(one["error"], numbers(one["change"]), numbers(one["opposite"]))
-            for name, one in content["budget"].items()
-        },
-        "unstated_ends": {name: numbers(moved) for name, moved in content["unstated_ends"].items()},
-        "unstated_push": {at: numbers(factors) for at, factors in content["unstated_push"].items()},
-        "next_steps": content["next_steps"],
-        "as_slider": other,
-    }
-
-
-def _numeric(table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Convert columns of numbers to arrays, with NaN for null."""
-    return {name: np.array(x, dtype=float) if name in names else x for name, x in table.items()}
-
-
-def _search(result: "FitResult") -> dict[str, Any]:
-    """Results of the search that restore the fit without another one."""
-    return {
-        "theta": result.theta,
-        "roots": [
-            {"theta": root.theta, "deviance": root.deviance, "covariance": root.covariance, "stderr": root.stderrs}
-            for root in result.roots
-        ],
-        "curves": {name: curve._asdict() for name, curve in result.curves.items()},
+        "request": content["request"],
+        "measurements": content["table"],
+        "theta": found["theta"],
+        "deviance": content["deviance"] if "deviance" in content else content["chi2"],
+        "minima": [{**none, **root} for root in found["roots"]],
+        "curves": found["curves"],
         "intervals": {
-            name: {f"{level:g}": pieces for level, pieces in by_level.items()} for name, by_level in result.intervals.items()
+            name: {
+                level: [dict(zip(("low", "high", "open_low", "open_high"), piece, strict=True)) for piece in pieces]
+                for level, pieces in by_level.items()
+            }
+            for name, by_level in found["intervals"].items()
         },
-        "rise": dataclasses.asdict(result.rise),
-        "testable_dof": result.testable_dof,
-        "unconverged": result.unconverged,
-        "between_contacts": result.between_contacts,
-        "complete": result.complete,
-        "calibrated": result.calibrated,
+        "verdicts": verdicts,
+        "scatter": content["sigma_scaled_by"],
+        "scatter_dof": found["rise"]["dof"],
+        "testable_dof": found["testable_dof"],
+        "unconverged": found["unconverged"],
+        "attainable": [one["attainable"] for one in content["measurements"]],
+        "attainable_at": [one["attainable_at_stiffness"] for one in content["measurements"]],
+        "between_contacts": found["between_contacts"],
+        "complete": found["complete"],
+        "covered": dict.fromkeys(verdicts, [1.0, 1.0]) if found.get("calibrated") else {},
     }
 
 
@@ -183,7 +216,7 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
         If it is no such record, or was written by a version whose record is another.
     """
     name, content = os.fspath(path), read_request_file(path)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+    if not isinstance(content, dict) or content.get("schema") not in (1, SCHEMA):
         raise ValueError(
             f"{name}: not a fit that this version can read (its schema is not {SCHEMA}); repeat it (slippulse fit TABLE.CSV "
             f"--request {name})"
@@ -191,33 +224,49 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
-def _root(root: "Root", result: "FitResult") -> dict[str, Any]:
-    return {
-        "values": root.values,
-        "stderr": root.stderrs,
-        "stiffness": root.inputs.common_ratio,
-        "delta_chi2": root.deviance - result.deviance,
-        "rebreaks": root.rebreaks,
+def to_dataframe(fitted: Fitted) -> "pd.DataFrame":
+    """Return measurements and model as a pandas.DataFrame, one row per measurement; lengths in the unit of the table."""
+    import pandas as pd
+
+    m = fitted.measurements
+    scale, unit = m.unit
+    unit = f"_{unit}" * m.in_si
+    text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "kind": m.kind}
+    lengths = {
+        "height": m.height,
+        "push_height": m.push_height,
+        "length": m.length,
+        "length_sigma": fitted.sigma,
+        "length_fitted": fitted.fitted.length,
+        "length_attainable": fitted.attainable,
     }
+    return pd.DataFrame(
+        {name: list(column) for name, column in text.items() if column}
+        | {name + unit: x * scale for name, x in lengths.items() if x is not None}
+        | {"residual": fitted.residuals, "outcome": [Outcome(int(status)).name.lower() for status in fitted.fitted.status]}
+    )
 
 
-def _measurement(result: "FitResult", i: int) -> dict[str, Any]:
-    m = result.measurements
-    return {
-        "line": m.lines[i] if m.lines else None,
-        "row": m.rows[i] if m.rows else None,
-        "kind": m.kind[i],
-        "height": float(m.height[i]),
-        "poisson": float(m.poisson[i]),
-        "measured": float(m.length[i]),
-        "sigma": float(result.sigma[i]),
-        "fitted": float(result.fitted.length[i]),
-        "residual": float(result.residuals[i]),
-        "contacts_broken": int(result.fitted.contacts_broken[i]),
-        "front_status": Outcome(int(result.fitted.status[i])).name.lower(),
-        "attainable": float(result.attainable[i]),
-        "attainable_at_stiffness": float(result.attainable_at[i]),
-    }
+def data_hash(m: Measurements) -> str:
+    """Hash (SHA-256) what entered the fit, specimens and provenance included, to match a result to its data."""
+    digest = hashlib.sha256()
+    for table, names in ((m, NUMERIC), (m.gauges, GAUGE_COLUMNS)):
+        for name in names if table is not None else ():
+            column = getattr(table, name)
+            if column is not None:
+                digest.update(name.encode() + b"=" + np.ascontiguousarray(column, "<f8").tobytes())
+    for name in ("kind", "push_control", "specimen", "provenance"):
+        digest.update(json.dumps([name, *getattr(m, name)]).encode())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that computed the result."""
+    packages = ("slippulse_jax", "jax", "numpy", "scipy", "optax")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+# --- requests ---------------------------------------------------------------------------------------------------------------
 
 
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
@@ -227,7 +276,7 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
         for one in request["free"]
     }
     settings = {key: value for key, value in request.items() if key != "free" and value is not None}
-    return {"parameters": free, **settings}
+    return plain({"parameters": free, **settings})
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
@@ -276,13 +325,6 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
-LARGEST = 64 * 2**20
-"""Bytes of the largest request or saved fit that is read."""
-
-LONGEST, DEEPEST = 2000, 64
-"""Most characters and dots on one line of TOML: the time to read a dotted key grows as the square of its parts."""
-
-
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML or JSON file.
 
@@ -297,11 +339,6 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise ValueError(f"{name}: not UTF-8 text") from None
     in_json = text.lstrip().startswith("{")
-    for number, line in enumerate(() if in_json else text.splitlines(), start=1):
-        if len(line) > LONGEST:
-            raise ValueError(f"{name}, line {number}: longer than {LONGEST} characters")
-        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
-            raise ValueError(f"{name}, line {number}: nested too deeply")
     try:
         content = json.loads(text) if in_json else tomllib.loads(text)
     except ValueError as error:  # of either format, or a number of too many digits
@@ -309,60 +346,3 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     except RecursionError:
         raise ValueError(f"{name}: nested too deeply") from None
     return content
-
-
-def to_dataframe(result: "FitResult") -> "pd.DataFrame":
-    """Return measurements and model as a pandas.DataFrame, one row per measurement; lengths in the unit of the table."""
-    import pandas as pd
-
-    m = result.measurements
-    scale, unit = m.unit
-    unit = f"_{unit}" * m.in_si
-    text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "kind": m.kind}
-    lengths = {
-        "height": m.height,
-        "push_height": m.push_height,
-        "length": m.length,
-        "length_sigma": result.sigma,
-        "length_fitted": result.fitted.length,
-        "length_attainable": result.attainable,
-    }
-    return pd.DataFrame(
-        {name: list(column) for name, column in text.items() if column}
-        | {name + unit: x * scale for name, x in lengths.items() if x is not None}
-        | {"residual": result.residuals, "outcome": [Outcome(int(status)).name.lower() for status in result.fitted.status]}
-    )
-
-
-MAY_BE_ABSENT = ("block_length", "machine_stiffness", "push_height", "push_width", "push_height_sigma")
-"""Columns that enter the hash only where a table has them."""
-
-
-def data_hash(measurements: Measurements) -> str:
-    """Hash (SHA-256) what entered the fit, specimens and provenance included, to match a result to its data."""
-    digest = hashlib.sha256()
-    for name in NUMERIC:
-        column = getattr(measurements, name)
-        if column is None and name in MAY_BE_ABSENT:  # added later
-            continue
-        digest.update(name.encode() + b"=")
-        digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
-    digest.update(",".join(measurements.kind + measurements.push_control).encode())
-    for name in ("specimen", "provenance"):  # which decide what is fitted beside the stiffness
-        if getattr(measurements, name):
-            digest.update(json.dumps([name, *getattr(measurements, name)]).encode())
-    if measurements.gauges is not None:
-        for name in GAUGE_COLUMNS:
-            column = getattr(measurements.gauges, name)
-            digest.update(b"none" if column is None else np.ascontiguousarray(column, "<f8").tobytes())
-    return digest.hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Versions of the packages that computed the result."""
-    packages = ("slippulse_jax", "jax", "numpy", "scipy", "optax")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
-
-
-def _ends(piece: Interval) -> list[float | None]:
-    return [None if piece.open_low else piece.low, None if piece.open_high else piece.high]

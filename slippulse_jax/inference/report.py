@@ -5,42 +5,39 @@ import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
-from slippulse_jax.inference.budget import (
+from slippulse_jax.inference.changes import (
+    END,
+    MANY,
     NARROW_PUSHER,
-    SUPPOSED,
     USUAL,
-    push_is_unstated,
+    Change,
+    of_inputs,
     total,
     total_interval,
     total_of_ratio,
 )
-from slippulse_jax.inference.hints import of_attainable
-from slippulse_jax.inference.measurements import READINGS, Measurements, likely_mistakes
-from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES
-from slippulse_jax.inference.profile import Interval
-from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import (
+from slippulse_jax.inference.fitted import (
     GIVEN,
     GRAVITY,
     IMPROBABLE,
     LEVELS,
     SCATTERED,
+    Fitted,
     Identifiability,
-    degrees_of_freedom,
     gravest,
-    of_inputs,
 )
+from slippulse_jax.inference.fronts import ENDED
+from slippulse_jax.inference.measurements import READINGS, Measurements, likely_mistakes
+from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
+from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.search import SCANNED
+from slippulse_jax.inference.verdict import PLATEAU, degrees_of_freedom, of_inputs_in_words
 from slippulse_jax.shown import exponent_of, format_number, html
-from slippulse_jax.theory import rebreaking_b
-
-if TYPE_CHECKING:
-    from slippulse_jax.inference.parameters import Free
-    from slippulse_jax.inference.result import FitResult
+from slippulse_jax.theory import length_ceiling, rebreaking_b
 
 WITHOUT_VALUE = {
     Identifiability.EQUAL: "any in the interval",
@@ -56,12 +53,8 @@ NOTHING_HOLDS = (
     Identifiability.UNINFORMATIVE,
 )
 """Verdicts that leave nothing to hold for a body."""
-SCATTERING = (0.6, 0.8)
-"""Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
 NONE = 1e-6
 """Change of a prestress, or of another number of either sign, that is none."""
-MANY = 3.0
-"""Factor from which on a change is given as one instead of in per cent."""
 WIDEST, TIED = 110, "\u00a0"
 """Characters of the longest sentence in the box, and the space at which it is not folded."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
@@ -80,32 +73,32 @@ UNEVEN_TOTAL = 0.1
 """The same for the total with inputs taken as exact, above which it is given as an interval too."""
 
 
-def report(result: "FitResult", *, verbose: bool = False) -> str:
+def report(result: Fitted, changes: Sequence[Change], next_steps: Sequence[str], *, verbose: bool = False) -> str:
     """Format a fit: the result in a box, what else would move it, the data, remarks on this table.
 
     `verbose` adds the model, the range searched, all intervals, fitted inputs, correlations, the regime, and contacts broken.
     """
-    remarks = [note for note in result.notes if note not in set(_mistakes(result))]
+    remarks = [note for note in notes(result) if note not in set(_mistakes(result))]
     parts = [
-        _boxed([*_values(result), *(line for text in sentences(result) for line in folded(text, WIDEST))]),
+        _boxed([*_values(result, changes), *(line for text in sentences(result, changes) for line in folded(text, WIDEST))]),
         _roots(result),
-        _changes(result),
+        _moving(result, changes),
         _table(result),
         _further(result),
-        ["What to try next", *(f"  - {step}" for step in result.next_steps)] if result.next_steps else [],
+        ["What to try next", *(f"  - {step}" for step in next_steps)] if next_steps else [],
         ["Remarks", *(f"  - {note}" for note in remarks)] if remarks else [],
-        _details(result) if verbose else [],
+        _details(result, changes) if verbose else [],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def methods(result: "FitResult") -> str:
+def methods(result: Fitted, changes: Sequence[Change]) -> str:
     """Write a sentence for the methods section of a paper, filled in with the numbers of this fit."""
-    m, q, given = result.measurements, result.parameters, _given(result)
-    moved, scale = result.budget, m.unit[0]
-    values = [value_in_words(result, name) for name in given]
+    m, q, given = result.measurements, result.parameters, result.given
+    moved, scale = sorted(of_inputs(changes), key=lambda one: [*USUAL].index(one.name)), m.unit[0]
+    values = [value_in_words(result, name, changes) for name in given]
     body = "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)"
-    if q.body == "block" and m.push_height is not None:
+    if q.front.body == "block" and m.push_height is not None:
         where = "about" if m.push_width is not None else "above"
         body = f"a block under two-dimensional elasticity, pushed on its side {where} {_range(m.push_height / m.height)} H"
     constants = [
@@ -126,7 +119,7 @@ def methods(result: "FitResult") -> str:
         obtained = f"the 95 % interval is {', and '.join(ends)}: {verdict}"
     errors = []
     if given and moved:
-        usual = ", ".join(f"{USUAL[name].symbol} ({USUAL[name].in_words})" for name in moved)
+        usual = ", ".join(f"{USUAL[one.name].symbol} ({USUAL[one.name].in_words.partition(' by ')[2]})" for one in moved)
         errors.append(f"The error contains usual errors of {usual}.")
     if given and (fitted := _priors(result)):
         errors.append(f"Fitted with it: {', '.join(fitted)}.")
@@ -144,7 +137,7 @@ def methods(result: "FitResult") -> str:
     )
 
 
-def _data(result: "FitResult") -> str:
+def _data(result: Fitted) -> str:
     """``6 lengths``, ``2 counts and 16 readings``."""
     counts = {_measured_as(result): len(result.measurements)}
     for one in result.further:
@@ -153,21 +146,21 @@ def _data(result: "FitResult") -> str:
     return _listed([_plural(count, kind) for kind, count in counts.items()])
 
 
-def _priors(result: "FitResult", *names: str) -> list[str]:
+def _priors(result: Fitted, *names: str) -> list[str]:
     """Inputs, offset and model factor fitted beside, each with its prior: ``offset = 0 ± 0.5 mm``."""
     nuisance = [one for one in result.parameters.free if one.nuisance and one.name != "arrest"]
     beside = [one for one in nuisance if one.name in names] if names else nuisance
     return list(dict.fromkeys(f"{one.symbol} = {_prior(result, one)}" for one in beside))  # what specimens share, once
 
 
-def _prior(result: "FitResult", one: "Free") -> str:
+def _prior(result: Fitted, one: Free) -> str:
     """``0 ± 0.5 mm``, a length in the unit of the table."""
     size, unit = _in_its_unit(result, one.label)
     mean = one.value(one.prior_mean)
     return f"{value_with_error(mean * size, one.prior_sigma * size * (mean if one.log else 1))} {unit}".rstrip()
 
 
-def _in_its_unit(result: "FitResult", name: str) -> tuple[float, str]:
+def _in_its_unit(result: Fitted, name: str) -> tuple[float, str]:
     """Unit in which to show a parameter, by its label: that of the table for heights and an offset; none for k/K beside."""
     m, one = result.measurements, next((one for one in result.parameters.free if one.label == name), None)
     if one is None:
@@ -177,14 +170,14 @@ def _in_its_unit(result: "FitResult", name: str) -> tuple[float, str]:
     return float(m.unit[0][0] / m.correlation_length[0]), m.unit[1]
 
 
-def value_in_words(result: "FitResult", name: str) -> str:
+def value_in_words(result: Fitted, name: str, changes: Sequence[Change]) -> str:
     """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``: with usual errors of inputs first."""
-    whole, own = _errors(result, name)
+    whole, own = _errors(result, name, changes)
     unit, alone = _in_its_unit(result, name)[1], f"; {own} {_alone(result)}" if whole else ""
     return f"{_shown(result)[name]} = {whole or own} {unit}".rstrip() + alone
 
 
-def _alone(result: "FitResult") -> str:
+def _alone(result: Fitted) -> str:
     """State what the errors without those of inputs taken as exact come from."""
     free = result.parameters.free
     beside = {one.name for one in free if one.nuisance} - {"arrest"}
@@ -200,24 +193,24 @@ def _listed(texts: list[str]) -> str:
     return ", ".join(texts[:-1]) + " and " * (len(texts) > 1) + texts[-1]
 
 
-def _errors(result: "FitResult", name: str) -> tuple[str, str]:
+def _errors(result: Fitted, name: str, changes: Sequence[Change]) -> tuple[str, str]:
     """A value with the usual errors of inputs, empty where there are none to add, and without them."""
-    pieces, moved = result.intervals.get(name, {}).get(LEVELS[0], []), result.budget
+    pieces, moved = result.intervals.get(name, {}).get(LEVELS[0], []), of_inputs(changes)
     own = result.stderrs[name], pieces[0] if len(pieces) == 1 else None
-    if not moved or not all(name in one.change for one in moved.values()):
+    if not moved or not all(name in one.moves for one in moved):
         return "", _with_error(result, name, *own, uneven=_uneven(result, name, *own, UNEVEN))
     whole = total(result, name, moved), total_interval(result, name, moved)
     uneven = _uneven(result, name, *whole, UNEVEN_TOTAL) or _uneven(result, name, *own, UNEVEN)
     return _with_error(result, name, *whole, uneven=uneven), _with_error(result, name, *own, uneven=uneven)
 
 
-def _uneven(result: "FitResult", name: str, error: float | None, piece: Interval | None, most: float) -> bool:
+def _uneven(result: Fitted, name: str, error: float | None, piece: Interval | None, most: float) -> bool:
     """Whether an interval differs from value ± standard error by more than a part of the error, or stands without one."""
     by = _sides(result.values[name], error, piece)
     return by is None or max(abs(x - 1) for x in by) > most
 
 
-def _measured_as(result: "FitResult") -> str:
+def _measured_as(result: Fitted) -> str:
     kinds = set(result.measurements.kind)
     return "length" if kinds == {"length"} else "count" if kinds == {"whole"} else "measurement"
 
@@ -225,10 +218,10 @@ def _measured_as(result: "FitResult") -> str:
 # --- the box ------------------------------------------------------------------------------------------------------------
 
 
-def sentences(result: "FitResult") -> list[str]:
+def sentences(result: Fitted, changes: Sequence[Change]) -> list[str]:
     """State the verdict, what to check first, and the body that the result holds for, a paragraph each."""
     mistakes = [f"check first: {one}" for one in _mistakes(result)]
-    said = [*_verdicts(result), _quality(result)], mistakes, _holds_for(result)
+    said = [*_verdicts(result), _quality(result)], mistakes, _holds_for(result, changes)
     return [text for texts in said if (text := " ".join(_sentences(*texts)))]
 
 
@@ -248,13 +241,13 @@ def _sentences(*texts: str) -> list[str]:
     return [text + "." * (not text.endswith("?")) for text in begun]
 
 
-def _values(result: "FitResult") -> list[str]:
+def _values(result: Fitted, changes: Sequence[Change]) -> list[str]:
     """Tabulate values with their errors, with those of inputs taken as exact and without; ratios of specimens too."""
-    moved, shown = result.budget, _shown(result)
+    moved, shown = of_inputs(changes), _shown(result)
     rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for name in result.names:
         unit = _in_its_unit(result, name)[1]
-        rows.append([shown[name] + f" ({unit})" * bool(unit), *_errors(result, name), _ends(result, name)])
+        rows.append([shown[name] + f" ({unit})" * bool(unit), *_errors(result, name, changes), _ends(result, name)])
     for labels, ratio in _shown_ratios(result).items():
         own = value_with_error(ratio, result.stiffness_ratios[labels][1])
         rows.append([_over(labels), value_with_error(ratio, total_of_ratio(result, labels, moved)) if moved else "", own, ""])
@@ -262,7 +255,7 @@ def _values(result: "FitResult") -> list[str]:
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
-def _ends(result: "FitResult", name: str, level: float = LEVELS[-1]) -> str:
+def _ends(result: Fitted, name: str, level: float = LEVELS[-1]) -> str:
     """The interval of a parameter, in its pieces."""
     size = _in_its_unit(result, name)[0]
     by_level = {level: [_scaled(piece, size) for piece in own] for level, own in result.intervals.get(name, {}).items()}
@@ -274,7 +267,7 @@ def _scaled(piece: Interval, size: float) -> Interval:
     return piece._replace(low=piece.low * size, high=piece.high * size)
 
 
-def _with_error(result: "FitResult", name: str, error: float | None, piece: Interval | None, *, uneven: bool) -> str:
+def _with_error(result: Fitted, name: str, error: float | None, piece: Interval | None, *, uneven: bool) -> str:
     """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
     verdict, size = result.verdicts[name].identifiability, _in_its_unit(result, name)[0]
     value, error = result.values[name] * size, None if error is None else error * size
@@ -289,7 +282,7 @@ def _with_error(result: "FitResult", name: str, error: float | None, piece: Inte
     return f"{value_with_error(value, error)} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
 
 
-def _with_error_of_derived(result: "FitResult", name: str) -> str:
+def _with_error_of_derived(result: Fitted, name: str) -> str:
     """k/K beside an areal stiffness: with its error, by the 68 % interval where that is uneven."""
     verdict = result.verdicts[gravest(result.verdicts)].identifiability
     value, error, pieces = result.values[name], result.stderrs[name], result.intervals.get(name, {}).get(LEVELS[0], [])
@@ -298,12 +291,12 @@ def _with_error_of_derived(result: "FitResult", name: str) -> str:
     return WITHOUT_VALUE.get(verdict) or value_with_error(value, error)
 
 
-def _points(result: "FitResult") -> bool:
+def _points(result: Fitted) -> bool:
     """Whether what fits are several points, not ranges of values that fit equally."""
     return len(result.roots) > 1 and any(error is not None for root in result.roots for error in root.stderrs.values())
 
 
-def _verdicts(result: "FitResult") -> Iterator[str]:
+def _verdicts(result: Fitted) -> Iterator[str]:
     """State the verdicts in words: one where all parameters share it, else each with the parameters that it is on."""
     found, shown = result.verdicts, _shown(result)
     kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
@@ -314,40 +307,35 @@ def _verdicts(result: "FitResult") -> Iterator[str]:
         yield named + kind.value + (f"; {reasons.pop()}" if len(reasons) == 1 else "")
 
 
-def _holds_for(result: "FitResult") -> Iterator[str]:
+def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
     """State the kind of body that the result holds for, and what was guessed or held."""
     q, m = result.parameters, result.measurements
     scale, unit = m.unit
     longest = format_number(float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}"))
-    ended, machine = q.inputs.log_sites is not None, q.inputs.log_machine is not None
-    if q.body == "block":
-        body, still = "a block under two-dimensional elasticity", "the pusher" * ("force" not in m.push_control)
-    else:
-        stated = ["end"] * ended + ["machine"] * machine
-        body = "the paper's slider" + f" with the stated {' and '.join(stated)}" * bool(stated)
-        still = "the edge" * (not machine)
+    ended, machine = (name in q.inputs.more for name in ENDED)
+    stated = ["end"] * ended + ["machine"] * machine
+    body = q.front.carrier + f" with the stated {' and '.join(stated)}" * bool(stated)
+    still = "" if machine or "force" in m.push_control else q.front.held
     needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest} {unit}"] * (not ended)
     needed += [f"{still} does not move during the event"] * bool(still)
     body += f", if {' and '.join(needed)}" * bool(needed)
-    fronts = {"crack": "crack-like fronts", "full": "whole events" * (q.body == "slider")}
-    with_ = fronts.get(q.event, "the smooth break rule" * q.smooth)
+    with_ = q.front.lengths_are_of
     tried = result.identifiability in NOTHING_HOLDS
     yield f"{'tried with' if tried else 'holds for'} {body}, with uniform thresholds" + f" and {with_}" * bool(with_)
-    ratios = [x for factors in result.unstated_push.values() for x in factors.values()]
-    found = [x for x in ratios if not math.isnan(x)]
-    if push_is_unstated(result):
-        none = ", or none fits" * (len(found) < len(ratios))
-        factor = f"{_span(found)} times this{none}" if found else "another"
-        yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
-    if result.unstated_push.get(NARROW_PUSHER):
-        suffix = f"_{unit}" * m.in_si
-        would = "no stiffness fits these lengths"
-        if found:
-            would = f"the stiffness is about {_span(found)} times as large"
-        yield (
-            f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if it "
-            f"is {NARROW_PUSHER}, {would}"
-        )
+    factors = {one.name: [math.exp(by) for moves in one.moves.values() for by in moves] for one in changes}
+    for name, ratios in factors.items():
+        found = [ratio for ratio in ratios if not math.isnan(ratio)]
+        if name == "block":
+            none = ", or none fits" * (len(found) < len(ratios))
+            factor = f"{_span(found)} times this{none}" if found else "another"
+            yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
+        elif name == "push_width":
+            suffix = f"_{unit}" * m.in_si
+            would = f"the stiffness is about {_span(found)} times as large" if found else "no stiffness fits these lengths"
+            yield (
+                f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if "
+                f"it is {NARROW_PUSHER}, {would}"
+            )
     if q.held:
         yield "held: " + ", ".join(f"{name} = {format_number(value)}" for name, value in q.held.items())
 
@@ -357,13 +345,13 @@ def _span(factors: Sequence[float]) -> str:
     return " to ".join(dict.fromkeys(format_number(x, 2) for x in (min(factors), max(factors))))
 
 
-def html_of(result: "FitResult") -> str:
+def html_of(result: Fitted, changes: Sequence[Change]) -> str:
     """Format the result as a table for a notebook: values with errors and intervals, the verdict, the data."""
     shown = {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
     rows = []
     for name in result.values:
         symbol = shown.get(name, "k/K")
-        whole, own = _errors(result, name) if name in result.verdicts else ("", _with_error_of_derived(result, name))
+        whole, own = _errors(result, name, changes) if name in result.verdicts else ("", _with_error_of_derived(result, name))
         ends = [_ends(result, name, level) if result.intervals.get(name) else "" for level in LEVELS]
         rows.append((symbol, whole or own, own, *ends, _in_its_unit(result, name)[1]))
     heads = ("", "with usual errors of inputs", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
@@ -372,31 +360,14 @@ def html_of(result: "FitResult") -> str:
     return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in said if text))
 
 
-def _front(result: "FitResult") -> str:
-    if result.parameters.body == "block":
-        return "first precursor"
-    return "first crack-like precursor" if result.parameters.event == "crack" else "first self-healing precursor"
+def _body(result: Fitted) -> str:
+    """What carries the contacts in the model, with the end and the machine that the table states."""
+    more, body = result.parameters.inputs.more, result.parameters.front.body_modelled
+    body = "block with a free end" if "log_sites" in more else body
+    return f"{body} pushed through a spring" if "log_machine" in more else body
 
 
-def _body(result: "FitResult") -> str:
-    inputs = result.parameters.inputs
-    if result.parameters.body == "block":
-        return "semi-infinite block under two-dimensional elasticity, pushed at a height"
-    block = "semi-infinite slider" if inputs.log_sites is None else "block with a free end"
-    return block if inputs.log_machine is None else f"{block} pushed through a spring"
-
-
-def _length(result: "FitResult") -> str:
-    if result.parameters.event == "crack":
-        return "contacts behind it slide at the friction σ_k; exact length"
-    if result.parameters.event == "full":
-        return "length of the whole event, in which contacts may break again"
-    if result.parameters.inputs.log_sites is not None or result.parameters.inputs.log_machine is not None:
-        return "length by the recursion"
-    return "length under the smooth break rule" if result.parameters.smooth else "exact length"
-
-
-def _ratios(result: "FitResult") -> str:
+def _ratios(result: Fitted) -> str:
     """State the range of k/K, and why it is not one number."""
     ratio, m = result.parameters.inputs_at(result.theta).ratio, result.measurements
     low, high = format_number(ratio.min()), format_number(ratio.max())
@@ -407,7 +378,7 @@ def _ratios(result: "FitResult") -> str:
     return low if low == high else f"{low} to {high}, {', '.join(why)}"
 
 
-def _shown_ratios(result: "FitResult") -> dict[tuple[str, str], float]:
+def _shown_ratios(result: Fitted) -> dict[tuple[str, str], float]:
     """Ratios that have an error; of many specimens, only those to the first."""
     found = {labels: ratio for labels, (ratio, error) in result.stiffness_ratios.items() if error is not None}
     many, first = len(found) > MOST_RATIOS, result.names[0]
@@ -429,7 +400,7 @@ def _symbol(label: str, symbol: str) -> str:
     return symbol + label[label.index("[") :] if "[" in label else symbol
 
 
-def _shown(result: "FitResult") -> dict[str, str]:
+def _shown(result: Fitted) -> dict[str, str]:
     """Short name of each parameter, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous."""
     long = {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
     short = dict(long)
@@ -439,7 +410,7 @@ def _shown(result: "FitResult") -> dict[str, str]:
     return {label: name if list(short.values()).count(name) == 1 else long[label] for label, name in short.items()}
 
 
-def _inputs(result: "FitResult") -> list[str]:
+def _inputs(result: Fitted) -> list[str]:
     """Fitted values of inputs with an error of their own, and their pulls."""
     pulls = [
         (one, float(t), (float(t) - one.prior_mean) / one.prior_sigma)
@@ -459,7 +430,7 @@ def _inputs(result: "FitResult") -> list[str]:
     return rows
 
 
-def _correlations(result: "FitResult") -> list[str]:
+def _correlations(result: Fitted) -> list[str]:
     """List the strongest with a requested parameter; `FitResult.correlations` has all."""
     shown, asked = _shown(result), set(result.names)
     strong = sorted(result.correlations.items(), key=lambda item: -abs(item[1]))
@@ -471,7 +442,7 @@ def _correlations(result: "FitResult") -> list[str]:
     return [f"  correlations above {CORRELATED:g}:", *rows[:MOST_CORRELATIONS]] if rows else []
 
 
-def _roots(result: "FitResult") -> list[str]:
+def _roots(result: Fitted) -> list[str]:
     """Tabulate the points that fit, where there are several, with their own errors."""
     if not _points(result):
         return []
@@ -491,7 +462,7 @@ def _roots(result: "FitResult") -> list[str]:
     ]
 
 
-def _quality(result: "FitResult") -> str:
+def _quality(result: Fitted) -> str:
     """State what was fitted, how well, and the size of the errors that was used."""
     m, scaled = result.measurements, result.scaled
     specimens = len(set(m.specimen))
@@ -510,7 +481,7 @@ def _quality(result: "FitResult") -> str:
         degrees = degrees_of_freedom(result.problem, result.testable_dof)
         p = _probability(result.p_value)
         p = (p.replace("= ", "at most ") if degrees.startswith("at most") else p).replace(" ", TIED)
-        tested = f"{name} {least}{of_inputs(result.problem, result.theta)} for {degrees} ({p})"
+        tested = f"{name} {least}{of_inputs_in_words(result.problem, result.theta)} for {degrees} ({p})"
     elif not result.problem.plain:
         return data  # counts and limits that hold cost nothing
     elif result.dof > 0:
@@ -524,18 +495,18 @@ def _quality(result: "FitResult") -> str:
     return f"{data}: {tested}{used}"
 
 
-def _regime(result: "FitResult") -> str:
+def _regime(result: Fitted) -> str:
     """State b and where contacts break again, and the slow decay length next to the length of the block."""
     at, m = result.regime, result.measurements
     scale, unit = m.unit
     decay = at.slow_decay_length * scale
-    if result.parameters.body == "block":
+    if result.parameters.front.body == "block":
         return (
             f"Regime: b = {_range(at.b)}; an edge load decays over {_range(decay)} {unit}, so this holds only for blocks "
             f"longer than 4 times that, {_range(4 * decay)} {unit}"
         )
     again = f" (from {rebreaking_b():.3g} on the edge contact of a tall slider breaks again)" * (
-        result.parameters.event != "crack"
+        result.parameters.front.event != "crack"
     )
     ends = f", so this holds only for blocks longer than 4/κ₂ = {_range(4 * decay)} {unit}"
     if result.block_length_over_height is not None:
@@ -549,20 +520,20 @@ def _range(x: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _scatter(result: "FitResult") -> str:
+def _scatter(result: Fitted) -> str:
     """State the standard error of a length that the scatter gives, equal for all in λc."""
     m, size = result.measurements, result.scatter or 1.0
     scale, unit = m.unit
     return f"σ = {size:.3g} λc" if np.ptp(scale) > 0 else f"σ = {size * float(scale[0]):.3g} {unit}"
 
 
-def _table(result: "FitResult") -> list[str]:
+def _table(result: Fitted) -> list[str]:
     """Tabulate the lengths: where, height, measured with the σ used, fitted, and how far that is off."""
     m, fitted = result.measurements, result.fitted
     scale, unit = m.unit
     counted, numbers = m.numbered
     known = result.identifiability is not Identifiability.NO_SCATTER  # whether σ has a size
-    several, pushed = len(set(m.specimen)) > 1, result.parameters.body == "block" and m.push_height is not None
+    several, pushed = len(set(m.specimen)) > 1, result.parameters.front.body == "block" and m.push_height is not None
     rows = [
         [
             counted + ", specimen" * several,
@@ -592,7 +563,7 @@ def _aligned(rows: list[list[str]], justify: Callable[[str, int], str], indent: 
     return [indent + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
 
 
-def _further(result: "FitResult") -> list[str]:
+def _further(result: Fitted) -> list[str]:
     """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
     if not result.further:
         return []
@@ -610,116 +581,40 @@ def _further(result: "FitResult") -> list[str]:
 # --- what else would move it ----------------------------------------------------------------------------------------------
 
 
-class _Change(NamedTuple):
-    """A row: what might be otherwise, and the effect on each parameter in words."""
-
-    what: str
-    size: float  # of the largest effect, as it is printed: `_size`; inf where nothing fits, −1 where it is not computed
-    effects: dict[str, str]
-
-
-def _changes(result: "FitResult") -> list[str]:
+def _moving(result: Fitted, changes: Sequence[Change]) -> list[str]:
     """Tabulate what else would move the result, largest first."""
-    found = sorted([*_of_inputs(result), *_of_ends(result), *_of_bodies(result)], key=lambda one: -one.size)
-    names = [name for name in result.names if any(name in one.effects for one in found)]
+    names = [name for name in result.names if any(name in one.moves for one in changes)]
     if not names:
         return []
     shown = _shown(result)
     rows = [["What else would move it", f"{shown[names[0]]} would be"]]
     if len(names) > 1:
         rows = [["What else would move it, and to what", *(shown[name] for name in names)]]
-    rows += [[f"  {one.what}", *(one.effects.get(name, "") for name in names)] for one in found]
+    rows += [[f"  {one.what}", *(_effect(result, one, name) for name in names)] for one in changes]
     return _aligned(rows, str.ljust, indent="")
 
 
-def _given(result: "FitResult") -> list[str]:
-    """Parameters with a value that something can move."""
-    return [name for name, verdict in result.verdicts.items() if verdict.identifiability in GIVEN]
+def _effect(result: Fitted, change: Change, name: str) -> str:
+    """Where a change moves a parameter: ``+5.0 %``, ``× 0.66, none fits``, ``× 2.5 to 5``."""
+    if name not in change.moves:
+        return ""
+    moves = change.moves[name]
+    if not result.parameters.named(name).log:
+        scale, unit = _in_its_unit(result, name)
+        texts = [f"{by * scale:+.2g} {unit}".rstrip() if abs(by) > NONE else "0" for by in moves if not math.isnan(by)]
+        return ", ".join(texts) or change.otherwise
+    if change.name == "threshold":  # a range
+        return f"× {' to '.join(format_number(math.exp(by), 2) for by in moves)}"
+    factors = change.name in ("block", "push_width")  # whatever their size
+    return ", ".join(change.otherwise if math.isnan(by) else _times(math.exp(by), factors) for by in moves)
 
 
-def _stiff(result: "FitResult") -> list[str]:
-    return [name for name in _given(result) if result.parameters.named(name).name in STIFFNESSES]
-
-
-def _effects(result: "FitResult", moved: dict[str, float], none: str) -> tuple[float, dict[str, str]]:
-    """The size of the largest change, and all in words; of a positive parameter the change is that of its logarithm."""
-    words, size = {}, 0.0
-    for name, by in moved.items():
-        if math.isnan(by):
-            words[name], size = none, math.inf
-        elif result.parameters.named(name).log:
-            words[name], size = _times(math.exp(by)), max(size, _size(math.exp(by)))
-        else:
-            scale, unit = _in_its_unit(result, name)
-            words[name] = f"{by * scale:+.2g} {unit}".rstrip() if abs(by) > NONE else "0"
-            size = max(size, abs(by / (result.values[name] or 1.0)))
-    return size, words
-
-
-def _size(ratio: float) -> float:
-    """Size of a change by a factor, in the order of what `_times` prints: per cent, then factors."""
-    return abs(ratio - 1) if 1 / MANY < ratio < MANY else max(ratio, 1 / ratio)
-
-
-def _times(ratio: float) -> str:
-    """``+5.0 %``, ``× 5.7``, or that nothing fits."""
-    if math.isnan(ratio):
-        return "none fits"
-    text = f"{ratio - 1:+.1%}".replace("%", " %") if 1 / MANY < ratio < MANY else f"× {format_number(ratio, 2)}"
+def _times(ratio: float, factor: bool = False) -> str:
+    """``+5.0 %`` or ``× 5.7``."""
+    text = f"× {format_number(ratio, 2)}"
+    if 1 / MANY < ratio < MANY and not factor:
+        text = f"{ratio - 1:+.1%}".replace("%", " %")
     return text[1:] if text[1:] == "0.0 %" else text
-
-
-def _of_inputs(result: "FitResult") -> Iterator[_Change]:
-    """Usual errors of inputs taken as exact."""
-    for name, one in result.budget.items():
-        usual = USUAL[name]
-        m = result.measurements
-        counted = " (counts stay as they are)" * (name == "correlation_length" and m.in_si and "whole" in m.kind)
-        what = f"{usual.symbol} {'smaller' if usual.smaller else 'larger'} by {usual.in_words}{counted}"
-        yield _Change(what, *_effects(result, one.change, "none fits"))
-
-
-def _of_ends(result: "FitResult") -> Iterator[_Change]:
-    """An end of the block and a soft machine, which lengthen the front, and a model factor, where the table states none."""
-    for name, moved in result.unstated_ends.items():
-        yield _Change(SUPPOSED[name][0], *_effects(result, moved, "run through"))
-    if result.parameters.body == "block" and (given := _given(result)):
-        force = ", or a pusher of which the force is held" * (not result.measurements.push_control)
-        yield _Change(f"an end of the block, a machine that gives way{force}", -1.0, dict.fromkeys(given, "not computed"))
-
-
-def _of_bodies(result: "FitResult") -> Iterator[_Change]:
-    """Another body or push for the same lengths, and thresholds that scatter."""
-    stiff, unit = _stiff(result), f"_{result.measurements.unit[1]}" * result.measurements.in_si
-    if result.unstated_push and stiff:
-        each = {name: [factors[name] for factors in result.unstated_push.values() if name in factors] for name in stiff}
-        every = [ratio for ratios in each.values() for ratio in ratios]
-        size = max((math.inf if math.isnan(ratio) else _size(ratio) for ratio in every), default=math.inf)
-        what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
-        if result.parameters.body == "slider":
-            what = f"a real block, pushed from {', '.join(result.unstated_push)} H up (column push_height{unit} fits one)"
-
-        def in_words(ratio: float) -> str:
-            return "none fits" if math.isnan(ratio) else f"× {format_number(ratio, 2)}"
-
-        yield _Change(what, size, {name: ", ".join(map(in_words, ratios)) or "not computed" for name, ratios in each.items()})
-    elif push_is_unstated(result) and stiff:
-        what = f"a real block (column push_height{unit} fits one)"
-        yield _Change(what, math.inf, dict.fromkeys(stiff, "not computed"))
-    if result.parameters.event != "crack" and stiff:  # not studied for crack-like fronts
-        least, most = (1 / (1 - share) for share in SCATTERING)
-        what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
-        yield _Change(what, _size(most), dict.fromkeys(stiff, f"× {least:.2g} to {most:.2g}"))
-    if result.parameters.body == "block" and stiff:
-        slider = result.as_slider
-        if slider is None:
-            yield _Change("the paper's slider", math.inf, dict.fromkeys(stiff, "none fits"))
-            return
-        ratios = {name: slider.values[name] / result.values[name] for name in stiff if name in slider.values}
-        verdicts = dict.fromkeys(slider.verdicts[name].value for name in ratios)
-        what = "the paper's slider" + f" ({'; '.join(verdicts)})" * (list(verdicts) != [Identifiability.IDENTIFIED.value])
-        size = max(map(_size, ratios.values()), default=0.0)
-        yield _Change(what, size, {name: _times(ratio) for name, ratio in ratios.items()})
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[float, float] | None:
@@ -727,7 +622,7 @@ def _sides(value: float, error: float | None, piece: Interval | None) -> tuple[f
     return None if error is None or piece is None else ((value - piece.low) / error, (piece.high - value) / error)
 
 
-def _shown_interval(result: "FitResult", name: str, piece: Interval) -> str:
+def _shown_interval(result: Fitted, name: str, piece: Interval) -> str:
     size, unit = _in_its_unit(result, name)
     return f"{interval(_scaled(piece, size), result.values[name] * size)} {unit}".rstrip()
 
@@ -741,7 +636,7 @@ def _measured(m: Measurements, i: int, sigma: float) -> str:
     return f"{'> ' if m.kind[i] == 'at_least' else ''}{length}"
 
 
-def _residual(result: "FitResult", i: int) -> str:
+def _residual(result: Fitted, i: int) -> str:
     """(fitted − measured)/σ; of a count or a front without arrest that the model meets, that it holds."""
     off, m = result.residuals[i], result.measurements
     if m.kind[i] != "length" and off == 0:
@@ -799,22 +694,22 @@ def _probability(p_value: float) -> str:
     return f"p = {p_value:.2g}".replace("e-0", "e-") if p_value > 1e-300 else "p < 1e-300"
 
 
-def _details(result: "FitResult") -> list[str]:
+def _details(result: Fitted, changes: Sequence[Change]) -> list[str]:
     """Everything that the result rests on, and intervals at both levels."""
     m, shown = result.measurements, {one.label: _symbol(one.label, one.symbol) for one in result.parameters.free}
-    specimens = len(set(m.specimen))
+    specimens, front = len(set(m.specimen)), result.parameters.front
     rows = [
         "Details",
         f"  data    {m.source} ({_plural(len(m), 'measurement')}"
         + f", {_plural(specimens, 'specimen')}" * bool(specimens)
         + ")",
-        f"  model   {_front(result)}, uniform interface, {_body(result)} ({_length(result)})",
+        f"  model   {front.name}, uniform interface, {_body(result)} ({front.length_modelled})",
         *_searched(result),
         "  result",
     ]
     for name in result.values:
         unit = _in_its_unit(result, name)[1]
-        text = _errors(result, name)[1] if name in result.verdicts else _with_error_of_derived(result, name)
+        text = _errors(result, name, changes)[1] if name in result.verdicts else _with_error_of_derived(result, name)
         rows.append(f"    {shown.get(name, 'k/K')} = {text} {unit}".rstrip())
         for level in result.intervals.get(name, {}):
             rows.append(f"      {level:.0%} interval{' (simulated)' * result.calibrated}  {_ends(result, name, level)}")
@@ -829,7 +724,7 @@ def _details(result: "FitResult") -> list[str]:
     return rows
 
 
-def _searched(result: "FitResult") -> list[str]:
+def _searched(result: Fitted) -> list[str]:
     rows = []
     stated = np.array([one.prior_mean if one.nuisance else one.high for one in result.parameters.free])
     stiffest = result.parameters.inputs_at(stated).ratio.max()
@@ -849,11 +744,11 @@ def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + "s" * (count != 1)
 
 
-def _mistakes(result: "FitResult") -> Iterator[str]:
+def _mistakes(result: Fitted) -> Iterator[str]:
     return likely_mistakes(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
 
 
-def notes(result: "FitResult") -> Iterator[str]:
+def notes(result: Fitted) -> Iterator[str]:
     """Remarks to read before using the numbers, most of them about the data."""
     yield from _of_data(result)
     yield from _of_sigma(result)
@@ -861,9 +756,9 @@ def notes(result: "FitResult") -> Iterator[str]:
     yield from _of_shape(result)
     yield from _mistakes(result)
     if any(one.name in STIFFNESSES for one in result.parameters.free):
-        yield from of_attainable(result.measurements, result.attainable, result.parameters.event, result.parameters.body)
+        yield from _of_attainable(result)
     yield from _of_intervals(result)
-    if result.parameters.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
+    if result.parameters.front.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
             "is that of the first front alone"
@@ -871,10 +766,37 @@ def notes(result: "FitResult") -> Iterator[str]:
     yield from _of_short_blocks(result)
 
 
-def _of_short_blocks(result: "FitResult") -> Iterator[str]:
+def _of_attainable(result: Fitted) -> Iterator[str]:
+    """Warn of lengths near or above the longest that any stiffness gives."""
+    m, attainable, front = result.measurements, result.attainable, result.parameters.front
+    sigma = np.where(np.isnan(m.sigma), 0, m.sigma)
+    lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - sigma
+    above = lowest > attainable
+    if above.any():
+        i = int(np.argmin(attainable / m.length))
+        count = int(above.sum())
+        reached = "where no domino starts"
+        if attainable[i] > 0:
+            reached = f"{m.length[i] / attainable[i]:.3g} times the longest attainable, {m.in_its_unit(i, attainable[i])}"
+        yield (
+            f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest that a stiffness in the range "
+            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {reached}"
+        )
+    plateau = ~above & (m.length > PLATEAU * attainable)
+    if plateau.any() and front.event != "crack":
+        poisson = m.poisson[plateau][0]
+        ceiling = float(length_ceiling(poisson))
+        of_slider = f" (no first front of a tall slider exceeds {ceiling:.3f} H at ν = {poisson:g})" * (front.body == "slider")
+        count = int(plateau.sum())
+        lie, they = ("lie", "they constrain") if count > 1 else ("lies", "it constrains")
+        some = f"{count} of {len(m)} lengths {lie}" if len(m) > 1 else "the length lies"
+        yield f"{some} within {1 - PLATEAU:.0%} of the longest attainable, where {they} stiffness little{of_slider}"
+
+
+def _of_short_blocks(result: Fitted) -> Iterator[str]:
     m = result.measurements
     if m.block_length is not None:
-        ratio, usual = m.block_length / result.regime.slow_decay_length, SUPPOSED["block_length"][1]
+        ratio, usual = m.block_length / result.regime.slow_decay_length, END
         short = ratio < usual
         if short.any():
             yield (
@@ -883,7 +805,7 @@ def _of_short_blocks(result: "FitResult") -> Iterator[str]:
             )
 
 
-def _of_data(result: "FitResult") -> Iterator[str]:
+def _of_data(result: Fitted) -> Iterator[str]:
     m = result.measurements
     if m.other:
         yield f"columns kept but not used: {', '.join(m.other)}"
@@ -918,7 +840,7 @@ def _of_data(result: "FitResult") -> Iterator[str]:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
 
 
-def _of_sigma(result: "FitResult") -> Iterator[str]:
+def _of_sigma(result: Fitted) -> Iterator[str]:
     if result.measurements.length_sigma is None:
         yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
     elif result.scaled:
@@ -929,11 +851,11 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         probability, taken = _probability(result.p_value), f"; {relative} takes its size from the scatter"
         larger = f"σ would have to be {factor:.2g} times as large" + taken * result.problem.exact_values
         yield f"the scatter is larger than σ says ({probability}): {larger}"
-    if result.problem.loss.name != "normal":
-        yield f"loss: {result.problem.loss.name}; outliers count less than their σ implies"
+    if result.problem.loss != "normal":
+        yield f"loss: {result.problem.loss}; outliers count less than their σ implies"
 
 
-def _of_pulls(result: "FitResult") -> Iterator[str]:
+def _of_pulls(result: Fitted) -> Iterator[str]:
     """Name the inputs that the lengths pull farther from their stated values than chance would.
 
     The difference between fitted and stated value scatters by √(σ² − s²), with the stated error σ and that of the fit, s.
@@ -962,7 +884,7 @@ def _of_pulls(result: "FitResult") -> Iterator[str]:
     yield f"the lengths pull {which}, more than chance would: {'; or '.join(checks)}"
 
 
-def _of_shape(result: "FitResult") -> Iterator[str]:
+def _of_shape(result: Fitted) -> Iterator[str]:
     """Name the parameters whose 68 % interval differs from value ± standard error."""
     for name in result.names:
         if math.isfinite(result.parameters.named(name).prior_sigma):
@@ -974,7 +896,7 @@ def _of_shape(result: "FitResult") -> Iterator[str]:
         why = "the likelihood is not parabolic"
         if result.calibrated:
             why = "the interval is that of simulated measurements"
-        elif result.rise.dof is not None and max(by) / min(by) < 1 + UNEVEN:
+        elif result.scatter_dof is not None and max(by) / min(by) < 1 + UNEVEN:
             why = f"the size of σ is known from {_plural(result.dof, 'degree')} of freedom only"
         one = result.parameters.named(name)
         ends = _shown_interval(result, name, pieces[0])
@@ -984,19 +906,13 @@ def _of_shape(result: "FitResult") -> Iterator[str]:
         )
 
 
-def _of_intervals(result: "FitResult") -> Iterator[str]:
+def _of_intervals(result: Fitted) -> Iterator[str]:
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
-        what = "the definition of a length between two whole contacts changes it by"
-        if result.parameters.body == "block":
-            what = "the length of an event on a block is interpolated between coarser blocks, which may change it by"
-        elif result.parameters.event == "full":
-            what = (
-                "the length of an event steps where the order of its breaks changes, and is interpolated, which changes it by"
-            )
+        off = result.measurements.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))
         yield (
-            f"{what} up to {result.measurements.in_its_unit(i, float(f'{result.between_contacts[i]:.2g}'))} "
-            f"({result.measurements.place(i)}), which is added to σ in quadrature"
+            f"{result.parameters.front.uncertain_as} up to {off} ({result.measurements.place(i)}), which is added to σ in "
+            "quadrature"
         )
     if not result.complete and result.problem.p <= SCANNED:
         yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slippulse_jax.inference.likelihood import Problem, terms
+from slippulse_jax.inference.likelihood import EXPECTED, Problem, terms
 from slippulse_jax.inference.optimise import minimise
 
 UNMEASURABLE = 1e-4
@@ -47,7 +47,7 @@ def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> S
         deviance, dof = _left_over(sized, theta, of_lengths)
         if not np.isfinite(deviance):  # the front never stops: there is no fit
             return Scatter(factor, dof, sized, total)
-        change = np.sqrt(deviance / dof / problem.loss.expected) if dof > 1e-6 else 0.0
+        change = np.sqrt(deviance / dof / EXPECTED[problem.loss]) if dof > 1e-6 else 0.0
         if factor * change * widest < UNMEASURABLE:
             least = UNMEASURABLE / widest
             sized = problem.with_sigma(least, of_lengths=of_lengths)
@@ -65,7 +65,7 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
     deviance, count = 0.0, sum(len(block.rows) for block in blocks)
     for block in blocks:
         mu = problem.predict(theta, block.observable)
-        deviance += 2 * float(terms(mu, block.data, np.zeros(1, int), problem.loss, None).value.sum())
+        deviance += 2 * float(terms(mu, block.data, np.zeros(1, int), problem.loss).value.sum())
     reach = problem.parameters.high - problem.parameters.low
     jacobian = problem.information(theta)[1] * reach
     own = jacobian[:count]  # the lengths come first, priors last

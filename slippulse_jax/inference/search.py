@@ -8,15 +8,17 @@ nothing is promised.
 """
 
 import dataclasses
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import Evaluation, Problem
-from slippulse_jax.inference.model import attainable_of
 from slippulse_jax.inference.optimise import Convergence, minimise
-from slippulse_jax.inference.parameters import STIFFNESSES
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
+from slippulse_jax.status import Outcome
 
 SCANNED = 3
 """Largest number of fitted parameters whose range is scanned completely."""
@@ -79,28 +81,61 @@ class Cells(NamedTuple):
         return self.deviance[cell] + rise, point
 
 
-class Search(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Root:
+    """A minimum of the deviance D = −2 ln(likelihood × prior)."""
+
+    parameters: ParameterSet = dataclasses.field(metadata={"written": False})
+    theta: np.ndarray  # (p,)
+    deviance: float
+    covariance: np.ndarray  # of θ, (p, p): the inverse Fisher information
+    singular: np.ndarray  # parameters it does not constrain: their variance is that of the range searched
+    share: float  # least share that the response of the model makes up of the second derivative of D; 1 at a good root
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the requested parameters."""
+        return self.parameters.values(self.theta)
+
+    @property
+    def stderrs(self) -> dict[str, float | None]:
+        """Their standard errors, from the information here; None where there is none."""
+        values, q = self.values, self.parameters
+        errors: dict[str, float | None] = dict.fromkeys(values)
+        for j, one in enumerate(q.free):
+            spread = float(np.sqrt(self.covariance[j, j]))
+            if not (one.nuisance or self.singular[j]) and spread <= one.high - one.low:
+                errors[one.label] = spread * (values[one.label] if one.log else 1.0)
+        return errors
+
+    @functools.cached_property
+    def inputs(self) -> Inputs:
+        """Inputs of the model for each measurement, (n,)."""
+        return self.parameters.inputs_at(self.theta)
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """k/K of each measurement, shape (n,)."""
+        return self.inputs.ratio
+
+    @functools.cached_property
+    def rebreaks(self) -> bool:
+        """Whether, for some measurement, the edge contact would break again before the front stops."""
+        return bool((self.parameters.front.status(self.inputs) == Outcome.REBREAK).any())
+
+
+class Found(NamedTuple):
     """What a search found."""
 
-    minima: list["Minimum"]  # best first
+    roots: list[Root]  # within `SLACK` of the least deviance, best first
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
     cells: Cells | None  # None with more than `SCANNED` parameters
+    curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Minimum:
-    """Minimum of the deviance D = −2 ln(likelihood × prior)."""
-
-    theta: np.ndarray
-    deviance: float
-    covariance: np.ndarray  # inverse Fisher information
-    singular: np.ndarray  # parameters it does not constrain: their variance is that of the range searched
-    share: float  # least share that the response of the model makes up of the second derivative of D; 1 at a good root
-
-
-def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Search:
+def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
     """Find the minima of the deviance within `SLACK` of the least one, best first.
 
     Parameters
@@ -141,9 +176,9 @@ def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: n
     if cells is not None:
         theta, deviance = np.concatenate([theta, cells.theta]), np.concatenate([deviance, cells.deviance])
     if not len(theta):
-        return Search([], (low + high) / 2, np.inf, unconverged, cells)
+        return Found([], (low + high) / 2, np.inf, unconverged, cells)
     least = int(np.argmin(deviance))
-    return Search(minima, theta[least], float(deviance[least]), unconverged, cells)
+    return Found(minima, theta[least], float(deviance[least]), unconverged, cells)
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:
@@ -361,9 +396,9 @@ def _tops(problem: Problem) -> np.ndarray:
     return np.unique(np.log(ratio) - inputs.log_stiffness + theta[0])
 
 
-def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Minimum]:
+def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Root]:
     """Keep each minimum once; the first point of a flat floor or valley stands for all of it."""
-    kept: list[Minimum] = []
+    kept: list[Root] = []
     for point, value, is_flat in zip(theta, deviance, flat, strict=True):
         if is_flat and not problem.predict(point).any():
             continue  # where no domino starts nothing responds either, and nothing was found
@@ -373,7 +408,7 @@ def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np
     return kept
 
 
-def same(point: np.ndarray, deviance: float, one: Minimum, problem: Problem) -> bool:
+def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> bool:
     """Whether a point is this minimum, or lies in the same valley.
 
     For lengths along one parameter: unless the deviance rises between them. Otherwise: to a fiftieth of the standard errors.
@@ -391,7 +426,7 @@ def same(point: np.ndarray, deviance: float, one: Minimum, problem: Problem) -> 
     return bool(one.singular.any() or np.all(np.abs(off) <= 0.02 * along))
 
 
-def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Minimum:
+def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Root:
     """Covariance and share of the response at a minimum."""
     at = problem(theta[None], order=2)
     assert at.metric is not None
@@ -401,10 +436,7 @@ def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Minimum:
     singular = undetermined_axes(information * np.outer(reach, reach))
     # a prior as wide as the range searched makes the inverse exist without changing what the data determine
     vague = information + np.diag(1.0 / reach**2) * bool(singular.any())
-    # no prediction depends on `discrepancy`, whose curvature varies with the scatter of the data
-    predicted = np.arange(problem.p) != problem.parameters.discrepancy
-    share = _share(at.metric[0][np.ix_(predicted, predicted)], at.curvature[0][np.ix_(predicted, predicted)])
-    return Minimum(theta, deviance, np.linalg.inv(vague), singular, share)
+    return Root(problem.parameters, theta, deviance, np.linalg.inv(vague), singular, _share(at.metric[0], at.curvature[0]))
 
 
 def _share(metric: np.ndarray, curvature: np.ndarray) -> float:

@@ -10,12 +10,13 @@ import numpy as np
 from scipy.special import ndtri
 
 from slippulse_jax.inference.bayes import theta_of
+from slippulse_jax.inference.fitted import LEVELS, Identifiability
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import READINGS
-from slippulse_jax.inference.model import PREDICTED, attainable_of, lengths, recursion_status
-from slippulse_jax.inference.parameters import Inputs, at_theta
+from slippulse_jax.inference.observables import PREDICTED
+from slippulse_jax.inference.parameters import attainable_of
 from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import TIED, folded, sentences, value_in_words, value_with_error
-from slippulse_jax.inference.verdict import GIVEN, LEVELS, Identifiability
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
@@ -30,16 +31,15 @@ from slippulse_jax.plot.style import (
     letter_panels,
     new_figure,
 )
-from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+    from slippulse_jax.inference.fit import FitResult
     from slippulse_jax.inference.measurements import Gauges
     from slippulse_jax.inference.parameters import Free
-    from slippulse_jax.inference.result import FitResult
 
 ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6
@@ -137,12 +137,12 @@ def _title(result: "FitResult") -> Iterator[str]:
     """Quote the box of the report, and the constants of the material."""
     one_of = {one.label: one for one in result.parameters.free}
     names = [name for name in result.names if not _is_constant(one_of[name])] or result.names
-    given = [name for name in names if result.verdicts[name].identifiability in GIVEN]
-    yield from (value_in_words(result, name) for name in given[:MOST_VALUES])
+    given = [name for name in names if name in result.given]
+    yield from (value_in_words(result, name, result.changes) for name in given[:MOST_VALUES])
     if len(given) > MOST_VALUES:
         yield f"… and {len(given) - MOST_VALUES} more"
     constants = ", ".join(text.replace(" ", TIED) for text in _constants(result))
-    yield from folded(" ".join([*sentences(result), constants]), TITLE)
+    yield from folded(" ".join([*sentences(result, result.changes), constants]), TITLE)
 
 
 def _is_constant(one: "Free") -> bool:
@@ -435,7 +435,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     conditions = _conditions(result)
     shown = [conditions[i] for i in np.unique(np.linspace(0, len(conditions) - 1, MOST_CURVES).round().astype(int))]
     one = q.inputs_at(result.theta).take([rows[0] for rows in shown])
-    differ = _differing(one if along == "height" else one._replace(log_push=None), [np.full(len(shown), True)])
+    differ = _differing(one if along == "height" else one.without("log_push"), [np.full(len(shown), True)])
     places = np.array([at[rows[0]] for rows in shown])
     largest, highest, any_again = 0.0, 0.0, False
     visible = []
@@ -651,7 +651,7 @@ def _name(one: "Free", axis: "Axis") -> None:
 def _abscissa(result: "FitResult") -> tuple[str, np.ndarray]:
     """Abscissa of the lengths, in stated λc: height of the block, or of the push where that leaves fewer curves."""
     m = result.measurements
-    if m.push_height is None or result.parameters.body != "block":
+    if m.push_height is None or result.parameters.front.body != "block":
         return "height", m.height
     by_height, by_push = (len(_alike(result, result.theta, along)) for along in ("height", "push_height"))
     return ("push_height", m.push_height) if by_push < by_height else ("height", m.height)
@@ -662,11 +662,17 @@ def _inputs_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.nda
     along, at = _abscissa(result)
     each = result.parameters.inputs_at(theta)
     name = INPUTS[along]
-    each = each._replace(**{name: getattr(each, name) - np.log(at)})
-    mean = Inputs(*(None if x is None else x[..., np.atleast_1d(rows)].mean(axis=-1, keepdims=True) for x in each))
-    one = mean._replace(**{name: getattr(mean, name) + np.log(height)})
+    each = _shifted(each, name, -np.log(at))
+    mean = each.map(lambda x: x[..., np.atleast_1d(rows)].mean(axis=-1, keepdims=True))
+    one = _shifted(mean, name, np.log(height))
     shape = np.broadcast_shapes(one.log_height.shape, np.shape(height))
-    return Inputs(*(None if x is None else np.broadcast_to(x, shape) for x in one))
+    return one.map(lambda x: np.broadcast_to(x, shape))
+
+
+def _shifted(inputs: Inputs, name: str, by: np.ndarray) -> Inputs:
+    """Inputs of which one, `INPUTS` of the axis, is shifted."""
+    at = inputs.get(name) + by
+    return inputs._replace(log_height=at) if name == "log_height" else inputs.given(**{name: at})
 
 
 def _lengths_at(result: "FitResult", theta: np.ndarray, rows: Any, height: np.ndarray) -> np.ndarray:
@@ -678,16 +684,14 @@ def _lengths_over(result: "FitResult", theta: np.ndarray, rows: Any, height: np.
     """Predicted lengths at many θ, (t, p), in one batch; shape (t, heights)."""
     q = result.parameters
     inputs = _inputs_at(result, theta, rows, height)
-    length = lengths(inputs.ravel(), event=q.event).value.reshape(len(theta), -1)
+    length = q.front.lengths(inputs.ravel()).reshape(len(theta), -1)
     log_scale, offset = (x(theta)[:, np.atleast_1d(rows)].mean(axis=-1)[:, None] for x in (q.scales["length"], q.offset))
     return length * np.exp(log_scale) + offset
 
 
 def _breaks_again(result: "FitResult", inputs: Inputs) -> np.ndarray:
     """Whether the edge contact breaks again before the front stops, for models of a front under the hard rule."""
-    if result.parameters.event != "domino" or result.parameters.smooth:
-        return np.zeros(np.shape(inputs.log_height), bool)
-    return (recursion_status(inputs.ravel()) == Outcome.REBREAK).reshape(np.shape(inputs.log_height))
+    return result.parameters.front.breaks_again(inputs.ravel()).reshape(np.shape(inputs.log_height))
 
 
 def _groups(result: "FitResult") -> list[np.ndarray]:
@@ -705,10 +709,10 @@ def _groups(result: "FitResult") -> list[np.ndarray]:
 def _alike(result: "FitResult", theta: np.ndarray, along: str) -> list[np.ndarray]:
     """Group the measurements whose inputs at θ are equal but for the abscissa."""
     m = result.measurements
-    same = result.parameters.inputs_at(theta)._asdict()
-    del same[INPUTS[along]]
+    inputs = result.parameters.inputs_at(theta)
+    same = [inputs.get(name) for name in inputs.names if name != INPUTS[along]]
     correlation_length = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
-    keys = np.column_stack([*(np.round(x, 9) for x in same.values() if x is not None), correlation_length])
+    keys = np.column_stack([*(np.round(x, 9) for x in same), correlation_length])
     return _equal_rows(keys)
 
 
@@ -734,8 +738,8 @@ def _group_names(result: "FitResult") -> list[str]:
 def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarray]]:
     """Symbol and values of the inputs that differ within one of several selections of rows."""
     numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
-    if one.log_push is not None:
-        numbers["$h/H$"] = np.exp(one.log_push)
+    if "log_push" in one.more:
+        numbers["$h/H$"] = np.exp(one.get("log_push"))
     return [(sign, x) for sign, x in numbers.items() if any(np.ptp(x[which]) > 1e-9 * np.abs(x).max() for which in alike)]
 
 
@@ -804,9 +808,9 @@ def _field(result: "FitResult", row: int, name: str, x: np.ndarray) -> np.ndarra
     q = result.parameters
     block = next(one for one in result.problem.blocks if one.observable == name)
     datum = int(np.nonzero(block.measurement == row)[0][0])
-    inputs = at_theta(block.inputs, result.theta).take(np.full(len(x), block.rows[datum]))
+    inputs = block.inputs.at(result.theta).take(np.full(len(x), block.rows[datum]))
     assert result.measurements.correlation_length is not None
     true_unit = np.exp(q.scales["position"](result.theta)[row])
     place = np.log(np.maximum(x / (result.measurements.correlation_length[row] * true_unit), 1e-9))
     unit = np.exp(q.scales[name](result.theta)[row])
-    return PREDICTED[name](inputs._replace(log_position=place)).value * unit
+    return PREDICTED[name](q.front, inputs.given(log_position=place), ()).value * unit

@@ -22,8 +22,8 @@ from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.design.knowledge import Knowledge
 from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
-from slippulse_jax.inference.model import lengths
-from slippulse_jax.inference.parameters import Inputs, pushed_at
+from slippulse_jax.inference.fronts import FRONTS, pushed
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.shown import html
 
 MOST_EXPERIMENTS = 12
@@ -273,10 +273,12 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind)
     per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
     ratio = np.exp(theta)[:, None] * per_unit
     inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
+    front = FRONTS["slider", event]
     if candidates[0].push_height is not None:
         at, width = np.array([[c.push_height, c.push_width or np.nan] for c in candidates]).T
-        inputs, event = pushed_at(inputs, np.ones(len(at)), at, width, [c.push_control for c in candidates]), "full"
-    found = lengths(inputs.ravel(), ("log_stiffness",), event)
+        push = pushed(np.ones(len(at)), at, width, [c.push_control for c in candidates])
+        front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
+    found = front.predict(inputs.ravel(), ("log_stiffness",))
     return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
 
 

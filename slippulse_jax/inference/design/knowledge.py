@@ -12,22 +12,17 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import EventKind, check_event
+from slippulse_jax.inference.fronts import FRONTS, Body, front_of, pushed
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import data_log_density
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
-from slippulse_jax.inference.model import lengths
 from slippulse_jax.inference.parameters import (
     STIFFNESSES,
-    Body,
-    Inputs,
-    event_and_body,
-    pushed_at,
     ratio_per_unit,
-    softest,
-    stiffest,
 )
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.fitted import Fitted
 
 NODES = 1201
 """Samples of a grid."""
@@ -163,7 +158,7 @@ class Knowledge:
         check_used(m, "design")
         if m.in_si and m.young is None:
             raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
-        ratio, (_, body) = ratio_per_unit(m), event_and_body(m, None, None)
+        ratio, body = ratio_per_unit(m), front_of(m).body
         if prior is not None:
             if prior.in_si != m.in_si:
                 raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
@@ -182,7 +177,7 @@ class Knowledge:
         return cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
 
     @classmethod
-    def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
+    def from_fit(cls, result: "Fitted", *, nodes: int = NODES) -> "Knowledge":
         """Take the profile likelihood of the stiffness of a fit.
 
         With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
@@ -208,19 +203,18 @@ class Knowledge:
             raise ValueError(f"the fit has {len(asked)} stiffnesses ({', '.join(asked)}): one is needed")
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
-        event = result.parameters.event
-        if event == "crack" or result.parameters.smooth:
-            fronts = "of crack-like fronts" if event == "crack" else "under a smooth break rule"
-            raise ValueError(f"the fit is {fronts}: designs predict self-healing fronts of the hard rule only")
+        event = result.parameters.front.event
+        if event == "crack":
+            raise ValueError("the fit is of crack-like fronts: designs predict self-healing ones only")
         curve = result.curves[asked[0]]
         low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))
         node = curve.node[max(low[0] - 1, 0) : low[-1] + 2]
         part = np.arange(len(node))
         theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
         deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
-        density = np.exp((deviance.min() - deviance) / (2 * result.rise.factor))
+        density = np.exp((deviance.min() - deviance) / 2)
         return cls(
-            theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, result.parameters.body
+            theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, result.parameters.front.body
         )
 
     @property
@@ -269,9 +263,14 @@ def _log_likelihood(
         raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
     stiffness = np.exp(theta)[:, None] * ratio
     inputs = Inputs.of(m.height, stiffness, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
-    if body == "block":
-        inputs, event = pushed_at(inputs, m.height, m.push_height, m.push_width, m.push_control), "full"
-    length = lengths(inputs.ravel(), event=event).value.reshape(stiffness.shape)
+    front = FRONTS["slider", event]
+    if body == "block" and m.push_height is not None:
+        push = pushed(m.height, m.push_height, m.push_width, m.push_control)
+        front, inputs = (
+            FRONTS["block", "full"],
+            inputs.given(**{n: np.broadcast_to(x, stiffness.shape) for n, x in push.items()}),
+        )
+    length = front.lengths(inputs.ravel()).reshape(stiffness.shape)
     kind = np.array(m.kind)
     total = np.zeros(len(theta))
     for one in set(m.kind):
@@ -285,8 +284,8 @@ def _scan(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose a grid of θ, finer where the posterior is; also return the logarithms of its weights."""
     if bounds is None:
-        most = stiffest(m, "full" if body == "block" else "domino", body)
-        bounds = float((softest(m, body) / ratio).min()), float((most / ratio).max())
+        front = FRONTS[body, "full" if body == "block" else "domino"]
+        bounds = float((front.softest(m) / ratio).min()), float((front.stiffest(m) / ratio).max())
     low, high = bounds
     if not 0 < low < high < np.inf:
         raise ValueError(f"bounds = ({low:g}, {high:g}): must be positive, finite and in increasing order")

@@ -1,0 +1,298 @@
+"""Record of a fit: values, errors, intervals, roots, and whether the data determine them at all."""
+
+import dataclasses
+import enum
+import functools
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from slippulse_jax.inference.fronts import Regime
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.measurements import READINGS, Measurements
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.profile import Curve, Intervals, rise_of
+from slippulse_jax.inference.search import Root, describe
+
+LEVELS = (0.6827, 0.95)
+"""Confidence levels of intervals."""
+IMPROBABLE = 1e-3
+"""Probability of χ² below which model and σ do not describe the data."""
+SCATTERED = 0.05
+"""Probability of χ², or of the largest pull, below which the report remarks on it."""
+
+
+class Identifiability(enum.Enum):
+    """Whether the data determine a parameter; the value is the sentence of the report."""
+
+    IDENTIFIED = "identified"
+    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
+    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
+    ONE_SIDED = "bounded on one side only"
+    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
+    SKEWED = "identified, but not with a symmetric error"
+    REBREAKS = "identified only if the event ends with its first front, which in the model it does not"
+    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
+    UNINFORMATIVE = "not identifiable: no value is preferred"
+    NO_SCATTER = "a value without an error: these lengths have no scatter to take one from"
+    POOR_FIT = "the model does not describe these data"
+    NOT_CONVERGED = "the search did not converge"
+
+
+GRAVITY = (
+    Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
+    Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED,
+    Identifiability.EQUAL, Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
+)  # fmt: skip
+
+
+GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
+"""Verdicts with a value that an input can move."""
+
+
+class Verdict(NamedTuple):
+    """Verdict on one parameter, with its reason."""
+
+    identifiability: Identifiability
+    reason: str = ""
+
+
+def gravest(verdicts: dict[str, Verdict]) -> str:
+    """Name of the parameter with the gravest verdict."""
+    return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
+
+
+class AtBest(NamedTuple):
+    """The model at the best fit, one entry per measurement."""
+
+    length: np.ndarray  # as it would be measured, with the fitted model factor and offset, in stated λc
+    contacts_broken: np.ndarray  # of the front itself, without these; −1 where it never stops
+    status: np.ndarray  # `Outcome`
+
+
+class Further(NamedTuple):
+    """One further observable at the best fit, one entry per datum; in SI."""
+
+    observable: str
+    value: np.ndarray
+    sigma: np.ndarray
+    fitted: np.ndarray
+    places: list[str]  # where each was measured, for messages
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(fitted − measured)/σ."""
+        return (self.fitted - self.value) / self.sigma
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit found, and what follows from it without another fit."""
+
+    measurements: Measurements
+    problem: Problem = dataclasses.field(metadata={"written": False})
+    request: dict[str, Any]  # the arguments of `fit`, as given
+    theta: np.ndarray  # of least deviance, (p,)
+    deviance: float  # its least value; χ² (with that of the priors) for plain lengths
+    minima: list[Root]  # of the deviance, up to `SLACK` above the least, best first
+    curves: dict[str, Curve]  # profile of each parameter, over its θ
+    intervals: dict[str, Intervals]  # by parameter and confidence level, in units
+    verdicts: dict[str, Verdict]  # by parameter
+    scatter: float | None  # factor on the stated σ, or on 1 λc, by which they match the scatter; None where σ are as stated
+    scatter_dof: float | None  # degrees of freedom left over by that
+    closest: float | None  # relative distance of the lengths from the fit, where it is too small to be scatter
+    testable_dof: int | None  # degrees of freedom where χ² tests the model
+    unconverged: list[str]  # messages of the starts that did not converge and might matter
+    attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
+    attainable_at: np.ndarray  # k/K where
+    between_contacts: np.ndarray | None  # |ℓ − ℓ*| of each length in λc, added to σ in quadrature; None where it is small
+    complete: bool  # whether the whole range was searched
+    covered: dict[str, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
+
+    @functools.cached_property
+    def roots(self) -> list[Root]:
+        """Minima not excluded at 95 %, best first."""
+        return [one for one in self.minima if one.deviance <= self.deviance + self.rise(LEVELS[-1])]
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the intervals are those of simulated measurements."""
+        return bool(self.covered)
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """What was fitted, and how it enters the model."""
+        return self.problem.parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Requested parameters, by label; inputs fitted only because of their errors are in `inputs`."""
+        return list(self.verdicts)
+
+    @property
+    def given(self) -> list[str]:
+        """Requested parameters with a value that an input can move."""
+        return [name for name, verdict in self.verdicts.items() if verdict.identifiability in GIVEN]
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """The gravest verdict on any requested parameter."""
+        return self.verdicts[gravest(self.verdicts)].identifiability
+
+    @property
+    def reason(self) -> str:
+        """Why there is no plain standard error; empty where there is one for every parameter."""
+        name = gravest(self.verdicts)
+        reason = self.verdicts[name].reason
+        return f"{name}: {reason}" if reason and len(self.verdicts) > 1 else reason
+
+    @property
+    def converged(self) -> bool:
+        """Whether every start that mattered ended at a minimum."""
+        return not self.unconverged
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of highest likelihood; k/K too where it is one number for all measurements."""
+        values, ratio = self.parameters.values(self.theta), self.parameters.common_ratio(self.theta)
+        if ratio is not None:
+            values.setdefault("stiffness", ratio)
+        return values
+
+    @property
+    def inputs(self) -> dict[str, float]:
+        """Fitted values of the inputs that came with errors of their own."""
+        return self.parameters.values(self.theta, nuisance=True)
+
+    def rise(self, level: float, parameters: int = 1) -> float:
+        """Rise of the deviance at the ends of an interval at this level; for regions of several parameters too."""
+        return rise_of(level, parameters, self.scatter_dof)
+
+    @functools.cached_property
+    def _at_best(self) -> Root:
+        return describe(self.problem, self.theta, self.deviance)
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
+        return None if self._at_best.singular.any() else self._at_best.covariance
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the size of the errors was taken from the scatter."""
+        return self.scatter is not None
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard error of each length that the fit used, in λc; shape (n,).
+
+        As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
+        """
+        return self.problem.blocks[0].data.sigma
+
+    @property
+    def stderrs(self) -> dict[str, float | None]:
+        """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
+        q, sound, values = self.parameters, Identifiability.IDENTIFIED, self.values
+        covariance, singular = self._at_best.covariance, self._at_best.singular
+        found: dict[str, float | None] = dict.fromkeys(values)
+        for name, verdict in self.verdicts.items():
+            j = q.index(name)
+            if verdict.identifiability is sound and not singular[j]:
+                found[name] = float(np.sqrt(covariance[j, j])) * (values[name] if q.free[j].log else 1.0)
+        slope = q.inputs.log_stiffness.slope[0]
+        if "stiffness" in values and "stiffness" not in self.verdicts:
+            # of k/K, where λc and E may have errors too
+            moving = [v.identifiability for name, v in self.verdicts.items() if slope[q.index(name)]]
+            if all(one is sound for one in moving) and not singular[slope != 0].any():
+                found["stiffness"] = values["stiffness"] * float(np.sqrt(slope @ covariance @ slope))
+        return found
+
+    @property
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Correlations between fitted parameters (of their θ); empty where the information is singular."""
+        if self.covariance is None:
+            return {}
+        error = np.sqrt(np.diag(self.covariance))
+        pairs = itertools.combinations(enumerate(self.parameters.names), 2)
+        return {(a, b): float(self.covariance[i, j] / (error[i] * error[j])) for (i, a), (j, b) in pairs}
+
+    @property
+    def stiffness_ratios(self) -> dict[tuple[str, str], tuple[float, float | None]]:
+        """Stiffness of one specimen over that of another, with its standard error, by the labels of both.
+
+        Errors that both share cancel. The error is None where one of the two has none.
+        """
+        q, errors = self.parameters, self.stderrs
+        each = [q.index(name) for name in self.names if q.named(name).name in STIFFNESSES]
+        found: dict[tuple[str, str], tuple[float, float | None]] = {}
+        for i, j in itertools.combinations(each, 2):
+            above, below = q.names[j], q.names[i]
+            ratio, error = float(np.exp(self.theta[j] - self.theta[i])), None
+            if None not in (errors[above], errors[below]):
+                covariance = self._at_best.covariance
+                variance = covariance[i, i] + covariance[j, j] - 2 * covariance[i, j]
+                error = ratio * float(np.sqrt(variance))
+            found[above, below] = ratio, error
+        return found
+
+    @functools.cached_property
+    def fitted(self) -> AtBest:
+        """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
+        q = self.parameters
+        inputs = q.inputs_at(self.theta)
+        front = q.front.lengths(inputs)  # without model factor and offset, which belong to the measurement
+        counted = np.where(np.isfinite(front), np.maximum(np.ceil(np.where(np.isfinite(front), front, 0)), 1), -1)
+        return AtBest(self.problem.predict(self.theta)[0], counted.astype(int), q.front.status(inputs))
+
+    @functools.cached_property
+    def regime(self) -> Regime:
+        """Find b and 1/κ_2 of each measurement at the best fit; lengths in λc of the table, where λc is fitted too."""
+        q = self.parameters
+        found, contact = q.front.regime(q.inputs_at(self.theta)), np.exp(q.scales["position"](self.theta))
+        return found._replace(slow_decay_length=found.slow_decay_length * contact)
+
+    @property
+    def block_length_over_height(self) -> np.ndarray | None:
+        """L/H of each measurement, NaN for a block without end; None where no length is stated."""
+        m = self.measurements
+        return None if m.block_length is None else m.block_length / m.height
+
+    @functools.cached_property
+    def further(self) -> list[Further]:
+        """Data other than lengths, and the model's values for them."""
+        m, found = self.measurements, []
+        for block in self.problem.blocks[1:]:
+            places = [m.place(i) for i in block.measurement.tolist()]
+            if m.gauges is not None and block.observable in READINGS:
+                places = [m.gauges.place(i) for i in np.nonzero(m.gauges.there(block.observable))[0].tolist()]
+            fitted = self.problem.predict(self.theta, block.observable)[0]
+            found.append(Further(block.observable, block.data.value[0], block.data.sigma, fitted, places))
+        return found
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: data, priors included, minus fitted parameters."""
+        return self.problem.count - self.problem.p
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of so large a misfit if model and σ are right, or its upper bound; None where none is known."""
+        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.misfit))
+
+    @property
+    def misfit(self) -> float:
+        """Deviance beyond that of data which the model meets: χ² for plain lengths."""
+        return self.deviance - self.problem.perfect
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(fitted − measured)/σ of the lengths, shape (n,); for counts and fronts without arrest what lies outside, else 0."""
+        m = self.measurements
+        off = self.fitted.length - m.length
+        kind = np.array(m.kind)
+        off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
+        off = np.where(kind == "at_least", np.minimum(off, 0), off)
+        return off / np.where(self.sigma > 0, self.sigma, 1)

@@ -1,0 +1,119 @@
+"""Inputs of the models of a length, by name, and their domains.
+
+Five of them every model takes; what only some take, as the height of a push, each names for itself.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+
+
+class Input(NamedTuple):
+    """One input: how it is written, where the model is defined, and the step of differences in it."""
+
+    symbol: str
+    low: float
+    high: float
+    requirement: str
+    step: float = 1e-4  # half-width of central differences
+    domain: tuple[float, float] = (-np.inf, np.inf)  # to which they are clipped
+
+
+COMMON = {
+    "log_height": Input("H/λc", 0.0, np.inf, "must exceed 1"),
+    "log_stiffness": Input("k/K", np.log(1e-30), np.log(1e3), "must lie in 1e-30 to 1e3"),
+    "poisson": Input("ν", POISSON.low, POISSON.high, POISSON.requirement, 1e-5, (-np.inf, 0.5)),
+    "prestress": Input("φ", PRESTRESS.low, PRESTRESS.high, PRESTRESS.requirement, 1e-5),
+    # over H/λc: it acts multiplied by ℓ*
+    "threshold_slope": Input("ε", THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, THRESHOLD_SLOPE.requirement, 5e-6),
+}
+"""Inputs of every model."""
+
+
+class Inputs(NamedTuple):
+    """Inputs of a model, all of one shape; or, before θ is known, a `Linear` each."""
+
+    log_height: Any  # ln H/λc
+    log_stiffness: Any  # ln k/K
+    poisson: Any
+    prestress: Any  # φ, in σ_s
+    threshold_slope: Any  # ε, per contact
+    more: dict[str, Any] = {}  # what only some models take, by name
+
+    @classmethod
+    def of(
+        cls,
+        height: ArrayLike,
+        stiffness: ArrayLike,
+        poisson: ArrayLike,
+        prestress: ArrayLike = 0,
+        threshold_slope: ArrayLike = 0,
+        **more: ArrayLike,
+    ) -> "Inputs":
+        """Inputs from H/λc, k/K, ν, φ, ε and others by name, which broadcast."""
+        numbers = np.log(height), np.log(stiffness), poisson, prestress, threshold_slope, *more.values()
+        columns = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
+        return cls(*columns[:5], more=dict(zip(more, columns[5:], strict=True)))
+
+    @classmethod
+    def from_table(cls, names: Sequence[str], table: np.ndarray) -> "Inputs":
+        """Inverse of `table`."""
+        columns = dict(zip(names, np.moveaxis(table, -1, 0), strict=True))
+        return cls(*(columns.pop(name) for name in COMMON), more=columns)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return (*COMMON, *self.more)
+
+    def get(self, name: str) -> Any:
+        """The input of this name."""
+        return getattr(self, name) if name in COMMON else self.more[name]
+
+    def table(self) -> np.ndarray:
+        """Stack them as columns, shape (…, len(names))."""
+        return np.stack([*self[:5], *self.more.values()], axis=-1)
+
+    def map(self, function: Callable[[Any], Any]) -> "Inputs":
+        """Apply a function to every input."""
+        return Inputs(*map(function, self[:5]), more={name: function(x) for name, x in self.more.items()})
+
+    def at(self, theta: Any) -> "Inputs":
+        """Values of linear inputs at θ of shape (…, p); each of shape (…, n)."""
+        return self.map(lambda one: one(theta))
+
+    def take(self, rows: Any) -> "Inputs":
+        """Select some rows of every input."""
+        return self.map(lambda one: one[rows])
+
+    def ravel(self) -> "Inputs":
+        """Flatten every input."""
+        return self.map(np.ravel)
+
+    def given(self, **more: Any) -> "Inputs":
+        """Add inputs, or replace them."""
+        return self._replace(more=self.more | more)
+
+    def without(self, *names: str) -> "Inputs":
+        """Leave inputs out."""
+        return self._replace(more={name: x for name, x in self.more.items() if name not in names})
+
+    @property
+    def log_b(self) -> Any:
+        """Logarithm of b, the areal stiffness times H over the shear modulus."""
+        return np.log(2 * (1 + self.poisson)) + self.log_stiffness + self.log_height
+
+    @property
+    def ratio(self) -> Any:
+        """k/K."""
+        return np.exp(self.log_stiffness)
+
+    @property
+    def common_ratio(self) -> float | None:
+        """k/K where it is one number, to rounding."""
+        ratio = self.ratio
+        return float(ratio[0]) if np.ptp(ratio) <= 1e-12 * ratio[0] else None
