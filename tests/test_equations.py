@@ -21,7 +21,7 @@ def test_no_equation_is_missing():
 
 
 def test_page_is_up_to_date():
-    assert equations.page(TESTS) == (DOCS / "equations.md").read_text(encoding="utf-8")
+    assert equations.page(TESTS) == (DOCS / "reference" / "equations.md").read_text(encoding="utf-8")
 
 
 def test_numbers_run_as_printed():

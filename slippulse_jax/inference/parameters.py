@@ -354,7 +354,7 @@ OF_MEASURING = ("offset", "model_factor")
 """What is fitted beside for lengths of provenance "measured", and acts on these."""
 MODEL_ERROR = 0.1
 """Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
-elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/validity.md."""
+elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/model/limits.md."""
 
 
 def parameter_set(
@@ -882,7 +882,7 @@ def _check_block(m: Measurements, names: set[str], event: MeasuredEvent) -> None
                 "machine_stiffness": "whose pusher is held: leave it out",
             }.get(name, "from lengths alone: leave it out")
             push = m.columns.get("push_height", "push_height")
-            raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/howto/own_csv.md)")
+            raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/fit/own_csv.md)")
     if "threshold_slope" in names or m.or_zero("threshold_slope").any():
         raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 

@@ -57,7 +57,7 @@ NOTHING_HOLDS = (
 )
 """Verdicts that leave nothing to hold for a body."""
 SCATTERING = (0.6, 0.8)
-"""Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/heterogeneity.md)."""
+"""Share of the stiffness that thresholds take off which scatter by 5 % from contact to contact (docs/evidence/scatter.md)."""
 NONE = 1e-6
 """Change of a prestress, or of another number of either sign, that is none."""
 MANY = 3.0
