@@ -6,13 +6,13 @@ import importlib
 import inspect
 import pkgutil
 import re
-import sys
 import typing
 from pathlib import Path
 
 import documented
 import jax
 import pytest
+from records import described
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import Chain
@@ -98,11 +98,6 @@ def test_what_users_are_handed_is_in_the_reference():
 
 def test_statuses_and_fields_have_words():
     """Every number that a record holds as its status has its enumeration in the reference, and fields their comments."""
-    sys.path.insert(0, str(DOCS / "tools"))
-    try:
-        from records import described
-    finally:
-        sys.path.remove(str(DOCS / "tools"))
     statuses = [x for x in REFERENCE.values() if inspect.isclass(x) and issubclass(x, enum.Enum)]
     assert {Outcome, EventClass, Identifiability} <= set(statuses)
     for status in statuses:

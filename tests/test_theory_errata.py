@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from slippulse_jax.paper import errata
+import errata
 
 DOCS = Path(__file__).parent.parent / "docs"
 

@@ -7,17 +7,17 @@ python docs/tools/generate_pages.py --check    fails if one is out of date
 import sys
 from pathlib import Path
 
-from slippulse_jax.paper import equations, errata
+import equations
+import errata
 
 DOCS = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
     """Write, or compare, each page."""
-    tests = DOCS.parent / "tests"
-    if missing := equations.missing(tests):
+    if missing := equations.missing():
         sys.exit("\n".join(missing))
-    for name, text in (("reference/equations", equations.page(tests)), ("evidence/errata", errata.page())):
+    for name, text in (("reference/equations", equations.page()), ("evidence/errata", errata.page())):
         page = DOCS / f"{name}.md"
         if sys.argv[1:] != ["--check"]:
             page.write_text(text, encoding="utf-8")

@@ -11,7 +11,10 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parent.parent
+import slippulse_jax
+
+PACKAGE = Path(slippulse_jax.__file__).parent
+TESTS = Path(__file__).resolve().parents[2] / "tests"
 
 LABEL = r"(?:cra\d+[a-z]?\d?|discr\d)"
 NAMED = re.compile(rf"\b[Ll]abels?\s+({LABEL}(?:(?:,\s+and|\s+and|,|–)\s*{LABEL})*)")
@@ -58,7 +61,7 @@ def in_code(path: Path) -> Iterator[tuple[str, str]]:
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     for name, node in definitions(ast.parse(text)):
-        for label in named(ast.get_docstring(node) or ""):  # pyright: ignore[reportArgumentType]
+        for label in named(ast.get_docstring(node) or ""):
             yield label, name
         for decorator in getattr(node, "decorator_list", []):
             if isinstance(decorator, ast.Call) and getattr(decorator.func, "id", "") == "quantity":
@@ -83,12 +86,12 @@ def in_tests(path: Path) -> Iterator[tuple[str, str]]:
             yield from ((label, name) for label in named(segment))
 
 
-def index(tests: Path) -> dict[str, tuple[list[str], list[str]]]:
-    """Find where each label is computed and where a folder of tests checks it, as module.name and file::test."""
+def index() -> dict[str, tuple[list[str], list[str]]]:
+    """Find where each label is computed and where a test checks it, as module.name and file::test."""
     computed, tested = defaultdict(list), defaultdict(list)
     sources = [(path, PACKAGE) for path in sorted(PACKAGE.rglob("*.py"))]
     # the steps between two results, which only the tests need
-    sources.append((tests / "oracles" / "derivation.py", tests))
+    sources.append((TESTS / "oracles" / "derivation.py", TESTS))
     for path, folder in sources:
         module = ".".join(path.relative_to(folder).with_suffix("").parts)
         if module.startswith("paper."):  # which measures what others compute
@@ -96,7 +99,7 @@ def index(tests: Path) -> dict[str, tuple[list[str], list[str]]]:
         for label, name in in_code(path):
             if f"{module}.{name}" not in computed[label]:
                 computed[label].append(f"{module}.{name}")
-    for path in sorted(tests.glob("test_*.py")):
+    for path in sorted(TESTS.glob("test_*.py")):
         for label, name in in_tests(path):
             if f"{path.name}::{name}" not in tested[label]:
                 tested[label].append(f"{path.name}::{name}")
@@ -106,20 +109,20 @@ def index(tests: Path) -> dict[str, tuple[list[str], list[str]]]:
     return {label: (computed[label], tested[label]) for label in ORDER}
 
 
-def missing(tests: Path) -> list[str]:
+def missing() -> list[str]:
     """List the equations without a function or a test."""
     return [
         f"{label}: no {what} names it"
-        for label, found in index(tests).items()
+        for label, found in index().items()
         for what, places in zip(("function", "test"), found, strict=True)
         if not places
     ]
 
 
-def page(tests: Path) -> str:
+def page() -> str:
     """Write the page of the index, as Markdown."""
     rows, known = [], equations()
-    for label, (computed, tested) in index(tests).items():
+    for label, (computed, tested) in index().items():
         equation = known[label]
         functions = ", ".join(f"`{x}`" for x in computed)
         checks = "; ".join(x.replace(".py::test_", ": ").replace("test_", "", 1).replace("_", " ") for x in tested)

@@ -113,7 +113,7 @@ def page() -> str:
     """Write the page of errata and differences, as Markdown."""
     return f"""# Errata of the paper, and where this project differs
 
-Every number on this page is computed by `slippulse_jax.paper.errata`; a test compares the page with it. Labels are those of the
+Every number on this page is computed by `docs/tools/errata.py`; a test compares the page with it. Labels are those of the
 paper's LaTeX source. Parameters, unless stated otherwise: Fig. 2, $H/\\lambda_c = 25$, $k/K = 0.03$, $\\nu = 0.3$.
 
 ## Errata
