@@ -1,4 +1,4 @@
-"""Regenerate the tables and figures of docs/model/surrogate.md, docs/model/chain.md and docs/model/sensitivity.md.
+"""Regenerate the tables and figures of docs/model/surrogate.md, docs/model/chain.md and docs/model/gradients.md.
 
 python docs/tools/make_cascade_pages.py
 """
