@@ -199,7 +199,6 @@ def test_what_is_not_run_says_so():
         }
         allowed = {
             "clusters.md": {"bash", "{code-block} python"},
-            "tutorial.md": {"bash"},
             "series.md": {"bash"},
             "install.md": {"bash"},
         }
