@@ -15,7 +15,7 @@ from pygments.lexers.special import TextLexer
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-sys.path[:0] = [str(ROOT), str(HERE)]
+sys.path[:0] = [str(ROOT), str(HERE / "tools")]
 
 project = "slippulse_jax"
 author = "The slippulse_jax developers"
@@ -24,7 +24,7 @@ release = version = version_of("slippulse_jax")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "records"]
 templates_path = []
-exclude_patterns = ["paper.md", "_build", "tables", "figures", "pictures"]
+exclude_patterns = ["journal", "tools", "_build", "tables", "pictures"]
 html_math_renderer = "mathml"
 nb_execution_mode = "off"
 myst_enable_extensions = ["dollarmath", "colon_fence"]

@@ -234,7 +234,7 @@ PARTITIONED = """
 
 @pytest.mark.parametrize("further", ["", pytest.param(PARTITIONED, marks=pytest.mark.slow)], ids=["dealt", "partitioned"])
 def test_lanes_do_not_depend_on_the_number_of_devices(further):
-    """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/cascade.md)."""
+    """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/model/chain.md)."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     found = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(DEALT) + textwrap.dedent(further)],

@@ -6,13 +6,13 @@ import importlib
 import inspect
 import pkgutil
 import re
-import sys
 import typing
 from pathlib import Path
 
 import documented
 import jax
 import pytest
+from records import described
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import Chain
@@ -25,6 +25,9 @@ from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
+FOLDERS = ("learn", "howto", "fit", "model", "evidence")
+WRITTEN = [DOCS / "index.md", *sorted(path for folder in FOLDERS for path in (DOCS / folder).glob("*.md"))]
+"""Pages that are written here; notebooks, worked fits and the help of commands are copied in when the site is built."""
 
 
 def module_of(name):
@@ -95,11 +98,6 @@ def test_what_users_are_handed_is_in_the_reference():
 
 def test_statuses_and_fields_have_words():
     """Every number that a record holds as its status has its enumeration in the reference, and fields their comments."""
-    sys.path.insert(0, str(DOCS))
-    try:
-        from records import described
-    finally:
-        sys.path.remove(str(DOCS))
     statuses = [x for x in REFERENCE.values() if inspect.isclass(x) and issubclass(x, enum.Enum)]
     assert {Outcome, EventClass, Identifiability} <= set(statuses)
     for status in statuses:
@@ -149,11 +147,7 @@ def test_examples_in_docstrings():
     assert ran >= 5
 
 
-PAGES = sorted(
-    p.relative_to(DOCS).as_posix()
-    for p in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"))
-    if documented.blocks(p, "python", "sh", "csv")
-)
+PAGES = [p.relative_to(DOCS).as_posix() for p in WRITTEN if documented.blocks(p, "python", "sh", "csv")]
 
 
 @pytest.fixture
@@ -186,17 +180,17 @@ def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
 
 
 def test_every_how_to_ends_in_an_assertion_of_its_point():
-    """In its last program; the page on clusters has none that runs here."""
-    listed = re.search(r":caption: How to\n(.+?)\n```", (DOCS / "index.md").read_text(encoding="utf-8"), flags=re.S)[1].split()
-    assert len(listed) >= 13
-    for page in set(listed) - {"clusters"}:
-        *_, (_, last) = documented.blocks(DOCS / f"{page}.md", "python")
+    """In its last program, if it has one that runs here."""
+    pages = [page for page in PAGES if page.startswith(("howto/", "fit/"))]
+    assert len(pages) >= 12
+    for page in pages:
+        *_, (_, last) = documented.blocks(DOCS / page, "python")
         assert re.search(r"^\s*assert ", last, flags=re.M), page
 
 
 def test_what_is_not_run_says_so():
     """Blocks of another kind than those above are output, are put in from elsewhere, or need a cluster."""
-    for path in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"), ROOT / "README.md"):
+    for path in (*WRITTEN, ROOT / "README.md"):
         kinds = re.findall(r"^```(.*)\n(?:.*\n)*?```$", path.read_text(encoding="utf-8"), flags=re.M)
         other = {
             kind
@@ -205,7 +199,6 @@ def test_what_is_not_run_says_so():
         }
         allowed = {
             "clusters.md": {"bash", "{code-block} python"},
-            "tutorial.md": {"bash"},
             "series.md": {"bash"},
             "install.md": {"bash"},
         }
@@ -213,7 +206,7 @@ def test_what_is_not_run_says_so():
 
 
 def test_every_status_is_on_the_page_of_sweeps():
-    page = (DOCS / "sweeps.md").read_text(encoding="utf-8")
+    page = (DOCS / "howto" / "sweeps.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"^\| (\d) \| (.+) \|$", page, flags=re.M))
     assert {int(number) for number in listed} == {int(status) for status in FRONT_OUTCOMES}
     for status in FRONT_OUTCOMES:
@@ -221,21 +214,24 @@ def test_every_status_is_on_the_page_of_sweeps():
 
 
 def test_links_between_pages_lead_somewhere():
-    """Every page of docs/ is reached from the front page, and every relative link exists."""
-    front = (DOCS / "index.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"^([\w/]+)$", front, flags=re.M))
-    pages = {p.relative_to(DOCS).with_suffix("").as_posix() for p in (*DOCS.glob("*.md"), *DOCS.glob("howto/*.md"))}
-    assert pages - listed == {"index", "paper"}  # which is for a journal
-    for page in pages:
-        for link in re.findall(r"\]\(([^)#]+)\)", (DOCS / f"{page}.md").read_text(encoding="utf-8")):
+    """Every page is reached from the front page, or from that of the reference, and every relative link exists."""
+    listed = set()
+    for folder in ("", "reference/"):
+        front = (DOCS / folder / "index.md").read_text(encoding="utf-8")
+        listed |= {folder + page for page in re.findall(r"^([\w/]+)$", front, flags=re.M)}
+    reference = [path for path in (DOCS / "reference").glob("*.md") if path.stem != "commands"]
+    pages = {path.relative_to(DOCS).with_suffix("").as_posix(): path for path in (*WRITTEN, *reference)}
+    assert set(pages) - listed == {"index"}
+    for page, path in pages.items():
+        for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", path.read_text(encoding="utf-8")):
             if not link.startswith("http"):
-                assert (DOCS / page).parent.joinpath(link).exists(), f"{page}: {link}"
+                assert path.parent.joinpath(link).exists(), f"{page}: {link}"
 
 
 @pytest.mark.parametrize("folder", ["pmma_block", "pushed_block"])
 def test_sentence_for_a_paper(folder):
     """The page quotes what `FitResult.methods` writes, but for the version."""
-    page = (DOCS / "howto" / "own_csv.md").read_text(encoding="utf-8")
+    page = (DOCS / "fit" / "own_csv.md").read_text(encoding="utf-8")
     without = re.compile(r"slippulse_jax [0-9.a-z]+\)")
     said = sp.fit(ROOT / "fit_examples" / folder / "lengths.csv").methods()
     assert without.sub("", said) in [without.sub("", quoted) for quoted in re.findall(r"^> (.*)$", page, flags=re.M)]

@@ -1,27 +1,22 @@
 """Every equation of the paper has a function that computes it and a test that checks it; and some of those tests."""
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
+import equations
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.paper import equations
 
-TESTS = Path(__file__).resolve().parent
-DOCS = TESTS.parent / "docs"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 
 def test_no_equation_is_missing():
     assert len(equations.ORDER) == 67  # 65 labels on 66 printed equations, and the two lattice equations without a number
-    assert equations.missing(TESTS) == []
+    assert equations.missing() == []
 
 
 def test_page_is_up_to_date():
-    assert equations.page(TESTS) == (DOCS / "equations.md").read_text(encoding="utf-8")
+    assert equations.page() == (DOCS / "reference" / "equations.md").read_text(encoding="utf-8")
 
 
 def test_numbers_run_as_printed():
@@ -30,31 +25,11 @@ def test_numbers_run_as_printed():
 
 
 def test_the_index_notices_what_is_missing(monkeypatch):
-    found = equations.index(TESTS)
+    found = equations.index()
     for computed, tested, complaint in (([], ["t"], "cra44: no function"), (["f"], [], "cra44: no test")):
-        monkeypatch.setattr(equations, "index", lambda _, c=computed, t=tested: found | {"cra44": (c, t)})
-        (only,) = equations.missing(TESTS)
+        monkeypatch.setattr(equations, "index", lambda c=computed, t=tested: found | {"cra44": (c, t)})
+        (only,) = equations.missing()
         assert only.startswith(complaint)
-
-
-def test_an_installed_package_reads_nothing_beside_it(tmp_path):
-    """Where it is installed, a folder "tests" is another package's."""
-    shutil.copytree(equations.PACKAGE, tmp_path / "slippulse_jax", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "tests" / "oracles").mkdir(parents=True)
-    (tmp_path / "tests" / "oracles" / "derivation.py").touch()
-    (tmp_path / "tests" / "test_of_others.py").write_text('def test_other():\n    """Label' + ' cra44."""')
-    read = (
-        "from slippulse_jax.paper import equations as e; import sys, pathlib; print(e.page(*map(pathlib.Path, sys.argv[1:])))"
-    )
-    environment = os.environ | {"PYTHONPATH": str(tmp_path), "PYTHONIOENCODING": "utf-8"}
-
-    def page(*folder):
-        command = [sys.executable, "-c", read, *map(str, folder)]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", env=environment).stdout
-
-    assert page(TESTS) == equations.page(TESTS) + "\n"
-    assert "of others: other" in page(tmp_path / "tests")
-    assert "of others" not in page(), "nothing is read that is not given"
 
 
 def test_labels_are_read_as_they_are_written():

@@ -67,7 +67,7 @@ def test_precision_of_blocks(float32):
         assert sp.precursor_length(sp.Block(jnp.float32(10.0), 0.05, 0.3)).dtype == jnp.float64
 
 
-PROGRAMS = ["README.md", "docs/howto/own_observable.md"]
+PROGRAMS = ["README.md", "docs/fit/own_observable.md"]
 
 
 @pytest.mark.parametrize("page", PROGRAMS)

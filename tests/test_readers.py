@@ -12,7 +12,7 @@ from slippulse_jax.inference import record, tables
 from slippulse_jax.inference.measurements import MeasurementError
 
 MOST = 40
-"""Bytes of memory per byte of a table or request, as docs/attack.md says."""
+"""Bytes of memory per byte of a table or request, as docs/evidence/robustness.md says."""
 
 SIZE = 40_000
 HEADER = "height,poisson,length,length_sigma\n"

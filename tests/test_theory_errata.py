@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from slippulse_jax.paper import errata
+import errata
 
 DOCS = Path(__file__).parent.parent / "docs"
 
 
 def test_errata_page_is_up_to_date():
-    assert errata.page() == (DOCS / "errata.md").read_text(encoding="utf-8")
+    assert errata.page() == (DOCS / "evidence" / "errata.md").read_text(encoding="utf-8")

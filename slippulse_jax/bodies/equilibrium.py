@@ -59,7 +59,7 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
     Notes
     -----
     Composes with ``jit``, ``vmap``, ``grad``, ``jvp``, ``hessian`` …, for every field of the chain and of the state. The
-    precision is that of the input: in float32 relative errors are a few 10⁻⁶ (docs/cascade.md).
+    precision is that of the input: in float32 relative errors are a few 10⁻⁶ (docs/model/chain.md).
     Detaching every contact does not make a chain singular, since u_t[0] is imposed: the chain then moves as a rigid body.
     Cutting both bonds of a part without contacts does make it singular.
 

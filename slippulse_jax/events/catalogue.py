@@ -90,7 +90,7 @@ class Catalogue(NamedTuple):
 
         The interpolation is linear between the events that got farther than all earlier ones. After the last of these the
         position stays constant, up to the load at which the series ends. The number of events depends on how finely the edge
-        is moved; the position reached at a load hardly does (``docs/series.md``).
+        is moved; the position reached at a load hardly does (``docs/model/series.md``).
 
         Parameters
         ----------

@@ -63,7 +63,7 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 TALL, HIGHEST = 1e4, 0.55
 """H/λc and highest push over H of the fits with another pusher, which the packaged nodes serve."""
 SCATTERING = (0.6, 0.8)
-"""Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/model/heterogeneity.md)."""
+"""Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
 """Starts over the range of the stiffness, and steps of each, where the best fit may be far away."""
 MANY = 3.0

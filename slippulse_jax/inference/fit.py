@@ -204,12 +204,12 @@ def fit(
         simulated where valleys of the deviance compete, or its shape is far from a parabola.
     event : {"domino", "full", "crack"}
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
-        large (`rebreaking_onset`), with a cost that grows with it (docs/fitting.md), for lengths without gauges; or the front
-        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/pulse_or_crack.md). By default
+        large (`rebreaking_onset`), with a cost that grows with it (docs/fit/use.md), for lengths without gauges; or the front
+        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/crack.md). By default
         "domino" of a slider and "full" of a block.
     body : {"slider", "block"}
-        The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/block.md): taken
-        by default where they say so for every line.
+        The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/model/block.md):
+        taken by default where they say so for every line.
 
     Returns
     -------

@@ -389,7 +389,7 @@ class BlockEvent(Front):
         for name, why in self.refused.items():
             if getattr(m, name) is not None:
                 own, push = m.columns.get(name, name), m.columns.get("push_height", "push_height")
-                raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/howto/own_csv.md)")
+                raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/fit/own_csv.md)")
         if "threshold_slope" in names or m.or_zero("threshold_slope").any():
             raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 

@@ -74,7 +74,7 @@ def pulse_or_crack(
     ----------
     measurements : Measurements
         Readings of gauges behind the tip tell most: a crack leaves its friction there, a pulse the stress of contacts that were
-        loaded anew. From lengths alone little can be told (docs/pulse_or_crack.md).
+        loaded anew. From lengths alone little can be told (docs/model/crack.md).
     free : sequence of str or Parameter
         Parameters to fit, as for `fit`; the crack's friction is fitted beside them.
     simulations : int

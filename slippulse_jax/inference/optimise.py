@@ -87,7 +87,7 @@ def minimise(
     lane : array of int, shape (B,), optional
         Replicate of each start.
     method : {"lm", "lbfgs", "adam"}
-        Levenberg–Marquardt by default; the others are optax's (docs/fitting.md compares them).
+        Levenberg–Marquardt by default; the others are optax's (docs/evidence/coverage.md compares them).
     max_steps : int
         Steps allowed each start; optax's Adam gets twenty times as many.
     tolerance : float

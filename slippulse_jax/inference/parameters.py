@@ -243,7 +243,7 @@ OF_MEASURING = ("offset", "model_factor")
 """What is fitted beside for lengths of provenance "measured", and acts on these."""
 MODEL_ERROR = 0.1
 """Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
-elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/validity.md."""
+elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/model/limits.md."""
 
 
 def parameter_set(

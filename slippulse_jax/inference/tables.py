@@ -252,7 +252,7 @@ def _known_columns(given: list[str], where: str) -> dict[str, _Column]:
         wanted = [column for column, meaning in known.items() if meaning.required]
         expected = f"the columns {', '.join(wanted)}" if only_si or only_plain else _FORMS
         if missing == ["correlation_length_um"]:
-            expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/howto/own_csv.md)"
+            expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
         raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(given)}; expected {expected}")
     for column in header:
         partner = _value_column(column)

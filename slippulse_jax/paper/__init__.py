@@ -1,4 +1,4 @@
-"""The paper's figures, claims, errata and equations."""
+"""The paper's figures and claims."""
 
 from slippulse_jax.slider import Slider
 

@@ -8,7 +8,7 @@ prestress the front stress t(s) depends on one threshold only, that of contact 0
 
 to within σ |t' − θ'|. Of the contacts before ℓ the length implies only that their thresholds were below t. A prestress is
 released all along the way: t is linear in it, and a length determines a weighted mean of it, with most weight near the arrest
-(`docs/sensitivity.md`).
+(`docs/model/gradients.md`).
 
 The load is that at which the first contact reaches its threshold, contact 0 or another
 (`slippulse_jax.inference.recover.model`).
