@@ -71,6 +71,7 @@ def test_dimensionless_form_and_separators(tmp_path, separator):
         ),
         (f"{SI},push_width_mm\n50,10,0.3,20,0.5,3\n", "line 2, column push_width_mm: 3: needs the height of its middle"),
         (f"{SI},displacement_um\n50,10,0.3,20,0.5,3\n", "displacement_um is given without displacement_sigma_um$"),
+        ("height_mm,correlation_length_um,poisson,\n50,10,0.3,20\n", "no column length_mm among"),
         (f"{PLAIN},height\n25,0.3,26,0.5,25\n", "line 1, column height: there 2 times"),
         (f"{PLAIN},height_mm\n25,0.3,26,0.5,25\n", "columns of both forms, height_mm and height"),
         (f"{PLAIN}\n25,0.3,,0.5\n", "line 2, column length: missing value"),

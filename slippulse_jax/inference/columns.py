@@ -233,12 +233,13 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
     """Columns that a name may mean, the unit that it ends in, and whether it is a known word and not only like one."""
     whole = _BETWEEN.sub("_", normalize("NFKC", own).replace("'", "")).strip("_")
     word = _ERROR.sub("", whole).strip("_")
-    wanted = [column for column in _ROWS if (column.value != column.quantity) == (word != whole)]
+    error = word != whole
+    wanted = [column for column in _ROWS if (column.value != column.quantity) == error]
     ending, unit = _UNIT.search(word), ""
-    if ending and (ending.start() > 0 or word != whole):
+    if ending and (ending.start() > 0 or error):
         word, unit = word[: ending.start()], _READ.get(ending[1].casefold(), ending[1])
-    if not word:
-        return [column for column in wanted if column.value == "length"], unit, True
+    if error and not word:  # σ by itself
+        word = "length"
     symbol = word if len(word) == 1 else word.casefold()
     found = [column for column in wanted if symbol in (column.value, *COLUMNS[column.value].symbols.split())]
     if found or len(word) < 4:
