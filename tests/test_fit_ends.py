@@ -165,7 +165,7 @@ def test_what_takes_no_ends_refuses_them():
     m = measured(dense_lengths(), block_length=LENGTH)
     with pytest.raises(MeasurementError, match="recover_profile takes blocks without end"):
         sp.recover_profile(m, stiffness=TRUTH)
-    with pytest.raises(MeasurementError, match="machine_stiffness needs young"):
+    with pytest.raises(MeasurementError, match="machine_stiffness is given without young"):
         sp.Measurements(25.0, 0.3, 20.0, 0.5, correlation_length=1e-4, machine_stiffness=1e9)
 
 

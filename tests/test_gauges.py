@@ -210,8 +210,16 @@ def write(tmp_path, gauges, lengths=LENGTHS):
         ),
         ("label,position_mm,slip_um\nA,1,2\n", LENGTHS, "slip is given without slip_sigma"),
         ("label,position_mm,slip_mm\nA,1,2\n", LENGTHS, "line 1: columns label, position_mm, slip_mm; expected"),
-        ("label,position_mm,slip_um,slip_sigma_um\nA,-1,2,0.1\n", LENGTHS, "line 2: position = -0.001 m: must be finite"),
-        ("label,position_mm,slip_um,slip_sigma_um\nA,1,2,0\n", LENGTHS, "line 2: slip_sigma = 0: the standard error must be"),
+        (
+            "label,position_mm,slip_um,slip_sigma_um\nA,-1,2,0.1\n",
+            LENGTHS,
+            "line 2, column position_mm: -1: a position must be finite",
+        ),
+        (
+            "label,position_mm,slip_um,slip_sigma_um\nA,1,2,0\n",
+            LENGTHS,
+            "line 2, column slip_sigma_um: 0: the standard error must be",
+        ),
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,,\n", LENGTHS, "line 2: neither slip nor stress was read"),
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,2,x\n", LENGTHS, "line 2, column slip_sigma_um: 'x' is not a number"),
         ("label,position_mm,slip_um,slip_sigma_um\nA,1,2\n", LENGTHS, "line 2: 3 columns, but the header has 4"),

@@ -1,11 +1,15 @@
 """Reading a table: both forms, what is kept, and a clear refusal of everything that is wrong."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, fit, read_measurements
+from slippulse_jax.inference import columns, tables
 from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning
 from slippulse_jax.inference.tables import from_dataframe, measurements_of
 
@@ -46,22 +50,28 @@ def test_dimensionless_form_and_separators(tmp_path, separator):
     [
         ("", "empty"),
         ("# only a comment\n", "empty"),
-        (f"{PLAIN}\n", "a header and no measurements"),
+        (f"{PLAIN}\n", "a header line and at least one more are needed"),
         (
             "height,length\n1,2\n",
-            "line 1: no column poisson among height, length; expected the columns poisson, height",
+            "line 1: no column poisson among height, length; expected the columns height, poisson, length$",
         ),
-        ("a,b\n1,2\n", "no column poisson, height, length among a, b; expected either height_mm"),
+        (
+            "a,b\n1,2\n",
+            "no column height, poisson, length among a, b; expected the columns height_mm, .* or height, poisson, length$",
+        ),
         (f"{PLAIN},height_sigma_mm\n25,0.3,26,0.5,1\n", "columns of both forms, height_sigma_mm and height"),
         (f"{PLAIN},kind\n25,0.3,26,0.5,about\n", "line 2, column kind: 'about': one of length, whole, at_least"),
         (f"{PLAIN},kind\n25,0.3,26.5,0.5,whole\n", "column length: 26.5: a count of whole contacts must be a whole number"),
         (f"{PLAIN},prestress\n25,0.3,26,0.5,1.2\n", "column prestress: 1.2: must lie in"),
         (f"{PLAIN},poisson_sigma\n25,0.3,26,0.5,-1\n", "column poisson_sigma: -1: a standard error cannot be negative"),
-        (f"{SI},young_sigma_GPa\n50,10,0.3,20,0.5,3\n", "column young_sigma_GPa: there is no column young_GPa"),
+        (f"{SI},young_sigma_GPa\n50,10,0.3,20,0.5,3\n", "young_sigma_GPa is given without young_GPa$"),
         (
             f"{SI},young_GPa,displacement_um,displacement_sigma_um\n50,10,0.3,20,0.5,3,4,\n",
-            "column displacement_sigma_um: : missing: the value beside it has no standard error",
+            "column displacement_sigma_um: missing: the value beside it has no standard error",
         ),
+        (f"{SI},push_width_mm\n50,10,0.3,20,0.5,3\n", "line 2, column push_width_mm: 3: needs the height of its middle"),
+        (f"{SI},displacement_um\n50,10,0.3,20,0.5,3\n", "displacement_um is given without displacement_sigma_um$"),
+        ("height_mm,correlation_length_um,poisson,\n50,10,0.3,20\n", "no column length_mm among"),
         (f"{PLAIN},height\n25,0.3,26,0.5,25\n", "line 1, column height: there 2 times"),
         (f"{PLAIN},height_mm\n25,0.3,26,0.5,25\n", "columns of both forms, height_mm and height"),
         (f"{PLAIN}\n25,0.3,,0.5\n", "line 2, column length: missing value"),
@@ -93,11 +103,11 @@ def test_dimensionless_form_and_separators(tmp_path, separator):
         (f"{SI},young\n50,10,0.3,20,0.5,3\n", "column young: did you mean young_GPa"),
         (f"{SI},force_kN_per_m\n50,10,0.3,20,0.5,1\n", "column force_kN_per_m: did you mean force_N_per_mm"),
         ("height_in,poisson,length,length_sigma\n5,0.3,20,1\n", "column height_in: did you mean height"),
-        ("height_cm,poisson,length,length_sigma\n5,0.3,20,1\n", "columns of both forms, height_mm and length"),
+        ("height_cm,poisson,length,length_sigma\n5,0.3,20,1\n", "columns of both forms, height_cm and length"),
         (f"{SI.replace('height_mm', 'height_cm')}\n5e-9,10,0.3,20,0.5\n", "column height_cm: 5e-9: the height must exceed"),
         (f"{SI}\n50,1e-5,0.3,20,0.5\n", "column correlation_length_um: 1e-5: .*an atom's size"),
         (f"{SI},young_GPa\n50,10,0.3,20,0.5,3e9\n", "column young_GPa: 3e9: .*diamond"),
-        (f"{SI},young_gpa\n50,10,0.3,20,0.5,3\n", "column young_gpa: did you mean young_GPa"),
+        (f"{SI},young_gpa\n50,10,0.3,20,0.5,3\n", r"column young_gpa: did you mean young_GPa\? Upper and lower case count$"),
         (f"{PLAIN}\n25,0.3,26,1e-200\n", "column length_sigma: 1e-200: below a billionth of the length"),
         (f"{SI},young_GPa\n50,10,0.3,20,0.5,-3\n", "column young_GPa: -3: Young's modulus must be positive"),
         (f"{SI},young_GPa\n50,10,0.3,20,0.5,\n", "column young_GPa: missing value"),
@@ -121,12 +131,12 @@ OR_REMARK = r"If not, give it another name\.$"
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("Höhe_cm,correlation_length_um,poisson,length_mm", r"column Höhe_cm: did you mean height_cm\?$"),
-        ("hauteur_mm,correlation_length_um,poisson,length_mm", r"column hauteur_mm: did you mean height_mm\?$"),
+        ("Höhe_cm,correlation_length_um,poisson,length_mm", r"no column height_mm among Höhe_cm, "),
         ("H (mm),correlation_length_um,poisson,length_mm", r"column H \(mm\): did you mean height_mm\?$"),
         ("H in mm,correlation_length_um,poisson,length_mm", r"column H in mm: did you mean height_mm\?$"),
         ("heigth_mm,correlation_length_um,poisson,length_mm", r"column heigth_mm: did you mean height_mm\?$"),
-        ("Hoehe_psi,correlation_length_um,poisson,length_mm", r"column Hoehe_psi: did you mean height_mm\?$"),
+        ("height_psi,correlation_length_um,poisson,length_mm", r"column height_psi: did you mean height_mm\?$"),
+        ("Height_cm,correlation_length_um,poisson,length_mm", r"column Height_cm: did you mean height_cm\? Upper"),
         ("height_mm,lambda_c_um,poisson,length_mm", r"column lambda_c_um: did you mean correlation_length_um\?$"),
         ("height_mm,λc_µm,poisson,length_mm", r"column λc_µm: did you mean correlation_length_um\?$"),
         ("height_mm,correlation_length_um,nu,length_mm", r"column nu: did you mean poisson\?$"),
@@ -137,8 +147,8 @@ OR_REMARK = r"If not, give it another name\.$"
         ("height_mm,correlation_length_um,poisson,length_mm,h_mm", rf"column h_mm: did you mean push_height_mm\? {OR_REMARK}"),
         ("height_mm,correlation_length_um,poisson,length_mm,E_GPa", rf"column E_GPa: did you mean young_GPa\? {OR_REMARK}"),
         (
-            "height_mm,correlation_length_um,poisson,length_mm,E-Modul [MPa]",
-            rf"E-Modul \[MPa\]: did you mean young_MPa\? {OR_REMARK}",
+            "height_mm,correlation_length_um,poisson,length_mm,Young's modulus [MPa]",
+            rf"Young's modulus \[MPa\]: did you mean young_MPa\? {OR_REMARK}",
         ),
         ("height_mm,correlation_length_um,poisson,length_mm,E", rf"column E: did you mean young_GPa\? {OR_REMARK}"),
         (
@@ -158,15 +168,18 @@ OR_REMARK = r"If not, give it another name\.$"
             rf"sigma_H_mm: did you mean height_sigma_mm\? {OR_REMARK}",
         ),
         (
-            "height_mm,correlation_length_um,poisson,length_mm,H_Fehler_mm",
-            rf"H_Fehler_mm: did you mean height_sigma_mm\? {OR_REMARK}",
+            "height_mm,correlation_length_um,poisson,length_mm,H_err_mm",
+            rf"H_err_mm: did you mean height_sigma_mm\? {OR_REMARK}",
         ),
         ("H_mm,λc_um,ν,ℓ_mm", r"H_mm: did you mean height_mm\? Column λc_um: did .*\? Column ν: did you mean poisson\? Col"),
         ("H,ν,ℓ", r"column H: did you mean height\? Column ν: did you mean poisson\? Column ℓ: did you mean length\?$"),
         ("heigth,poisson,length", r"column heigth: did you mean height\?$"),
         ("height_mm,correlation_length_um,poisson,length_mm,length_mm_std", rf"did you mean length_sigma_mm\? {OR_REMARK}"),
         ("height,poisson,length,Block", rf"column Block: did you mean specimen\? {OR_REMARK}"),
-        ("height_cm,correlation_length_um,poisson,length_cm,Druckhöhe_cm", r"Druckhöhe_cm: did you mean push_height_cm\? If"),
+        (
+            "height_cm,correlation_length_um,poisson,length_cm,load height_cm",
+            r"load height_cm: did you mean push_height_cm\? If",
+        ),
     ],
 )
 def test_a_likely_name_is_suggested(tmp_path, header, message):
@@ -181,6 +194,17 @@ def test_remarks_beside_what_is_there_are_kept(tmp_path, column):
     table = read_measurements(write(tmp_path, f"{SI},block_length_mm,{column}\n50,10,0.3,20,0.5,900,7\n"))
     assert table.other == {column: ["7"]}
     assert read_measurements(write(tmp_path, f"{PLAIN},E_GPa\n25,0.3,26,0.5,3\n")).other == {"E_GPa": ["3"]}
+
+
+def test_the_table_of_columns_is_that_of_the_fields_and_of_the_documentation():
+    """In the order of the fields, which is that of the hash of a table."""
+    for of_table, record, more in ((columns.NUMERIC, Measurements, columns.TEXTS), (columns.GAUGE_COLUMNS, Gauges, ())):
+        held = [field.name for field in dataclasses.fields(record) if "converter" in field.metadata]
+        assert [name for name in held if name not in (*more, "lines", "rows")] == [*of_table]
+        assert set(more) <= set(held)
+    documented = set(re.findall(r"``(\w+)``", tables.__doc__))
+    assert {one.name(in_si) for one in columns.COLUMNS.values() for in_si in (True, False) if one.names(in_si)} <= documented
+    assert set(re.findall(r"\w+", " ".join(one.needs for one in columns.COLUMNS.values()))) <= set(columns.COLUMNS)
 
 
 def test_refuses_what_is_not_a_file(tmp_path):

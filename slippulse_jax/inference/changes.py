@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.columns import IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import IN_LC, Measurements
+from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import (
     MODEL_ERROR,
@@ -205,8 +206,7 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
 
 def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
     """Columns in λc, for a λc `factor` times as large."""
-    names = (*IN_LC, "length_sigma", "height_sigma", "push_height_sigma")
-    return {name: getattr(m, name) / factor for name in names if getattr(m, name) is not None}
+    return {name: getattr(m, name) / factor for name in IN_LC if getattr(m, name) is not None}
 
 
 # --- ends, pushes and bodies ----------------------------------------------------------------------------------------------

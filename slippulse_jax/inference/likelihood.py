@@ -23,8 +23,9 @@ from jaxtyping import Array, Float
 from scipy.special import digamma, erf
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.measurements import READINGS, Gauges, Measurements
+from slippulse_jax.inference.measurements import Gauges, Measurements
 from slippulse_jax.inference.observables import PREDICTED, traced
 from slippulse_jax.inference.parameters import Linear, ParameterSet
 

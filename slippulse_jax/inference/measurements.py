@@ -1,35 +1,23 @@
 """Measurements of first precursors, and readings of gauges along the interface.
 
-`slippulse_jax.inference.tables` reads both.
+`slippulse_jax.inference.tables` reads both; `slippulse_jax.inference.columns` describes their columns.
 """
 
 import dataclasses
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.block import Control
-from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESHOLD_SLOPE, YOUNG
-from slippulse_jax.files import shortened
+from slippulse_jax.domains import CORRELATION_LENGTH
+from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError, check, check_needs
 from slippulse_jax.shown import html, short
 from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
     import pandas as pd
-
-PROVENANCES = ("measured", "printed", "digitised", "synthetic")
-KINDS = ("length", "whole", "at_least")
-"""Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
-
-
-class MeasurementError(ValueError):
-    """Measurements that cannot be used; the message says where and why."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(shortened(message))
 
 
 class MeasurementWarning(UserWarning):
@@ -44,12 +32,68 @@ SUSPECT = (0.01, 1.5)
 """Range of the length over the height outside which a unit is suspected."""
 LENGTHENED = 5.0
 """Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
-READINGS = ("slip", "stress")
-"""Quantities that gauges read."""
-GAUGE_COLUMNS = ("row", "position", "slip", "slip_sigma", "stress", "stress_sigma")
+
+T = TypeVar("T")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+def held(*, converter: Callable[[Any], Any], **default: Any) -> Any:
+    """Field of a table that holds what `converter` makes of an argument; type checkers let it take what that takes."""
+    return dataclasses.field(metadata={"converter": converter}, **default)
+
+
+@dataclass_transform(field_specifiers=(held, dataclasses.field), frozen_default=True, eq_default=False)
+def table(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass; its ``__post_init__`` calls `convert`."""
+    return dataclasses.dataclass(frozen=True, eq=False)(cls)
+
+
+def numbers(x: ArrayLike) -> np.ndarray:
+    """Convert to an array of float64, of one number at least one axis."""
+    return np.atleast_1d(np.asarray(x, dtype=np.float64))
+
+
+def numbers_or_none(x: ArrayLike | None) -> np.ndarray | None:
+    """Convert numbers, if they are given."""
+    return None if x is None else numbers(x)
+
+
+def entries(x: Sequence[T]) -> tuple[T, ...]:
+    """Convert to a tuple."""
+    return tuple(x)
+
+
+def convert(one: Any) -> list[str]:
+    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given.
+
+    Raises
+    ------
+    MeasurementError
+        Naming the column that holds no numbers, is empty, has more than one axis, or another length than those before it.
+    """
+    given, n, first = [], 1, ""
+    for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
+        where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
+        try:
+            value = converter(getattr(one, field.name))
+        except (TypeError, ValueError) as error:
+            needed = "a sequence" if converter is entries else "numbers"
+            raise MeasurementError(f"{where}: must be {needed} ({error})") from None
+        object.__setattr__(one, field.name, value)
+        if not isinstance(value, np.ndarray):
+            continue
+        given.append(field.name)
+        if value.ndim != 1 or value.size == 0:
+            raise MeasurementError(f"{where}: must be a non-empty one-dimensional column")
+        if value.size > 1 and first and value.size != n:
+            raise MeasurementError(f"{where}: {value.size} entries, where {first} has {n}")
+        if value.size > 1 and not first:
+            n, first = value.size, field.name
+    for name in given:
+        object.__setattr__(one, name, np.array(np.broadcast_to(getattr(one, name), n)))
+    return given
+
+
+@table
 class Gauges:
     """Readings of gauges along the interface after measured precursors, one entry each.
 
@@ -74,40 +118,27 @@ class Gauges:
         If a value is not finite, a standard error is missing or not positive, or nothing was read.
     """
 
-    row: np.ndarray
-    position: np.ndarray
-    slip: np.ndarray | None = None
-    slip_sigma: np.ndarray | None = None
-    stress: np.ndarray | None = None
-    stress_sigma: np.ndarray | None = None
-    lines: tuple[int, ...] = ()
+    row: np.ndarray = held(converter=numbers)
+    position: np.ndarray = held(converter=numbers)
+    slip: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    slip_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    stress: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    stress_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    lines: tuple[int, ...] = held(converter=entries, default=())
     source: str = "gauges"
 
-    if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
-
-        def __init__(
-            self,
-            row: ArrayLike,
-            position: ArrayLike,
-            slip: ArrayLike | None = None,
-            slip_sigma: ArrayLike | None = None,
-            stress: ArrayLike | None = None,
-            stress_sigma: ArrayLike | None = None,
-            lines: Sequence[int] = (),
-            source: str = "gauges",
-        ) -> None: ...
-
     def __post_init__(self) -> None:
-        set_columns(self, GAUGE_COLUMNS)
+        given = convert(self)
         if not (self.row == np.round(self.row)).all():
             i = int(np.argmax(self.row != np.round(self.row)))
             raise MeasurementError(f"{self.source}, column row: {self.row[i]:g}: must be the number of a measurement")
         object.__setattr__(self, "row", self.row.astype(int))
-        for name in READINGS:
-            if getattr(self, name) is not None and getattr(self, f"{name}_sigma") is None:
-                raise MeasurementError(f"{self.source}: {name} is given without {name}_sigma")
-        for i in range(len(self)):
-            self._check(i)
+        given.remove("row")
+        check_needs(given, {}, self.source)
+        check({name: getattr(self, name) for name in given}, self.place)
+        unread = ~(self.there("slip") | self.there("stress"))
+        if unread.any():
+            raise MeasurementError(f"{self.place(int(np.argmax(unread)))}: neither slip nor stress was read")
 
     def __len__(self) -> int:
         return len(self.position)
@@ -121,19 +152,8 @@ class Gauges:
         values = getattr(self, name)
         return np.zeros(len(self), bool) if values is None else np.isfinite(values)
 
-    def _check(self, i: int) -> None:
-        if not (np.isfinite(self.position[i]) and self.position[i] >= 0):
-            raise MeasurementError(f"{self.place(i)}: position = {self.position[i]:g} m: must be finite and not negative")
-        read = [name for name in READINGS if self.there(name)[i]]
-        if not read:
-            raise MeasurementError(f"{self.place(i)}: neither slip nor stress was read")
-        for name in read:
-            sigma = getattr(self, f"{name}_sigma")[i]
-            if not (np.isfinite(sigma) and sigma > 0):
-                raise MeasurementError(f"{self.place(i)}: {name}_sigma = {sigma:g}: the standard error must be positive")
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
+@table
 class Measurements:
     """Measured first precursors, one entry per measurement.
 
@@ -150,26 +170,32 @@ class Measurements:
     young : array_like, shape (n,), optional
         E in Pa; with `correlation_length` it turns k/K into an areal stiffness k/λc² in Pa/m.
     kind : sequence of str, optional
-        One of `KINDS` per measurement; "length" by default.
+        "length" (by default), "whole" (a count of whole contacts: the length lies within one below it), or "at_least" (the
+        front ran past this length without arrest).
     prestress, threshold_slope : array_like, shape (n,), optional
         Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
     block_length : array_like, shape (n,), optional
-        L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end.
+        L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end. A front that
+        ran through all of it has that length and the kind "at_least".
     push_height, push_width : array_like, shape (n,), optional
         Height of the middle of the pusher over the interface, and its own height, in λc; without a width, NaN or None, the
         height of its lower end: it then covers everything above. They describe the push on a block (`fit`, body "block").
     push_control : sequence of str, optional
         What is held while an event runs, "displacement" (by default) or "force".
     machine_stiffness : array_like, shape (n,), optional
-        Stiffness of the drive over the width of the block, in Pa, or in E where `young` is not given; NaN, like None, for an
-        edge that is held while the front runs.
+        Stiffness of the machine, from its own frame to the edge, over the width of the block, in Pa, or in E where `young` is
+        not given; NaN, like None, for an edge that is held while the front runs.
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma : array_like, shape (n,), optional
-        Standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known.
+        Standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements of one
+        specimen with the same value and error share one true value.
     displacement, displacement_sigma : array_like, shape (n,), optional
-        Displacement of the pushed edge at nucleation, in m; NaN where it was not measured.
+        Displacement of the pushed edge at nucleation, in m; NaN where it was not measured. Needs `young`.
     force, force_sigma : array_like, shape (n,), optional
-        Driving force at nucleation per width of the block, in N/m; NaN where it was not measured.
-    specimen, provenance : sequence of str, optional
+        Driving force at nucleation per width of the block, in N/m; NaN where it was not measured. Needs `young`.
+    specimen : sequence of str, optional
+        Any name, to which ``each="specimen"`` of a parameter refers.
+    provenance : sequence of str, optional
+        "measured", "printed", "digitised", "synthetic" or "".
     label : sequence of str, optional
         Name of each precursor, by which tables of further observations refer to it.
     gauges : Gauges, optional
@@ -188,79 +214,42 @@ class Measurements:
     Raises
     ------
     MeasurementError
-        If a value is missing, not finite or outside its domain, or the lengths of the columns differ.
+        If a value is missing, not finite or outside its domain, the lengths of the columns differ, or a column is given without
+        one that it needs.
     """
 
-    height: np.ndarray
-    poisson: np.ndarray
-    length: np.ndarray
-    length_sigma: np.ndarray | None = None
-    correlation_length: np.ndarray | None = None
-    young: np.ndarray | None = None
-    kind: tuple[str, ...] = ()
-    prestress: np.ndarray | None = None
-    threshold_slope: np.ndarray | None = None
-    block_length: np.ndarray | None = None
-    push_height: np.ndarray | None = None
-    push_width: np.ndarray | None = None
-    push_control: tuple[str, ...] = ()
-    machine_stiffness: np.ndarray | None = None
-    height_sigma: np.ndarray | None = None
-    poisson_sigma: np.ndarray | None = None
-    correlation_length_sigma: np.ndarray | None = None
-    young_sigma: np.ndarray | None = None
-    push_height_sigma: np.ndarray | None = None
-    displacement: np.ndarray | None = None
-    displacement_sigma: np.ndarray | None = None
-    force: np.ndarray | None = None
-    force_sigma: np.ndarray | None = None
-    specimen: tuple[str, ...] = ()
-    provenance: tuple[str, ...] = ()
-    label: tuple[str, ...] = ()
+    height: np.ndarray = held(converter=numbers)
+    poisson: np.ndarray = held(converter=numbers)
+    length: np.ndarray = held(converter=numbers)
+    length_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    correlation_length: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    young: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    kind: tuple[str, ...] = held(converter=entries, default=())
+    prestress: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    threshold_slope: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    block_length: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    push_height: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    push_width: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    push_control: tuple[str, ...] = held(converter=entries, default=())
+    machine_stiffness: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    poisson_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    correlation_length_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    young_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    push_height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    displacement: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    displacement_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    force: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    force_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    specimen: tuple[str, ...] = held(converter=entries, default=())
+    provenance: tuple[str, ...] = held(converter=entries, default=())
+    label: tuple[str, ...] = held(converter=entries, default=())
     gauges: Gauges | None = None
-    lines: tuple[int, ...] = ()
+    lines: tuple[int, ...] = held(converter=entries, default=())
     source: str = "measurements"
-    other: dict[str, list[str]] = dataclasses.field(default_factory=dict)
-    columns: dict[str, str] = dataclasses.field(default_factory=dict)
-    rows: tuple[str, ...] = ()
-
-    if TYPE_CHECKING:  # what is taken, and held as arrays and tuples
-
-        def __init__(
-            self,
-            height: ArrayLike,
-            poisson: ArrayLike,
-            length: ArrayLike,
-            length_sigma: ArrayLike | None = None,
-            correlation_length: ArrayLike | None = None,
-            young: ArrayLike | None = None,
-            kind: Sequence[str] = (),
-            prestress: ArrayLike | None = None,
-            threshold_slope: ArrayLike | None = None,
-            block_length: ArrayLike | None = None,
-            push_height: ArrayLike | None = None,
-            push_width: ArrayLike | None = None,
-            push_control: Sequence[str] = (),
-            machine_stiffness: ArrayLike | None = None,
-            height_sigma: ArrayLike | None = None,
-            poisson_sigma: ArrayLike | None = None,
-            correlation_length_sigma: ArrayLike | None = None,
-            young_sigma: ArrayLike | None = None,
-            push_height_sigma: ArrayLike | None = None,
-            displacement: ArrayLike | None = None,
-            displacement_sigma: ArrayLike | None = None,
-            force: ArrayLike | None = None,
-            force_sigma: ArrayLike | None = None,
-            specimen: Sequence[str] = (),
-            provenance: Sequence[str] = (),
-            label: Sequence[str] = (),
-            gauges: Gauges | None = None,
-            lines: Sequence[int] = (),
-            source: str = "measurements",
-            other: Mapping[str, Sequence[str]] = {},
-            columns: Mapping[str, str] = {},
-            rows: Sequence[str] = (),
-        ) -> None: ...
+    other: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
+    columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    rows: tuple[str, ...] = held(converter=entries, default=())
 
     @classmethod
     def from_si(cls, *, correlation_length: ArrayLike, **columns: Any) -> "Measurements":
@@ -275,9 +264,8 @@ class Measurements:
         """
         unit = np.asarray(correlation_length, dtype=np.float64)
         CORRELATION_LENGTH.check("Measurements.from_si: correlation_length", unit)
-        lengths = {*IN_LC, *(f"{name}_sigma" for name in IN_LC)}
         in_lc: dict[str, Any] = {
-            name: np.asarray(x) / unit if name in lengths and x is not None else x for name, x in columns.items()
+            name: np.asarray(x) / unit if name in IN_LC and x is not None else x for name, x in columns.items()
         }
         return cls(correlation_length=unit, **in_lc)
 
@@ -289,54 +277,30 @@ class Measurements:
         ------
         MeasurementError
             As `read_measurements`, but with the row's index label instead of a line.
+        TypeError
+            If it is no DataFrame.
         """
         from slippulse_jax.inference.tables import from_dataframe  # which makes measurements
 
         return from_dataframe(table)
 
     def __post_init__(self) -> None:
-        given = set_columns(self, NUMERIC)
-        for name in set(given) & set(MAY_BE_BLANK):
-            if np.isnan(getattr(self, name)).all():  # blank everywhere: as if it were not there
+        given = convert(self)
+        for name in given:
+            if COLUMNS[name].may_be_blank and np.isnan(getattr(self, name)).all():  # as if it were not there
                 object.__setattr__(self, name, None)
-                given.remove(name)
-        n = len(self)
-        for name in ("kind", "specimen", "provenance", "label", "lines", "rows", "push_control"):
-            values = tuple(getattr(self, name))
-            if values and len(values) != n:
-                raise MeasurementError(f"{self.source}: {name} has {len(values)} entries for {n} lengths")
-            object.__setattr__(self, name, values)
         if not self.kind:
-            object.__setattr__(self, "kind", ("length",) * n)
+            object.__setattr__(self, "kind", ("length",) * len(self))
         if self.length_sigma is None and "length" not in self.kind:
-            object.__setattr__(self, "length_sigma", np.zeros(n))  # counts need no σ
-        self._check_companions()
+            object.__setattr__(self, "length_sigma", np.zeros(len(self)))  # counts need no σ
+        for field in dataclasses.fields(self):
+            values = getattr(self, field.name)
+            if isinstance(values, tuple) and len(values) not in (0, len(self)):
+                raise MeasurementError(f"{self.source}: {field.name} has {len(values)} entries for {len(self)} lengths")
+        values = {name: getattr(self, name) for name in COLUMNS if getattr(self, name, None) is not None}
+        check_needs([name for name, x in values.items() if len(x)], self.columns, self.source)
         self._check_gauges()
-        for i in range(n):
-            check_domain({name: float(getattr(self, name)[i]) for name in given}, self.kind[i], self.place(i), {})
-
-    def _check_companions(self) -> None:
-        if self.push_height is None and (self.push_width is not None or self.push_control):
-            given = "push_width" if self.push_width is not None else "push_control"
-            raise MeasurementError(f"{self.source}: {given} is given without push_height")
-        for i, control in enumerate(self.push_control):
-            if control not in get_args(Control):
-                raise MeasurementError(
-                    f"{self.place(i)}, column push_control: {control!r}: one of {', '.join(get_args(Control))}"
-                )
-        if self.young is not None and self.correlation_length is None:
-            raise MeasurementError(
-                f"{self.source}: young is given without correlation_length: no areal stiffness can be formed"
-            )
-        if self.machine_stiffness is not None and self.in_si and self.young is None:
-            raise MeasurementError(f"{self.source}: machine_stiffness needs young, with which it is compared")
-        for name in ("displacement", "force"):
-            if getattr(self, name) is None:
-                continue
-            if getattr(self, f"{name}_sigma") is None:
-                raise MeasurementError(f"{self.source}: {name} is given without {name}_sigma")
-            if self.young is None:
-                raise MeasurementError(f"{self.source}: {name} needs correlation_length and young: it is in SI")
+        check(values, self.place)
 
     def _check_gauges(self) -> None:
         if self.gauges is None:
@@ -488,132 +452,3 @@ def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
     found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
     return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
-
-
-def set_columns(table: Any, names: Sequence[str]) -> list[str]:
-    """Convert the columns of a frozen table to float64 arrays of one length; return the names of those given.
-
-    Raises
-    ------
-    MeasurementError
-        Naming the column that holds no numbers, is empty, has more than one axis, or another length than those before it.
-    """
-    given = [name for name in names if getattr(table, name) is not None]
-    n, first = 1, ""
-    for name in given:
-        try:
-            column = np.atleast_1d(np.asarray(getattr(table, name), dtype=np.float64))
-        except (TypeError, ValueError) as error:
-            raise MeasurementError(f"{table.source}, column {name}: must be numbers ({error})") from None
-        if column.ndim != 1 or column.size == 0:
-            raise MeasurementError(f"{table.source}, column {name}: must be a non-empty one-dimensional column")
-        if column.size > 1 and first and column.size != n:
-            raise MeasurementError(f"{table.source}, column {name}: {column.size} entries, where {first} has {n}")
-        if column.size > 1 and not first:
-            n, first = column.size, name
-        object.__setattr__(table, name, column)
-    for name in given:
-        object.__setattr__(table, name, np.array(np.broadcast_to(getattr(table, name), n)))
-    return given
-
-
-NUMERIC = tuple(
-    field.name
-    for field in dataclasses.fields(Measurements)
-    if field.name
-    not in ("kind", "specimen", "provenance", "label", "push_control", "gauges", "lines", "source", "other", "columns", "rows")
-)
-
-# quantity -> (test, requirement)
-_DOMAIN: dict[str, tuple[Any, str]] = {
-    "height": (lambda x: x > 1, "the height must exceed the correlation length λc"),
-    "poisson": (POISSON.holds, POISSON.requirement),
-    "length": (lambda x: x > 0, "a length must be positive"),
-    "length_sigma": (lambda x: x >= 0, "a standard error cannot be negative"),
-    "correlation_length": (CORRELATION_LENGTH.holds, CORRELATION_LENGTH.requirement),
-    "young": (YOUNG.holds, YOUNG.requirement),
-    "prestress": (PRESTRESS.holds, PRESTRESS.requirement),
-    "threshold_slope": (THRESHOLD_SLOPE.holds, THRESHOLD_SLOPE.requirement),
-    "block_length": (lambda x: x >= 2, "a block must be at least two correlation lengths λc long"),
-    "push_height": (lambda x: x > 0, "the push must lie above the interface"),
-    "push_width": (lambda x: x > 0, "the height of a pusher must be positive; blank where it covers everything above"),
-    "machine_stiffness": (lambda x: x > 0, "the stiffness of a machine must be positive"),
-    "block_width": (lambda x: x > 0, "the width of a block must be positive"),
-    "displacement": (lambda x: x > 0, "a displacement at nucleation must be positive"),
-    "force": (lambda x: x > 0, "a driving force must be positive"),
-    "displacement_sigma": (lambda x: x > 0, "the standard error must be positive"),
-    "force_sigma": (lambda x: x > 0, "the standard error must be positive"),
-}
-IN_LC = ("height", "length", "block_length", "push_height", "push_width")
-"""Quantities held in λc."""
-_ERROR_OF_INPUT = (lambda x: x >= 0, "a standard error cannot be negative")
-MAY_BE_BLANK = (
-    *("displacement", "displacement_sigma", "force", "force_sigma"),
-    *("block_length", "machine_stiffness", "block_width", "push_height", "push_height_sigma", "push_width"),
-)
-
-
-def check_domain(values: Mapping[str, float], kind: str, where: str, columns: Mapping[str, tuple[str, str]]) -> None:
-    """Refuse the first value outside its domain; `columns` gives the column and the text as the file has them.
-
-    Raises
-    ------
-    MeasurementError
-        Naming `where`, the column and the requirement.
-    """
-
-    def refuse(name: str, requirement: str) -> None:
-        requirement += _likely_unit(name, values[name], columns)
-        column, text = columns.get(name, (name, f"{values[name]:g}" + " λc" * (name.removesuffix("_sigma") in IN_LC)))
-        raise MeasurementError(f"{where}, column {column}: {text}: {requirement}")
-
-    if kind not in KINDS:
-        raise MeasurementError(f"{where}, column kind: {kind!r}: one of {', '.join(KINDS)}")
-    for name, value in values.items():
-        if name in MAY_BE_BLANK and np.isnan(value):
-            if not np.isnan(values.get(name.removesuffix("_sigma"), np.nan)):
-                refuse(name, "missing: the value beside it has no standard error")
-            continue
-        inside, requirement = _DOMAIN.get(name, _ERROR_OF_INPUT)
-        if not (np.isfinite(value) and inside(value)):
-            refuse(name, requirement)
-    _check_kind(values, kind, refuse)
-    _check_push(values, refuse)
-
-
-def _likely_unit(name: str, value: float, columns: Mapping[str, tuple[str, str]]) -> str:
-    """Guess the unit of a number outside its domain: ``: is it in Pa?``; empty where none is likely."""
-    column = columns.get(name, ("", ""))[0]
-    if name == "young" and value > YOUNG.high and not column.endswith("_Pa"):
-        return ": is it in Pa?"
-    if name == "correlation_length" and 0 < value <= CORRELATION_LENGTH.low:
-        return ": is it in m?" * (not column.endswith("_m"))
-    if name == "height" and 0 < value <= 1 and "correlation_length" in columns:
-        return f": is {column} in m, or {columns['correlation_length'][0]} in nm?"
-    return ""
-
-
-def _check_push(values: Mapping[str, float], refuse: Callable[[str, str], None]) -> None:
-    """Check that the pusher lies on the side of the block."""
-    height, at, width = values["height"], values.get("push_height", np.nan), values.get("push_width", np.nan)
-    if at >= height:
-        refuse("push_height", "not below the height of the block")
-    if width >= height:
-        refuse("push_width", "wider than the block is high")
-    if not np.isnan(width) and np.isnan(at):
-        refuse("push_height", "missing: the width beside it needs the height of its middle")
-    if at - width / 2 <= 0 or at + width / 2 >= height:
-        refuse("push_width", "reaches beyond the side of the block")
-
-
-def _check_kind(values: Mapping[str, float], kind: str, refuse: Callable[[str, str], None]) -> None:
-    """Check the length and its error, which depend on how it was measured."""
-    if kind == "whole" and abs(values["length"] - round(values["length"])) > 1e-9 * values["length"]:
-        refuse("length", "a count of whole contacts must be a whole number of λc")
-    if values["length"] > values.get("block_length", np.inf) * (1 + 1e-9):
-        refuse("length", "longer than the block; of a front that ran through it, the block's length as kind at_least")
-    sigma = values.get("length_sigma", 1.0)
-    if kind == "length" and sigma == 0:
-        refuse("length_sigma", "the standard error of a length must be positive")
-    if 0 < sigma < 1e-9 * values["length"]:
-        refuse("length_sigma", "below a billionth of the length, which nothing measures")

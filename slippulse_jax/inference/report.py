@@ -20,6 +20,7 @@ from slippulse_jax.inference.changes import (
     total_interval,
     total_of_ratio,
 )
+from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fitted import (
     GIVEN,
     GRAVITY,
@@ -31,7 +32,7 @@ from slippulse_jax.inference.fitted import (
     gravest,
 )
 from slippulse_jax.inference.fronts import ENDED
-from slippulse_jax.inference.measurements import READINGS, Measurements, likely_mistakes
+from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
 from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED

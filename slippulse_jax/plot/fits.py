@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from slippulse_jax.inference.bayes import theta_of
+from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.measurements import READINGS
 from slippulse_jax.inference.observables import PREDICTED
 from slippulse_jax.inference.parameters import attainable_of
 from slippulse_jax.inference.profile import profile_2d
