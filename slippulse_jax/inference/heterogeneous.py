@@ -59,6 +59,7 @@ class ProfileProblem(NamedTuple):
 
     kind: ProfileKind
     knots: np.ndarray  # (k,) in λc
+    between: np.ndarray  # (sites, k), share of each knot in the profile at each contact, a straight line between knots
     measured: np.ndarray  # (n,) lengths, in λc
     sigma: np.ndarray  # (n,) their standard errors, in λc
     mean: np.ndarray  # (k + 1,) of u before
@@ -84,8 +85,7 @@ class ProfileProblem(NamedTuple):
         self, u: Float[np.ndarray, "... k1"]
     ) -> tuple[Float[np.ndarray, "... n sites"], Float[np.ndarray, "... n sites"]]:
         """θ and φ of every contact, in σ_s, as each block meets them."""
-        left, share = _between_knots(np.arange(self.threshold.shape[1]), self.knots)
-        along = (u[..., left] * (1 - share) + u[..., left + 1] * share)[..., None, :]
+        along = (u[..., :-1] @ self.between.T)[..., None, :]
         if self.kind == "threshold":
             return self.threshold * np.exp(along), self.prestress + 0 * along
         return self.threshold + 0 * along, self.prestress + along
@@ -102,7 +102,7 @@ class ProfileProblem(NamedTuple):
         if self.kind == "threshold":
             by_site = by_theta * theta
             by_site[:, 0] = 0  # θ_0 is the unit
-        return Linearised(value, np.column_stack([_onto_knots(by_site, self.knots), by_log_k]), stress, slope)
+        return Linearised(value, np.column_stack([by_site @ self.between, by_log_k]), stress, slope)
 
 
 def profile_problem(
@@ -134,10 +134,12 @@ def profile_problem(
     phi, slope = (m.or_zero(name)[:, None] for name in ("prestress", "threshold_slope"))
     slider = Slider(m.height, np.asarray(stiffness, dtype=np.float64), m.poisson)
     height, ratio, poisson = (np.broadcast_to(x, (len(m),)) for x in (slider.height, slider.stiffness, slider.poisson))
-    k = min(sites, knots)
+    knot = np.linspace(0, sites - 1, min(sites, knots))
+    k = len(knot)
     return ProfileProblem(
         kind=kind,
-        knots=np.linspace(0, sites - 1, k),
+        knots=knot,
+        between=np.stack([np.interp(np.arange(sites), knot, one) for one in np.eye(k)], axis=1),
         measured=measured,
         sigma=sigma,
         mean=np.append(np.full(k, mean if kind == "prestress" else 0.0), 0.0),
@@ -269,18 +271,3 @@ def _between(values: Array, at: Array) -> tuple[Array, Array]:
     left = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, values.size - 2)
     slope = values[left + 1] - values[left]
     return values[left] + (at - left) * slope, slope
-
-
-def _onto_knots(by_site: Float[np.ndarray, "n sites"], knots: np.ndarray) -> Float[np.ndarray, "n k"]:
-    """Turn derivatives in the sites into derivatives in the knots, between which the profile is linear."""
-    left, share = _between_knots(np.arange(by_site.shape[1]), knots)
-    result = np.zeros((len(by_site), len(knots)))
-    for row, values in zip(result, by_site, strict=True):
-        row += np.bincount(left, values * (1 - share), len(knots)) + np.bincount(left + 1, values * share, len(knots))
-    return result
-
-
-def _between_knots(site: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the knot to the left of each site, and the fraction of the way to the next."""
-    left = np.clip(np.searchsorted(knots, site, side="right") - 1, 0, len(knots) - 2)
-    return left, (site - knots[left]) / (knots[left + 1] - knots[left])
