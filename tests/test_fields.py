@@ -19,11 +19,10 @@ from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bodies.response import of_slider
 from slippulse_jax.events.event import first_event
 from slippulse_jax.front.front import front_stress
+from slippulse_jax.inference.gaussian import LEVEL, Smoothness, condition, mixture, quantile, squared_exponential
+from slippulse_jax.inference.heterogeneous import followed, fronts, profile_problem
 from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.recover.events import followed, fronts
-from slippulse_jax.inference.recover.inversion import LEVEL, Smoothness, condition, mixture, quantile, squared_exponential
-from slippulse_jax.inference.recover.model import profile_model
-from slippulse_jax.inference.recover.recovery import Determination
+from slippulse_jax.inference.recover import Determination
 from slippulse_jax.interface import Profile
 
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 64
@@ -74,7 +73,7 @@ def test_a_length_reads_the_threshold_at_its_arrest():
             compared += 1
     assert compared >= 3
     truth = np.interp(lengths, X, theta / theta[0])
-    np.testing.assert_allclose(found.readings.value, truth, rtol=1e-9)
+    np.testing.assert_allclose(found.at_arrest, truth, rtol=1e-9)
     # with errors this small the profile goes through the readings
     np.testing.assert_allclose(found.at(lengths), truth, atol=2e-3)
 
@@ -83,7 +82,7 @@ def test_a_length_reads_the_threshold_at_its_arrest():
 def test_derivatives_in_knots_and_stiffness(kind):
     rng = np.random.default_rng(3)
     m = measured(np.full(len(HEIGHTS), 12.3), 0.1, prestress=0.05, threshold_slope=0.001)
-    model = profile_model(m, kind, np.array(STIFFNESS), m.length, SITES, 9)
+    model = profile_problem(m, kind, STIFFNESS, knots=9)
     assert len(model.knots) == 9
     u = np.append(0.02 * rng.normal(size=9) + (0.1 if kind == "prestress" else 0), 0.05)
     u[0] = 0 if kind == "threshold" else u[0]
@@ -234,17 +233,17 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     length, start, left = ruptures(theta, phi)
     of = HEIGHTS, STIFFNESS, POISSON
     profiles = [np.tile(x, (len(HEIGHTS), 1)) for x in (theta, phi)]
-    events = followed(of, *profiles)
-    np.testing.assert_allclose(events.length, length, atol=1e-9)
-    assert events.start.tolist() == start.tolist()
+    of_events, start_of_events = followed(of, *profiles)
+    np.testing.assert_allclose(of_events, length, atol=1e-9)
+    assert start_of_events.tolist() == start.tolist()
     for height, leftmost in zip(HEIGHTS, left, strict=True):
         modes = lattice_modes(sp.Slider(height, STIFFNESS, POISSON))
         event, *_ = first_event(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi), kind="full")
         assert int(event.leftmost) == leftmost
         assert int(event.contacts.times.max()) == 1
-    simple = fronts(of, *profiles)
-    assert simple.start.tolist() == start.tolist()
-    assert abs(simple.length - length).max() < apart
+    of_fronts, start_of_fronts = fronts(of, *profiles)
+    assert start_of_fronts.tolist() == start.tolist()
+    assert abs(of_fronts - length).max() < apart
     assert (start.max() == 0) == (apart < 1e-6)
 
 
@@ -252,13 +251,13 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
 def test_fronts_are_those_of_the_model(kind):
     """Many profiles at once, and with derivatives; these hold where an event starts inside, too."""
     m = measured(np.full(len(HEIGHTS), 12.3), 0.1)
-    model = profile_model(m, kind, np.array(STIFFNESS), m.length, SITES, SITES)
+    model = profile_problem(m, kind, STIFFNESS)
     u = np.append(rise(0.15) if kind == "prestress" else np.log(wave(-0.08)), 0.05)
     at = model.lengths(u)
     theta, phi = model.contacts(u)
-    found = fronts((HEIGHTS, STIFFNESS * np.exp(0.05), POISSON), theta, phi)
-    assert found.start.max() > 2
-    np.testing.assert_allclose(at.value, found.length, rtol=1e-10)
+    length, start = fronts((HEIGHTS, STIFFNESS * np.exp(0.05), POISSON), theta, phi)
+    assert start.max() > 2
+    np.testing.assert_allclose(at.value, length, rtol=1e-10)
     for j in (1, 3, 8, 12, SITES):
         h = 1e-6 * np.eye(SITES + 1)[j]
         slope = (model.lengths(u + h).value - model.lengths(u - h).value) / 2e-6
@@ -284,7 +283,7 @@ def test_an_event_that_starts_inside_is_recovered_and_reported():
 def test_nothing_is_determined_where_the_order_of_the_breaks_matters(recovered):
     """Lengths that only a weak place far inside explains: the contacts there break first, and not one after another."""
     theta = 1 - 0.25 * np.exp(-(((X - 14) / 4) ** 2))
-    length = fronts((HEIGHTS, STIFFNESS, POISSON), np.tile(theta, (len(HEIGHTS), 1)), np.zeros((len(HEIGHTS), len(X)))).length
+    length, _ = fronts((HEIGHTS, STIFFNESS, POISSON), np.tile(theta, (len(HEIGHTS), 1)), np.zeros((len(HEIGHTS), len(X))))
     assert abs(ruptures(theta, 0 * X)[0] - length).max() > 1
     found = sp.recover_profile(measured(length, 0.1), stiffness=STIFFNESS, amplitude=0.2, length_scale=6.0)
     assert found.determination in (Determination.ORDER, Determination.CURVED)

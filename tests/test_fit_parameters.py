@@ -15,7 +15,6 @@ from scipy.stats import t as student_t
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
-from slippulse_jax.inference.bootstrap import bootstrap
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
@@ -24,6 +23,7 @@ from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Data, loss
 from slippulse_jax.inference.observables import displacements, forces
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.profile import rise_of
+from slippulse_jax.inference.samples import bootstrap
 from slippulse_jax.status import Outcome
 
 

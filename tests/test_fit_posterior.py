@@ -18,7 +18,6 @@ from click.testing import CliRunner
 
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.bayes import Posterior, theta_of
 from slippulse_jax.inference.fit import FitResult
 from slippulse_jax.inference.fronts import STIFFEST, FirstFront
 from slippulse_jax.inference.inputs import Inputs
@@ -95,16 +94,22 @@ def test_arviz_takes_the_posterior(monkeypatch):
     result = fit(DATA)
     monkeypatch.setattr(FirstFront, "traced", tabulated(result.measurements))
     drawn = result.posterior(samples=60, warmup=60, chains=2, progress=False)
-    table = az.summary(drawn)
+    tree = drawn.to_arviz()
+    table = az.summary(tree)
     assert list(table.index) == ["areal_stiffness"]
-    summary = Posterior(drawn)
-    assert table["mean"].iloc[0] == pytest.approx(summary.to_dict()["mean"]["areal_stiffness"], rel=1e-3)
-    assert drawn["posterior"]["areal_stiffness"].attrs["units"] == "Pa/m"
+    summary = drawn.to_dict()
+    assert table["mean"].iloc[0] == pytest.approx(summary["mean"]["areal_stiffness"], rel=1e-3)
+    assert table["r_hat"].iloc[0] == pytest.approx(summary["rhat"]["areal_stiffness"], abs=0.01)
+    assert table["ess_bulk"].iloc[0] == pytest.approx(summary["ess"]["areal_stiffness"], abs=1)
+    assert tree["posterior"]["areal_stiffness"].attrs["units"] == "Pa/m"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Matplotlib's about ArviZ
-        az.plot_trace(drawn)
-    np.testing.assert_allclose(np.exp(theta_of(result, drawn)).ravel(), summary.of("areal_stiffness"))
-    assert theta_of(result, result.bootstrap(5)).shape == (5, 1)
+        az.plot_trace(tree)
+    assert drawn.theta.shape == (2, 60, 1)
+    np.testing.assert_allclose(np.exp(drawn.theta).ravel(), drawn.of("areal_stiffness"))
+    refits = result.bootstrap(5)
+    assert refits.theta.shape == (5, 1)
+    assert az.summary(refits.to_arviz(), kind="stats")["mean"].iloc[0] == pytest.approx(refits.values.mean(), rel=1e-3)
 
 
 def import_arviz():
@@ -115,7 +120,7 @@ def import_arviz():
 
 
 def test_missing_sampler_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "numpyro.diagnostics", None)
+    monkeypatch.setitem(sys.modules, "numpyro", None)
     done = CliRunner().invoke(command, [DATA, "--posterior", "10"])
     assert done.exit_code == 2
     assert "pip install 'slippulse_jax[bayes]'" in done.output
@@ -130,7 +135,7 @@ def test_posterior_profile_and_bootstrap_agree():
         height=height, poisson=0.3, length=length * (1 + 0.01 * rng.standard_normal(6)), length_sigma=0.01 * length
     )
     result = fit(m)
-    drawn = Posterior(result.posterior(samples=1000, warmup=500))
+    drawn = result.posterior(samples=1000, warmup=500)
     assert drawn.converged, drawn
     profile = result.intervals["stiffness"][0.95][0]
     width = profile.high - profile.low

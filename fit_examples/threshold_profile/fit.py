@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.recover.recovery import RecoveredProfile
+from slippulse_jax.inference.recover import RecoveredProfile
 
 HERE = Path(__file__).resolve().parent
 

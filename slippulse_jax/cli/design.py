@@ -75,7 +75,7 @@ def command(
     commas, of equal lengths or single values, one entry per candidate. Prior knowledge comes from --stiffness with --log-sd,
     from --measured, or from both.
     """
-    from slippulse_jax.inference.design.design import design
+    from slippulse_jax.inference.design import design
 
     candidates = _conditions(conditions)
     if measured is None and stiffness is None:
@@ -136,7 +136,7 @@ def _over_height(column: str, given: dict[str, list[float] | None]) -> "np.ndarr
 def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool) -> Any:
     import numpy as np
 
-    from slippulse_jax.inference.design.knowledge import Knowledge
+    from slippulse_jax.inference.knowledge import Knowledge
     from slippulse_jax.inference.tables import read_measurements
 
     prior = None

@@ -98,8 +98,6 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
-    from slippulse_jax.inference.bayes import Posterior
-    from slippulse_jax.inference.bootstrap import bootstrap
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.measurements import MeasurementWarning
     from slippulse_jax.inference.record import from_request, read_request
@@ -114,24 +112,21 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
             warnings.simplefilter("always", MeasurementWarning)
             warnings.showwarning = lambda message, *_: click.echo(f"before fitting: {message}", err=True)
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
-        more, drawn = {}, {}
+        drawn = {}
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
-            drawn["bootstrap"] = more["bootstrap"] = bootstrap(
-                result, options["bootstrap"], kind=kind, seed=result.request["seed"]
-            )
+            drawn["bootstrap"] = result.bootstrap(options["bootstrap"], kind=kind, seed=result.request["seed"])
         if options["posterior"]:
             drawn["posterior"] = result.posterior(samples=options["posterior"], seed=result.request["seed"])
-            more["posterior"] = Posterior(drawn["posterior"])
     except (ValueError, OSError, ModuleNotFoundError) as error:
         refuse(error)
     if options["as_json"]:
-        print_json(result.to_dict() | {name: one.to_dict() for name, one in more.items()})
+        print_json(result.to_dict() | {name: one.to_dict() for name, one in drawn.items()})
     else:
         parts = [
             result.report(verbose=options["verbose"]),
             *([result.methods()] if options["methods"] else []),
-            *map(str, more.values()),
+            *map(str, drawn.values()),
         ]
         click.echo("\n\n".join(parts))
     _draw(result, drawn, options)

@@ -16,8 +16,6 @@ from tqdm.auto import tqdm
 from slippulse_jax.domains import check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import record, report
-from slippulse_jax.inference.bayes import posterior
-from slippulse_jax.inference.bootstrap import Bootstrap, bootstrap
 from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
 from slippulse_jax.inference.counts import allowed_by_counts
@@ -34,6 +32,7 @@ from slippulse_jax.inference.parameters import (
     with_errors_of_measuring,
 )
 from slippulse_jax.inference.profile import Curve, Interval, Intervals, allowed, profile, rise_of
+from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.scatter import Scatter, scatter_about
 from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, search
 from slippulse_jax.inference.tables import measurements_of
@@ -120,14 +119,14 @@ class FitResult(Fitted):
         text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
         write_atomically(path, (text + "\n").encode())
 
-    def bootstrap(self, count: int = 1000, *, kind: str = "parametric", seed: int = 0) -> Bootstrap:
-        """Refit simulated or resampled measurements: see `slippulse_jax.inference.bootstrap`."""
+    def bootstrap(self, count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
+        """Refit simulated or resampled measurements: see `slippulse_jax.inference.samples`."""
         return bootstrap(self, count, kind=kind, seed=seed)
 
     def posterior(
         self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
-    ) -> Any:
-        """Sample the posterior by NUTS, for ArviZ: see `slippulse_jax.inference.bayes`; needs the extra ``bayes``."""
+    ) -> Samples:
+        """Sample the posterior by NUTS: see `slippulse_jax.inference.samples`; needs the extra ``bayes``."""
         return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed, progress=progress)
 
 

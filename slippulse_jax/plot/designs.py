@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.design.design import lengths_of
-from slippulse_jax.inference.design.report import BIT, labels
+from slippulse_jax.inference.design import BIT, lengths_of
 from slippulse_jax.plot.labels import axis_label
 from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
 
@@ -14,8 +13,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from slippulse_jax.inference.design.design import Design
-    from slippulse_jax.inference.design.knowledge import Knowledge
+    from slippulse_jax.inference.design import Design
+    from slippulse_jax.inference.knowledge import Knowledge
 
 
 def design_figure(found: "Design", *, ax: "Axes | None" = None) -> "Figure":
@@ -29,27 +28,21 @@ def design_figure(found: "Design", *, ax: "Axes | None" = None) -> "Figure":
 
 @drawn
 def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the expected information and D-optimal gain of every candidate.
-
-    The most informative is on top.
-    """
+    """Draw the expected information of every candidate, the most informative on top."""
     ax = axes(ax)
     c = colours(ax)
     order = found.ranking[::-1]
     y = np.arange(len(order))
-    ax.barh(y + 0.19, found.information[order] / BIT, 0.36, color=c.blue, label="expected information")
-    ax.barh(y - 0.19, found.d_optimal[order] / BIT, 0.36, color=c.orange, label="D-optimal (local)")
-    most = max(found.information.max(), found.d_optimal.max()) / BIT
-    for place, i in zip(y, order, strict=True):
+    bits = found.information[order] / BIT
+    ax.barh(y, bits, 0.6, color=c.blue)
+    for place, i, longer in zip(y, order, bits, strict=True):
         said = f"ln k ± {found.log_stderr[i]:.2g}"
         if len(found.knowledge.roots) > 1:
             said += f", roots apart {found.told_apart[i]:.0%}"
-        longer = max(found.information[i], found.d_optimal[i]) / BIT
-        ax.text(longer + 0.015 * most, float(place), said, va="center", fontsize="x-small", color=c.grey)
-    ax.set_yticks(y, np.array(labels(found.candidates))[order])
+        ax.text(longer + 0.015 * bits.max(), float(place), said, va="center", fontsize="x-small", color=c.grey)
+    ax.set_yticks(y, np.array(found.names)[order])
     room = 1.9 if len(found.knowledge.roots) > 1 else 1.4
-    ax.set(xlabel="gain (bits)", xlim=(0, room * most))
-    ax.legend(**ABOVE, ncols=2)
+    ax.set(xlabel="expected information (bits)", xlim=(0, room * bits.max()))
     return ax
 
 
@@ -63,15 +56,14 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     c = colours(ax)
     known = found.knowledge.theta
     theta = np.linspace(known[0], known[-1], 400)  # the samples may form two distant clusters
-    length = lengths_of(found.candidates, theta, found.knowledge.event)[0]
-    names = labels(found.candidates)
+    length = lengths_of(found.candidates, theta, found.knowledge.event)
     shown = found.ranking[: len(c.data)]
     top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):
         one = found.candidates[i]
         height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
         share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
-        ax.plot(np.exp(theta), share, color=color, label=names[i])
+        ax.plot(np.exp(theta), share, color=color, label=found.names[i])
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
         top = max(top, np.nanmax(share + sigma / height, initial=0.0))
         low = min(low, np.nanmin(share - sigma / height, initial=np.inf))

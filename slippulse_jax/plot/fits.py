@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtri
 
-from slippulse_jax.inference.bayes import theta_of
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
@@ -201,7 +200,7 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 61, ax: "Ax
     Parameters
     ----------
     result : FitResult
-    samples : Bootstrap, posterior or array of θ, shape (n, p), or a dict of these by name, optional
+    samples : Samples or array of θ, shape (n, p), or a dict of these by name, optional
         Drawn as points; several in colours of their own, with a legend.
     nodes : int
         Values of each parameter at which the others are fitted anew.
@@ -596,7 +595,7 @@ def confidence_region(
     result : FitResult
     horizontal, vertical : str
         Names of the two parameters.
-    samples : Bootstrap, posterior or array of θ, shape (n, p), or a dict of these by name, optional
+    samples : Samples or array of θ, shape (n, p), or a dict of these by name, optional
         Drawn as points; several in colours of their own, with a legend.
     nodes : int
         Values of each of the two.
@@ -615,7 +614,7 @@ def confidence_region(
     ax.contourf(first, second, rise.T, levels=levels, colors=[c.blue, c.sky], alpha=0.5)
     drawn_from = samples if isinstance(samples, dict) else {} if samples is None else {"": samples}
     for (name, one), color in zip(drawn_from.items(), itertools.cycle((c.ink, c.green, c.purple)), strict=False):
-        theta = theta_of(result, one)
+        theta = np.reshape(getattr(one, "theta", one), (-1, len(q.free)))
         x, y = q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j])
         ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=name or None)
     if len(drawn_from) > 1:

@@ -11,7 +11,7 @@ from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from slippulse_jax.inference.recover.recovery import RecoveredProfile
+    from slippulse_jax.inference.recover import RecoveredProfile
 
 LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": axis_label("prestress", "σ_s")}
 
@@ -31,11 +31,9 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
     for level, alpha in zip(LEVELS[::-1], (0.2, 0.35), strict=True):
         ax.fill_between(x, *found.interval(level), color=c.blue, alpha=alpha, lw=0, label=f"{level:.0%} band")
     ax.plot(x, found.profile, color=c.blue, label="recovered")
-    if found.readings is not None:
-        r, sigma = found.readings, found.measurements.length_sigma
-        ax.errorbar(
-            r.position, r.value, r.stderr, sigma, fmt="o", ms=3, lw=0.8, color=c.vermilion, label="from one length each"
-        )
+    if found.at_arrest is not None:
+        along = {"fmt": "o", "ms": 3, "lw": 0.8, "color": c.vermilion, "label": "from one length each"}
+        ax.errorbar(found.arrest, found.at_arrest, found.at_arrest_stderr, found.measurements.length_sigma, **along)
     else:
         ax.axhline(0, color=c.grey, lw=0.6)
         at_bottom = {"transform": ax.get_xaxis_transform(), "clip_on": False}

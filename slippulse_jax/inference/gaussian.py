@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from slippulse_jax.inference.recover.model import Look, ProfileModel
+from slippulse_jax.inference.heterogeneous import Linearised, ProfileProblem
 
 ENOUGH = 4
 """Fewest lengths whose evidence chooses amplitude and length scale; with fewer all settings have the same weight."""
@@ -45,24 +45,6 @@ class LinearPosterior(NamedTuple):
 
 
 class Inversion(NamedTuple):
-    """The data, and the prior except for its smoothness."""
-
-    model: ProfileModel
-    sigma: np.ndarray  # (n,), in λc
-    mean: np.ndarray  # (k + 1,), of u
-    log_stiffness_sd: float
-
-    def prior(self, smoothness: Smoothness) -> np.ndarray:
-        """Covariance of u."""
-        k = len(self.mean) - 1
-        covariance = np.zeros((k + 1, k + 1))
-        pinned = self.model.kind == "threshold"
-        covariance[:k, :k] = squared_exponential(self.model.knots, smoothness, level=0.0 if pinned else LEVEL, pinned=pinned)
-        covariance[k, k] = self.log_stiffness_sd**2
-        return covariance
-
-
-class Found(NamedTuple):
     """Outcome of a search."""
 
     posteriors: list[LinearPosterior]  # of each setting, linearised where the search ended
@@ -71,7 +53,16 @@ class Found(NamedTuple):
     converged: bool
     steps: int
     place: np.ndarray  # (k + 1,), u − m where the lengths were linearised
-    at: Look  # the lengths there
+    at: Linearised  # the lengths there
+
+
+def prior_covariance(problem: ProfileProblem, smoothness: Smoothness) -> np.ndarray:
+    """Covariance of u: of the knots, and of the shift of ln k."""
+    k, pinned = len(problem.knots), problem.kind == "threshold"
+    covariance = np.zeros((k + 1, k + 1))
+    covariance[:k, :k] = squared_exponential(problem.knots, smoothness, level=0.0 if pinned else LEVEL, pinned=pinned)
+    covariance[k, k] = problem.log_stiffness_sd**2
+    return covariance
 
 
 def squared_exponential(
@@ -150,17 +141,17 @@ def quantile(
     return (low + high) / 2
 
 
-def invert(problem: Inversion, settings: list[Smoothness], max_steps: int) -> Found:
+def invert(problem: ProfileProblem, settings: list[Smoothness], max_steps: int) -> Inversion:
     """Fit with the setting of most evidence, weight all settings where the search ended, and repeat until it stays."""
-    priors = [problem.prior(s) for s in settings]
+    priors = [prior_covariance(problem, s) for s in settings]
     weight = np.full(len(settings), 1 / len(settings))
     best, total, tried = len(settings) // 2, 0, set()
     while True:
         c, steps, converged = _descend(problem, priors[best], max_steps)
         total += steps
         place = priors[best] @ c
-        at = problem.model.lengths(problem.mean + place)
-        z = problem.model.measured - at.value + at.derivative @ place
+        at = problem.lengths(problem.mean + place)
+        z = problem.measured - at.value + at.derivative @ place
         posteriors = [condition(z, at.derivative, problem.sigma, prior) for prior in priors]
         if len(z) >= ENOUGH:
             # a prior flat in the amplitude: the settings lie evenly along its logarithm
@@ -170,25 +161,26 @@ def invert(problem: Inversion, settings: list[Smoothness], max_steps: int) -> Fo
         tried.add(best)
         best = int(np.argmax(weight)) if len(z) >= ENOUGH else best
         if best in tried:
-            return Found(posteriors, weight, float(c @ place), converged, total, place, at)
+            return Inversion(posteriors, weight, float(c @ place), converged, total, place, at)
 
 
-def _descend(problem: Inversion, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
+def _descend(problem: ProfileProblem, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
     """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend."""
-    measured, sigma = problem.model.measured, problem.sigma
+    measured, sigma = problem.measured, problem.sigma
 
-    def look(c: np.ndarray) -> tuple[float, np.ndarray, Look]:
-        at = problem.model.lengths(problem.mean + prior @ c)
+    def tried(c: np.ndarray) -> tuple[float, np.ndarray, Linearised]:
+        at = problem.lengths(problem.mean + prior @ c)
         value = (((at.value - measured) / sigma) ** 2).sum() + c @ prior @ c
         return (value if np.isfinite(value) else np.inf), c, at
 
-    value, c, at = min((look(c) for c in (np.zeros(len(problem.mean)), _by_excess(problem, prior))), key=lambda found: found[0])
+    starts = np.zeros(len(problem.mean)), _by_excess(problem, prior)
+    value, c, at = min(map(tried, starts), key=lambda found: found[0])
     for step in range(1, max_steps + 1):
         z = measured - at.value + at.derivative @ (prior @ c)
         move = at.derivative.T @ condition(z, at.derivative, sigma, prior).coefficient - c
         size = move @ prior @ move
         for fraction in 0.5 ** np.arange(14):
-            trial = look(c + fraction * move)
+            trial = tried(c + fraction * move)
             if trial[0] < value:
                 break
         else:
@@ -201,11 +193,11 @@ def _descend(problem: Inversion, prior: np.ndarray, max_steps: int) -> tuple[np.
     return c, max_steps, False
 
 
-def _by_excess(problem: Inversion, prior: np.ndarray, steps: int = 6) -> np.ndarray:
+def _by_excess(problem: ProfileProblem, prior: np.ndarray, steps: int = 6) -> np.ndarray:
     """Start of a search: c for which the stress equals the threshold at the measured arrests."""
     c = np.zeros(len(problem.mean))
     for _ in range(steps):
-        at = problem.model.excess(problem.mean + prior @ c)
+        at = problem.excess(problem.mean + prior @ c)
         noise = problem.sigma * np.maximum(abs(at.slope), 1e-4)
         if not np.isfinite(at.value).all():
             break

@@ -12,14 +12,10 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import EventKind, check_event
-from slippulse_jax.inference.fronts import FRONTS, Body, front_of, pushed
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import data_log_density
+from slippulse_jax.inference.fronts import Body, front_of
+from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
-from slippulse_jax.inference.parameters import (
-    STIFFNESSES,
-    ratio_per_unit,
-)
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, parameter_set
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fitted import Fitted
@@ -30,11 +26,20 @@ NODES = 1201
 NEGLIGIBLE = 1e-9
 """Weight, relative to the largest, below which a sample is left out."""
 
+FAINT = 40.0
+"""Fall of ln p from its largest beyond which a grid need not be fine."""
+
 VALLEY = 0.5
 """Two peaks of a density count as two roots where it falls between them below this fraction of the lower one."""
 
+UNUSED = (
+    "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma",
+    "displacement", "displacement_sigma", "force", "force_sigma", "gauges",
+)  # fmt: skip
+"""Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
-@dataclasses.dataclass(frozen=True, eq=False)
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Knowledge:
     """Weighted samples of ln(stiffness).
 
@@ -59,38 +64,41 @@ class Knowledge:
         If the shapes differ, a value is not finite, or a weight is negative or all are zero.
     """
 
-    log_stiffness: ArrayLike
-    weight: ArrayLike | None = None
-    root: ArrayLike | None = None
-    in_si: bool = False
-    event: EventKind = "domino"
-    body: Body | None = None
+    theta: np.ndarray  # (m,) ln(stiffness) of each sample, in increasing order
+    probability: np.ndarray  # (m,) of each sample; adds up to one
+    labels: np.ndarray  # (m,) root of each sample: 0, 1, …
+    in_si: bool
+    event: EventKind
+    body: Body | None
 
-    def __post_init__(self) -> None:
-        check_event(self.event)
-        theta = np.atleast_1d(np.asarray(self.log_stiffness, dtype=np.float64))
-        weight = np.full(theta.shape, 1.0) if self.weight is None else np.asarray(self.weight, dtype=np.float64)
-        root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)
-        if theta.ndim != 1 or weight.shape != theta.shape or root.shape != theta.shape:
+    def __init__(
+        self,
+        log_stiffness: ArrayLike,
+        weight: ArrayLike | None = None,
+        root: ArrayLike | None = None,
+        in_si: bool = False,
+        event: EventKind = "domino",
+        body: Body | None = None,
+    ) -> None:
+        check_event(event)
+        theta = np.atleast_1d(np.asarray(log_stiffness, dtype=np.float64))
+        p = np.full(theta.shape, 1.0) if weight is None else np.asarray(weight, dtype=np.float64)
+        labels = np.zeros(theta.shape, int) if root is None else np.asarray(root)
+        if theta.ndim != 1 or p.shape != theta.shape or labels.shape != theta.shape:
             raise ValueError(
-                f"Knowledge: samples {theta.shape}, weights {weight.shape} and roots {root.shape} must be one column each"
+                f"Knowledge: samples {theta.shape}, weights {p.shape} and roots {labels.shape} must be one column each"
             )
         check_domain("Knowledge.log_stiffness", theta, lambda x: abs(x) < 100, "must be the logarithm of a stiffness")
-        check_domain("Knowledge.weight", weight, lambda x: x >= 0, "must be 0 or more")
-        if not weight.sum() > 0:
+        check_domain("Knowledge.weight", p, lambda x: x >= 0, "must be 0 or more")
+        if not p.sum() > 0:
             raise ValueError("Knowledge.weight: all zero")
         order = np.argsort(theta, kind="stable")
-        object.__setattr__(self, "log_stiffness", theta[order])
-        object.__setattr__(self, "weight", weight[order] / weight.sum())
-        object.__setattr__(self, "root", np.unique(root[order], return_inverse=True)[1])
+        samples = theta[order], p[order] / p.sum(), np.unique(labels[order], return_inverse=True)[1]
+        for field, value in zip(dataclasses.fields(self), (*samples, in_si, event, body), strict=True):
+            object.__setattr__(self, field.name, value)
 
     def __len__(self) -> int:
         return len(self.theta)
-
-    @property
-    def theta(self) -> np.ndarray:
-        """Samples of ln(stiffness) in increasing order, shape (m,)."""
-        return np.asarray(self.log_stiffness)
 
     @classmethod
     def lognormal(
@@ -158,22 +166,24 @@ class Knowledge:
         check_used(m, "design")
         if m.in_si and m.young is None:
             raise MeasurementError(f"{m.source}: lengths in SI need young_GPa for an areal stiffness")
-        ratio, body = ratio_per_unit(m), front_of(m).body
-        if prior is not None:
-            if prior.in_si != m.in_si:
-                raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
-            theta = prior.theta
-            log_weight = np.log(np.maximum(prior.probability, 1e-300)) + _log_likelihood(theta, m, ratio, body, prior.event)
-        else:
-            theta, log_weight = _scan(m, ratio, body, bounds, nodes)
+        if not np.isfinite(m.sigma).all():
+            raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
+        if prior is not None and prior.in_si != m.in_si:
+            raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
+        body = front_of(m).body
+        event = "full" if body == "block" else "domino" if prior is None else prior.event
+        m = dataclasses.replace(m, **dict.fromkeys(UNUSED))
+        problem = make_problem(m, parameter_set(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
+        theta = _grid(problem, nodes) if prior is None else prior.theta
+        # the density, not the weight, has peaks: samples may be unevenly spaced
+        share = np.gradient(theta) if prior is None else prior.probability
+        with np.errstate(divide="ignore"):
+            log_weight = np.log(share) - problem(theta[:, None]).value
         if not np.isfinite(log_weight).any():
             raise ValueError(f"{m.source}: no stiffness in the range gives these measurements")
         weight = np.exp(log_weight - log_weight.max())
         kept = weight > NEGLIGIBLE
-        # the density, not the weight, has peaks: samples may be unevenly spaced
-        spacing = np.gradient(theta) if prior is None else np.ones_like(theta)
-        root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / spacing)
-        event = "full" if body == "block" else "domino" if prior is None else prior.event
+        root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / (share if prior is None else 1))
         return cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
 
     @classmethod
@@ -194,7 +204,7 @@ class Knowledge:
         ------
         ValueError
             If no stiffness was fitted, or one for each specimen, or the data are in SI without Young's modulus; or the fronts
-            are crack-like or those of a smooth rule, which designs do not predict.
+            are crack-like, which designs do not predict.
         """
         from scipy.interpolate import PchipInterpolator
 
@@ -223,9 +233,9 @@ class Knowledge:
         return float(self.probability @ self.theta)
 
     @property
-    def probability(self) -> np.ndarray:
-        """Of each sample, shape (m,); adds up to one."""
-        return np.asarray(self.weight)
+    def symbol(self) -> str:
+        """Symbol of the stiffness."""
+        return "k/λc²" if self.in_si else "k/K"
 
     @property
     def log_sd(self) -> float:
@@ -236,71 +246,25 @@ class Knowledge:
     def roots(self) -> list[tuple[float, float, float]]:
         """(probability, median-like e^mean, standard deviation of ln) of each root."""
         found = []
-        for r in range(int(np.max(self.labels)) + 1):
+        for r in range(self.labels.max() + 1):
             w = self.probability * (self.labels == r)
             mean = w @ self.theta / w.sum()
             sd = np.sqrt(w @ (self.theta - mean) ** 2 / w.sum())
             found.append((float(w.sum()), float(np.exp(mean)), float(sd)))
         return found
 
-    @property
-    def labels(self) -> np.ndarray:
-        """Root of each sample, shape (m,)."""
-        return np.asarray(self.root)
 
-    @property
-    def within_sd(self) -> float:
-        """Standard deviation of ln(stiffness) about the mean of its own root."""
-        return float(np.sqrt(sum(p * sd**2 for p, _, sd in self.roots)))
-
-
-def _log_likelihood(
-    theta: np.ndarray, m: Measurements, ratio: np.ndarray, body: Body, event: EventKind = "domino"
-) -> np.ndarray:
-    """Logarithm ln p(data | stiffness) at each θ, up to a constant."""
-    sigma = m.sigma
-    if not np.isfinite(sigma).all():
-        raise MeasurementError(f"{m.source}: the standard errors of the lengths are needed")
-    stiffness = np.exp(theta)[:, None] * ratio
-    inputs = Inputs.of(m.height, stiffness, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope"))
-    front = FRONTS["slider", event]
-    if body == "block" and m.push_height is not None:
-        push = pushed(m.height, m.push_height, m.push_width, m.push_control)
-        front, inputs = (
-            FRONTS["block", "full"],
-            inputs.given(**{n: np.broadcast_to(x, stiffness.shape) for n, x in push.items()}),
-        )
-    length = front.lengths(inputs.ravel()).reshape(stiffness.shape)
-    kind = np.array(m.kind)
-    total = np.zeros(len(theta))
-    for one in set(m.kind):
-        there = kind == one
-        total += data_log_density(length[:, there], m.length[there], sigma[there], one).sum(axis=1)
-    return total
-
-
-def _scan(
-    m: Measurements, ratio: np.ndarray, body: Body, bounds: tuple[float, float] | None, nodes: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Choose a grid of θ, finer where the posterior is; also return the logarithms of its weights."""
-    if bounds is None:
-        front = FRONTS[body, "full" if body == "block" else "domino"]
-        bounds = float((front.softest(m) / ratio).min()), float((front.stiffest(m) / ratio).max())
-    low, high = bounds
-    if not 0 < low < high < np.inf:
-        raise ValueError(f"bounds = ({low:g}, {high:g}): must be positive, finite and in increasing order")
-    theta = np.linspace(np.log(low), np.log(high), nodes)
-    value = _log_likelihood(theta, m, ratio, body)
+def _grid(problem: Problem, nodes: int) -> np.ndarray:
+    """Choose a grid of the one θ of a problem, finer where its likelihood is."""
+    theta = np.linspace(problem.parameters.low[0], problem.parameters.high[0], nodes)
     for _ in range(2):
+        cost = problem(theta[:, None]).value
         # cells with any weight share the nodes of the next grid, and are seen by it with a neighbour on each side
-        near = value > np.max(value[np.isfinite(value)], initial=-np.inf) - 40
-        near = np.convolve(near, np.ones(5), "same") > 0
-        if not np.isfinite(value).any() or near.sum() > nodes // 3:
+        near = np.convolve(cost < cost.min() + FAINT, np.ones(5), "same") > 0
+        if not 0 < near.sum() <= nodes // 3:
             break
-        theta = np.interp(np.linspace(0, near.sum() - 1, nodes), np.arange(near.sum()), theta[near])
-        theta = np.unique(theta)
-        value = _log_likelihood(theta, m, ratio, body)
-    return theta, value + np.log(np.gradient(theta))
+        theta = np.unique(np.interp(np.linspace(0, near.sum() - 1, nodes), np.arange(near.sum()), theta[near]))
+    return theta
 
 
 def _roots(density: np.ndarray) -> np.ndarray:

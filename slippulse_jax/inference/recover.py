@@ -11,10 +11,10 @@ released all along the way: t is linear in it, and a length determines a weighte
 (`docs/model/gradients.md`).
 
 The load is that at which the first contact reaches its threshold, contact 0 or another
-(`slippulse_jax.inference.recover.model`).
+(`slippulse_jax.inference.heterogeneous`).
 
 Between the arrests the profile is assumed smooth: ln(θ/θ_0), or φ, is a Gaussian process of standard deviation s and length
-scale L (`slippulse_jax.inference.recover.inversion`). The Gauss–Newton steps use the derivatives in every contact; s and L
+scale L (`slippulse_jax.inference.gaussian`). The Gauss–Newton steps use the derivatives in every contact; s and L
 are weighted by their evidence, and the posterior is the mixture.
 
 Two checks follow, without which no place is called determined: on the recovered profile the events are followed in the order
@@ -31,18 +31,13 @@ from jaxtyping import ArrayLike
 from scipy.special import chdtrc
 
 from slippulse_jax.domains import check_choice
+from slippulse_jax.files import plain
+from slippulse_jax.inference.gaussian import LEVEL, Inversion, Smoothness, invert, mixture, prior_covariance, quantile
+from slippulse_jax.inference.heterogeneous import ProfileKind, ProfileProblem, followed, fronts, profile_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
-from slippulse_jax.inference.recover.events import followed, fronts
-from slippulse_jax.inference.recover.inversion import LEVEL, Found, Inversion, Smoothness, invert, mixture, quantile
-from slippulse_jax.inference.recover.model import Look, ProfileKind, profile_model
-from slippulse_jax.inference.recover.report import report, to_dict
-
-MOST_KNOTS = 256
-"""Most knots of a profile; between them it is a straight line."""
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
-
 
 WITHIN = 0.4
 """Largest standard error of a determined place, over the standard deviation by which the prior lets the profile vary."""
@@ -89,14 +84,6 @@ class Nucleation(NamedTuple):
         return bool((self.contact > 0).any())
 
 
-class Readings(NamedTuple):
-    """The threshold at each arrest, from that length alone, given the load."""
-
-    position: np.ndarray  # (n,), in λc
-    value: np.ndarray  # (n,), θ(ℓ)/θ_0 = t(ℓ)
-    stderr: np.ndarray  # (n,), σ |t' − θ'|
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecoveredProfile:
     """Outcome of `recover_profile`. Look at `determination` first."""
@@ -113,10 +100,11 @@ class RecoveredProfile:
     fitted: np.ndarray  # (n,) lengths on `profile`, in λc
     chi2: float  # Σ [(fitted − measured)/σ]²
     prior_misfit: float  # fᵀK⁻¹f at the best setting
-    smoothness: Smoothness  # the setting of most evidence
     settings: list[Smoothness]
     weight: np.ndarray  # (h,) probability of each of `settings`
-    readings: Readings | None  # for a threshold
+    arrest: np.ndarray  # (n,) where each front stopped, in λc; the middle of a contact counted last
+    at_arrest: np.ndarray | None  # (n,) threshold θ(ℓ)/θ_0 = t(ℓ) there, from that length alone, given the load
+    at_arrest_stderr: np.ndarray | None  # (n,) σ |t' − θ'|
     nucleation: Nucleation
     agreement: float  # effective share of draws from the posterior whose simulated lengths agree with the straight lines
     determination: Determination
@@ -141,9 +129,76 @@ class RecoveredProfile:
         """Evaluate the profile at positions x in λc; it is constant beyond the last knot."""
         return np.interp(np.asarray(x, dtype=np.float64), self.position, self.profile)
 
+    @property
+    def smoothness(self) -> Smoothness:
+        """Settings of most evidence."""
+        return self.settings[int(np.argmax(self.weight))]
+
+    @property
+    def stretches(self) -> list[tuple[float, float]]:
+        """Ends, in λc, of each stretch of the interface that the lengths determine."""
+        inside = np.concatenate([[False], self.determined, [False]])
+        edges = np.flatnonzero(inside[1:] != inside[:-1])
+        return [(float(self.position[a]), float(self.position[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
     def report(self) -> str:
         """Report as text."""
-        return report(self)
+        n = len(self.measurements)
+        low, high = self.interval(0.95)
+        where = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in self.stretches) or "nowhere"
+        symbol = "θ/θ_0" if self.kind == "threshold" else "φ"
+        lines = [
+            f"{self.kind.capitalize()} profile from {n} length{'s' * (n > 1)}: {self.determination.value}",
+            f"  independent values that the lengths determine: {self.degrees:.2f}, of {len(self.position)} knots",
+            f"  determined (standard error at most 0.4 of the prior's, and checked by simulation) at x/λc: {where}",
+            f"  χ² = {self.chi2:.4g} for {n} lengths; prior misfit {self.prior_misfit:.4g}; {self.steps} steps",
+            f"  prior: {self._prior()}",
+            f"  {self._starts()}",
+            f"  simulated lengths agree with the linear error in {self.agreement:.0%} of draws from the posterior",
+        ]
+        if self.log_stiffness_shift:
+            lines.append(f"  ln k moved by {self.log_stiffness_shift:+.3g}")
+        lines.append(f"  {'x/λc':>8} {symbol:>9} {'± se':>9} {'95 % interval':>20} {'prior se':>9}  from")
+        for x in self._rows():
+            i = int(np.argmin(abs(self.position - x)))
+            origin = "lengths" if self.determined[i] else "definition" if self.prior_stderr[i] < 1e-6 else "prior"
+            lines.append(
+                f"  {self.position[i]:8.4g} {self.profile[i]:9.4f} {self.stderr[i]:9.4f} {low[i]:10.4f} {high[i]:9.4f} "
+                f"{self.prior_stderr[i]:9.4f}  {origin}"
+            )
+        if self.kind == "threshold":
+            before = "before that it implies only that the contacts broke."
+            lines.append(f"  A length determines the threshold where its front stopped; {before}")
+        return "\n".join(lines)
+
+    def _prior(self) -> str:
+        """Describe the prior."""
+        s = self.smoothness
+        given = f"amplitude {s.amplitude:.3g}, length scale {s.length_scale:.3g} λc"
+        if len(self.settings) == 1:
+            return f"{given}, as given"
+        if np.ptp(self.weight) == 0:
+            return f"{len(self.settings)} settings, equal weights (too few lengths to choose)"
+        return f"{given} of most evidence ({self.weight.max():.0%}), averaged over {len(self.settings)} settings"
+
+    def _starts(self) -> str:
+        """Describe where the events start."""
+        contact, at_edge, length = self.nucleation
+        moved = abs(length - self.fitted).max()
+        where = f"contact {contact.min()}" + f" to {contact.max()}" * bool(np.ptp(contact))
+        sure = f"{at_edge.min():.0%}" + f" to {at_edge.max():.0%}" * bool(np.ptp(at_edge) > 5e-3)
+        text = f"events start at {where} on this profile (contact 0 in {sure} of draws from the posterior)"
+        if self.nucleation.inside:
+            text += f"; the order of the breaks moves ℓ by up to {moved:.2g} λc"
+        elif self.kind == "prestress":
+            text += "; if they were seen to start inside, do not rely on it"
+        return text
+
+    def _rows(self) -> np.ndarray:
+        """Positions listed in the report: evenly spaced, and the arrests where they are few."""
+        length = self.measurements.length
+        arrests = np.unique(length.round())
+        return np.unique(np.concatenate([np.linspace(0, length.max(), 6).round(), arrests if len(arrests) <= 8 else []]))
 
     def __str__(self) -> str:
         return self.report()
@@ -152,8 +207,22 @@ class RecoveredProfile:
         return f"RecoveredProfile({self.kind}, {self.determination.name}: {self.degrees:.1f} numbers; report() says more)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain Python values, ready for JSON."""
-        return to_dict(self)
+        """Plain Python values, ready for JSON; numbers that are not finite are None."""
+        same = ("degrees", "chi2", "prior_misfit", "log_stiffness_shift", "agreement")
+        arrays = ("position", "profile", "stderr", "prior_stderr", "fitted")
+        content = {
+            "kind": self.kind,
+            "determination": self.determination.name.lower(),
+            "statement": self.determination.value,
+            **{name: getattr(self, name) for name in same},
+            "determined": self.stretches,
+            "smoothness": self.smoothness._asdict(),
+            "settings": [{**s._asdict(), "weight": w} for s, w in zip(self.settings, self.weight, strict=True)],
+            "nucleation": self.nucleation._asdict(),
+            "units": {"position": "λc", "profile": "θ_0" if self.kind == "threshold" else "σ_s", "fitted": "λc"},
+            **{name: getattr(self, name) for name in arrays},
+        }
+        return plain(content)
 
 
 def recover_profile(
@@ -201,12 +270,9 @@ def recover_profile(
     """
     m = measurements
     _check(m, kind, log_stiffness_sd, amplitude, length_scale, max_steps)
-    measured, sigma = _lengths(m)
-    sites = 64 * int(np.ceil((1.3 * (measured + 4 * sigma).max() + 16) / 64))
-    model = profile_model(m, kind, np.asarray(stiffness, dtype=np.float64), measured, sites, MOST_KNOTS)
-    knots, k = model.knots, len(model.knots)
-    middle = np.append(np.full(k, mean if kind == "prestress" else 0.0), 0.0)
-    problem = Inversion(model, sigma, middle, log_stiffness_sd)
+    check_used(m, "recover_profile")
+    problem = profile_problem(m, kind, stiffness, mean=mean, log_stiffness_sd=log_stiffness_sd)
+    measured, sigma, k = problem.measured, problem.sigma, len(problem.knots)
     settings = [
         Smoothness(float(s), float(scale))
         for s in (_AMPLITUDES[kind] if amplitude is None else [amplitude])
@@ -214,19 +280,21 @@ def recover_profile(
     ]
     found = invert(problem, settings, max_steps)
     mean_u, covariance, resolution = mixture(found.posteriors, found.weight)
-    f, covariance, resolution = (problem.mean + mean_u)[:k], covariance[:k, :k], resolution[:k, :k]
-    prior_variance = np.sum([w * np.diag(problem.prior(s))[:k] for w, s in zip(found.weight, settings, strict=True)], axis=0)
+    u, covariance, resolution = problem.mean + mean_u, covariance[:k, :k], resolution[:k, :k]
+    prior_variance = found.weight @ [np.diag(prior_covariance(problem, s))[:k] for s in settings]
     # better knowledge of the mean prestress does not determine it at any place
     varying = prior_variance - (LEVEL**2 if kind == "prestress" else 0)
-    at_mean = model.lengths(problem.mean + mean_u)
+    at_mean = problem.lengths(u)
     fitted = at_mean.value
+    site = np.arange(at_mean.stress.shape[1])
+    at_arrest = np.array([np.interp(x, site, t) for x, t in zip(measured, at_mean.stress, strict=True)])
     chi2 = float((((fitted - measured) / sigma) ** 2).sum())
-    profile = np.exp(f) if kind == "threshold" else f
+    profile = np.exp(u[:k]) if kind == "threshold" else u[:k]
     unit = profile if kind == "threshold" else 1.0
     error = _stderr(covariance)
     determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
-    nucleation, agreement = _simulated(problem, found, problem.mean + mean_u)
-    determination = _judge(found, chi2, knots, determined, measured)
+    nucleation, agreement = _simulated(problem, found, u)
+    determination = _judge(problem, found, chi2, determined)
     if determination in _FOUND:
         if not (abs(nucleation.length - fitted) <= ORDER * sigma).all():
             determination = Determination.ORDER
@@ -236,7 +304,7 @@ def recover_profile(
     return RecoveredProfile(
         kind=kind,
         measurements=m,
-        position=knots,
+        position=problem.knots,
         profile=profile,
         stderr=error * unit,
         prior_stderr=np.sqrt(prior_variance) * unit,
@@ -246,10 +314,11 @@ def recover_profile(
         fitted=fitted,
         chi2=chi2,
         prior_misfit=found.prior_misfit,
-        smoothness=settings[int(np.argmax(found.weight))],
         settings=settings,
         weight=found.weight,
-        readings=_readings(at_mean, measured, sigma) if kind == "threshold" else None,
+        arrest=measured,
+        at_arrest=at_arrest if kind == "threshold" else None,
+        at_arrest_stderr=sigma * abs(at_mean.slope) if kind == "threshold" else None,
         nucleation=nucleation,
         agreement=agreement,
         determination=determination,
@@ -265,27 +334,26 @@ def recover_profile(
 _FOUND = (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
 
 
-def _simulated(problem: Inversion, found: Found, u: np.ndarray) -> tuple[Nucleation, float]:
+def _simulated(problem: ProfileProblem, found: Inversion, u: np.ndarray) -> tuple[Nucleation, float]:
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
-    model, (height, stiffness, poisson) = problem.model, problem.model.lanes
-    theta, phi = model.contacts(u)
-    event = followed((height, stiffness * np.exp(u[-1]), poisson), theta, phi)
+    theta, phi = problem.contacts(u)
+    ruptured, contact = followed(problem.sliders_at(u), theta, phi)
     draws = _draws(problem, found)
     # parts of equal size share a compiled program
     least = theta.size * DRAWS / ELEMENTS
     parts = np.split(draws, next(n for n in range(1, DRAWS + 1) if n >= least and DRAWS % n == 0))
-    those = [fronts((height, stiffness * np.exp(part[:, -1:]), poisson), *model.contacts(part)) for part in parts]
+    those = [fronts(problem.sliders_at(part), *problem.contacts(part)) for part in parts]
     length, start = (np.concatenate(column) for column in zip(*those, strict=True))
     linear = found.at.value + (draws - problem.mean - found.place) @ found.at.derivative.T
     with np.errstate(invalid="ignore"):
-        chi2, linear_chi2 = ((((x - model.measured) / problem.sigma) ** 2).sum(axis=1) for x in (length, linear))
+        chi2, linear_chi2 = ((((x - problem.measured) / problem.sigma) ** 2).sum(axis=1) for x in (length, linear))
     log_weight = np.where(np.isfinite(chi2), linear_chi2 - chi2, -np.inf) / 2
     weight = np.exp(log_weight - max(log_weight.max(), -1e300))
     agreement = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300) / DRAWS)
-    return Nucleation(event.start, (start == 0).mean(axis=0), event.length), agreement
+    return Nucleation(contact, (start == 0).mean(axis=0), ruptured), agreement
 
 
-def _draws(problem: Inversion, found: Found) -> np.ndarray:
+def _draws(problem: ProfileProblem, found: Inversion) -> np.ndarray:
     """Draws of u from the posterior, shape (DRAWS, k + 1); the same in every call."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(found.weight), DRAWS, p=found.weight)
@@ -313,39 +381,15 @@ def _check(
         raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
 
 
-def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths and standard errors in λc."""
-    check_used(m, "recover_profile", stacklevel=4)
-    if m.push_height is not None:
-        raise MeasurementError(
-            f"{m.source}, column {m.columns.get('push_height', 'push_height')}: recover_profile takes sliders"
-        )
-    if m.length_sigma is None or not np.isfinite(m.length_sigma).all():
-        raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
-    kinds = np.array(m.kind)
-    whole = kinds == "whole"
-    for i in np.flatnonzero(~whole & (kinds != "length")).tolist():
-        raise MeasurementError(f"{m.place(i)}: kind {m.kind[i]!r}: recover_profile takes lengths and whole-contact counts")
-    sigma = np.sqrt(m.length_sigma**2 + whole / 12)
-    if not (sigma > 0).all():
-        raise MeasurementError(f"{m.place(int(np.argmin(sigma)))}: a standard error must be positive")
-    return m.length - 0.5 * whole, sigma
-
-
-def _readings(at: Look, measured: np.ndarray, sigma: np.ndarray) -> Readings:
-    """t(ℓ) at the measured ℓ, in θ_0."""
-    site = np.arange(at.stress.shape[1])
-    value = np.array([np.interp(x, site, t) for x, t in zip(measured, at.stress, strict=True)])
-    return Readings(measured, value, sigma * abs(at.slope))
-
-
 def _stderr(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(covariance), 0))
 
 
-def _judge(found: Found, chi2: float, knots: np.ndarray, determined: np.ndarray, measured: np.ndarray) -> Determination:
+def _judge(problem: ProfileProblem, found: Inversion, chi2: float, determined: np.ndarray) -> Determination:
+    """Say how much the lengths determine, before the events are followed."""
     if not found.converged:
         return Determination.NOT_CONVERGED
+    knots, measured = problem.knots, problem.measured
     # equal weights: where no variation is seen, the evidence prefers a stiff prior without being able to determine it
     degrees = np.mean([np.trace(p.resolution[: len(knots), : len(knots)]) for p in found.posteriors])
     spare = max(len(measured) - degrees, 1.0)

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.special import logsumexp, ndtri, xlogy
 
+from slippulse_jax.inference.knowledge import Knowledge
 from slippulse_jax.inference.likelihood import data_log_density
 
 Kind = Literal["length", "whole"]
@@ -29,23 +30,6 @@ SURE = 0.95
 
 REPLICATES, POINTS = 8, 512
 """Number of scrambled Sobol sequences, and points of each."""
-
-
-class Prior(NamedTuple):
-    """Weighted samples, each of shape (m,)."""
-
-    theta: np.ndarray
-    weight: np.ndarray  # adds up to one
-    root: np.ndarray  # 0, 1, …
-
-    def thinned(self) -> tuple["Prior", np.ndarray]:
-        """Keep every other sample of each root; also return their indices."""
-        kept = np.sort(np.concatenate([np.flatnonzero(self.root == r)[::2] for r in range(self.root.max() + 1)]))
-        share = np.bincount(self.root, self.weight)
-        weight = self.weight[kept]
-        left = np.bincount(self.root[kept], weight, len(share))
-        weight = weight * (share / np.where(left > 0, left, 1))[self.root[kept]]
-        return Prior(self.theta[kept], weight / weight.sum(), self.root[kept]), kept
 
 
 class Gain(NamedTuple):
@@ -94,62 +78,73 @@ def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -
     return y, dy
 
 
-def expected_gain(prior: Prior, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
+def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
     """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
-    found = _quadrature(prior, length, sigma, kind, STEP)
-    thin, kept = prior.thinned()
-    coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(prior, length, sigma, kind, 2 * STEP)
+    found = _quadrature(known, length, sigma, kind, STEP)
+    thin, kept = thinned(known)
+    coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(known, length, sigma, kind, 2 * STEP)
     error = max(abs(found.information - other.information) for other in coarse)
     return found._replace(error=error)
 
 
-def _quadrature(prior: Prior, length: np.ndarray, sigma: float, kind: Kind, step: float) -> Gain:
+def thinned(known: Knowledge) -> tuple[Knowledge, np.ndarray]:
+    """Keep every other sample of each root, with the probability of the root; also return their indices."""
+    root, likely = known.labels, known.probability > 0
+    kept = np.sort(np.concatenate([np.flatnonzero((root == r) & likely)[::2] for r in range(root.max() + 1)]))
+    share = np.bincount(root, known.probability)[root[kept]]
+    left = np.bincount(root[kept], known.probability[kept])[root[kept]]
+    return Knowledge(known.theta[kept], known.probability[kept] * (share / left), root[kept]), kept
+
+
+def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, step: float) -> Gain:
     y, dy = outcomes(length, sigma, kind, step)
     information = stderr = apart = 0.0
     for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
         p = np.exp(log_likelihood(y[part], length, sigma, kind))
-        total = p @ prior.weight
+        total = p @ known.probability
         # outcomes that no sample leads to have no probability
-        known = total > 0
-        p, total, share = p[known], total[known], (dy[part] * total)[known]
-        entropy = xlogy(p, p) @ prior.weight - xlogy(total, total)
-        information += dy[part][known] @ entropy
-        sd, sure = _afterwards(prior, p * prior.weight / total[:, None])
-        stderr += share @ sd
-        apart += share @ sure
+        seen = total > 0
+        p, total, dy_seen = p[seen], total[seen], dy[part][seen]
+        entropy = xlogy(p, p) @ known.probability - xlogy(total, total)
+        information += dy_seen @ entropy
+        sd, sure = _afterwards(known, p * known.probability / total[:, None])
+        stderr += (dy_seen * total) @ sd
+        apart += (dy_seen * total) @ sure
     return Gain(float(information), 0.0, float(stderr), float(apart))
 
 
-def _afterwards(prior: Prior, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviation of θ, and whether one root is sure, for posteriors of shape (n, m)."""
-    theta = prior.theta - prior.weight @ prior.theta
+    theta = known.theta - known.probability @ known.theta
     mean = posterior @ theta
     variance = posterior @ theta**2 - mean**2
-    by_root = posterior @ (prior.root[:, None] == np.arange(prior.root.max() + 1))
+    by_root = posterior @ (known.labels[:, None] == np.arange(known.labels.max() + 1))
     return np.sqrt(np.maximum(variance, 0)), by_root.max(axis=1) >= SURE
 
 
-class Drawn(NamedTuple):
-    """Truths and errors drawn for a sequence of experiments, common to all candidates."""
+def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw truths and errors for a sequence of experiments, common to all candidates.
 
-    truth: np.ndarray  # (n,) the sample that is the truth
-    noise: np.ndarray  # (n, steps), standard normal
+    `REPLICATES` independently scrambled Sobol sequences, one after another.
 
-
-def draw(prior: Prior, steps: int, seed: int) -> Drawn:
-    """Draw `REPLICATES` independently scrambled Sobol sequences, one after another."""
+    Returns
+    -------
+    truth : array of int, shape (n,)
+        The sample that is the truth.
+    noise : array, shape (n, steps)
+        Standard normal.
+    """
     from scipy.stats.qmc import Sobol
 
     rng = np.random.default_rng(seed)
     u = np.concatenate([Sobol(steps + 1, rng=rng).random(POINTS) for _ in range(REPLICATES)])
-    index = np.searchsorted(np.cumsum(prior.weight), u[:, 0] * (1 - 1e-12))
-    return Drawn(np.minimum(index, len(prior.weight) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12)))
+    truth = np.searchsorted(np.cumsum(known.probability), u[:, 0] * (1 - 1e-12))
+    return np.minimum(truth, len(known) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12))
 
 
-def log_likelihoods(drawn: Drawn, step: int, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
-    """Logarithms ln p(y|θ_j) of the outcome of each draw, for every sample j; shape (n, m)."""
-    true = length[drawn.truth]
-    y = true + sigma * drawn.noise[:, step]
+def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+    """Logarithms ln p(y|θ_j) of the outcome of each draw of one experiment, for every sample j; shape (n, m)."""
+    y = length[truth] + sigma * noise
     if kind == "length":
         return log_likelihood(y, length, sigma, kind)
     # far fewer counts than draws
@@ -157,12 +152,12 @@ def log_likelihoods(drawn: Drawn, step: int, length: np.ndarray, sigma: float, k
     return log_likelihood(counts, length, sigma, kind)[own]
 
 
-def joint_gain(prior: Prior, drawn: Drawn, log_p: np.ndarray) -> Gain:
+def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
     """Gain of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
     with np.errstate(divide="ignore"):
-        joint = log_p + np.log(prior.weight)
+        joint = log_p + np.log(known.probability)
     total = np.asarray(logsumexp(joint, axis=1))
-    own = log_p[np.arange(len(log_p)), drawn.truth]
+    own = log_p[np.arange(len(log_p)), truth]
     means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
-    sd, sure = _afterwards(prior, np.exp(joint - total[:, None]))
+    sd, sure = _afterwards(known, np.exp(joint - total[:, None]))
     return Gain(float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean()))

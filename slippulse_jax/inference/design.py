@@ -1,14 +1,4 @@
-r"""Rank candidate experiments by their expected information about the stiffness.
-
-Two measures side by side. The **expected information** is Bayesian and global: it accounts for several roots, for a length
-that saturates, and for a front that never stops (`information`). The **D-optimal** gain is local: with
-J = dℓ/d ln k, s the standard deviation of ln k within a root and σ the error of the length,
-
-    D = E[ ½ ln(1 + s²J²/σ²) ],
-
-the information if ℓ were linear about each sample. They agree where ℓ is linear over the prior. Where the first is large and
-the second small, the candidate distinguishes roots; where both are small, it lies on the plateau of Λ/H.
-"""
+"""Candidate experiments ranked by the information expected about the stiffness (`slippulse_jax.inference.information`)."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -18,14 +8,15 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.block import Control, Push, has_push
 from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_choice, check_domain
+from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
-from slippulse_jax.inference.design.information import Gain, Kind, Prior, draw, expected_gain, joint_gain, log_likelihoods
-from slippulse_jax.inference.design.knowledge import Knowledge
-from slippulse_jax.inference.design.report import BIT, labels, report, scale_of, to_dict
 from slippulse_jax.inference.fronts import FRONTS, pushed
+from slippulse_jax.inference.information import Gain, Kind, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.knowledge import Knowledge
 from slippulse_jax.shown import html
 
+BIT = np.log(2)
 MOST_EXPERIMENTS = 12
 
 
@@ -44,12 +35,22 @@ class Candidate(NamedTuple):
     push_width: float | None = None  # w/H
     push_control: Control = "displacement"
 
-
-class Step(NamedTuple):
-    """One experiment of a sequence, and the gain expected from it together with all before."""
-
-    candidate: int
-    gain: Gain
+    @property
+    def conditions(self) -> dict[str, str]:
+        """Conditions in words, by field."""
+        size, unit = (1, "λc") if self.correlation_length is None else (1e3, "mm")
+        side, of_side = (1, "H") if self.correlation_length is None else (self.height * size, unit)
+        return {
+            "height": f"H = {self.height * size:.5g} {unit}",
+            "poisson": f"ν = {self.poisson:g}",
+            "prestress": f"φ = {self.prestress:g}",
+            "threshold_slope": f"ε = {self.threshold_slope:g}",
+            "sigma": f"σ = {self.sigma * size:.3g} {unit}",
+            "correlation_length": f"λc = {(self.correlation_length or 0) * 1e6:.4g} µm",
+            "young": f"E = {(self.young or 0) * 1e-9:.4g} GPa",
+            "push_height": f"h = {(self.push_height or 0) * side:.4g} {of_side}",
+            "push_width": f"pusher {(self.push_width or 0) * side:.4g} {of_side}",
+        }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,11 +61,10 @@ class Design:
     candidates: list[Candidate]
     information: np.ndarray  # (c,) expected
     information_error: np.ndarray  # (c,) of its quadrature
-    d_optimal: np.ndarray  # (c,) E ½ ln(1 + s²J²/σ²)
     log_stderr: np.ndarray  # (c,) expected standard error of ln k afterwards, over all roots
     told_apart: np.ndarray  # (c,) probability that one root will have a posterior of 95 % or more
     length: np.ndarray  # (m, c) of every sample, in λc
-    sequence: list[Step]  # greedy: each adds most to those before it
+    sequence: list[tuple[int, Gain]]  # greedy: the candidate that adds most to those before it, and the gain of all so far
 
     @property
     def ranking(self) -> np.ndarray:
@@ -85,20 +85,96 @@ class Design:
         mean = (w * finite).sum(axis=0) / mass
         return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
 
+    @property
+    def never_stops(self) -> np.ndarray:
+        """Probability that the front of each candidate never stops, shape (c,)."""
+        return self.knowledge.probability @ np.isinf(self.length)
+
+    @property
+    def names(self) -> list[str]:
+        """Name of each candidate: the conditions in which the candidates differ."""
+        each = [one.conditions for one in self.candidates]
+        differ = [field for field in each[0] if len({getattr(c, field) for c in self.candidates}) > 1] or ["height"]
+        return [", ".join(conditions[field] for field in differ) for conditions in each]
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Size of λc in the unit of the report's lengths, mm or λc, for each candidate; shape (c,)."""
+        return np.array([(c.correlation_length or 1e-3) * 1e3 for c in self.candidates])
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings to read before the experiment."""
+        said = []
+        pushed = self.candidates[0]
+        if pushed.push_height is not None:
+            over = "on a patch" if pushed.push_width is not None else "over everything above"
+            said.append(f"Blocks under two-dimensional elasticity, pushed {over} at the height h, {pushed.push_control} held.")
+        elif self.knowledge.event == "full":
+            said.append("Lengths are those of whole events, in which contacts may break again.")
+        if (self.information_error > 0.1 * np.maximum(self.information, 0.05)).any():
+            said.append("Note: too few samples for an error this small; give more (nodes, or a longer chain).")
+        for name, endless in zip(self.names, self.never_stops, strict=True):
+            if endless > 1e-3:
+                said.append(f"Note: {name}: with probability {endless:.0%} the front never stops.")
+        if self.information.max() < 0.1:
+            said.append(
+                "Note: no candidate adds much information: the lengths are on their plateau, or already known to within σ."
+            )
+        return said
+
     def report(self) -> str:
         """Report as text."""
-        return report(self)
+        k, names, scale = self.knowledge, self.names, self.scale
+        unit, length_unit = (" Pa/m", "mm") if k.in_si else ("", "λc")
+        several = len(k.roots) > 1
+        known = (f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots)
+        wide = max(map(len, names))
+        apart = f" {'told apart':>11}" if several else ""
+        lines = [
+            f"Known: {k.symbol} {' or '.join(known)}",
+            f"       standard deviation of ln k, over all roots: {k.log_sd:.3g}",
+            f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'se of ln k':>11}{apart}",
+        ]
+        for place, i in enumerate(self.ranking, 1):
+            mean, sd = self.expected_length[i] * scale[i]
+            span = f"{mean:8.4g} ± {sd:<6.2g}{length_unit}" if np.isfinite(mean) else "never stops"
+            last = f" {self.told_apart[i]:11.0%}" if several else ""
+            lines.append(
+                f"{place:3}. {names[i]:{wide}} {span:{17 + len(length_unit)}} "
+                f"{_bits(self.information[i], self.information_error[i], 6)} {self.log_stderr[i]:11.3g}{last}"
+            )
+        by_root = ", ".join(
+            f"{length * scale[self.best]:.4g} {length_unit} if {k.symbol} = {value:.3g}"
+            for length, (_, value, _) in zip(self._by_root(self.best), k.roots, strict=True)
+        )
+        lines.append(f"Next: {names[self.best]}; expect {by_root}.")
+        if len(self.sequence) > 1:
+            lines.append("Sequence, each adding most to those before it:")
+            for place, (i, gain) in enumerate(self.sequence, 1):
+                last = f", roots told apart {gain.told_apart:.0%}" if several else ""
+                together = _bits(gain.information, gain.error)
+                lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {gain.log_stderr:.3g}{last}")
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+    def _by_root(self, i: int) -> list[float]:
+        """Length expected of a candidate under each root, in λc; inf where its front never stops."""
+        found, length = [], self.length[:, i]
+        for root in range(len(self.knowledge.roots)):
+            own = (self.knowledge.labels == root) & np.isfinite(length)
+            weight = self.knowledge.probability[own]
+            found.append(float(weight @ length[own] / weight.sum()) if weight.any() else np.inf)
+        return found
 
     def __str__(self) -> str:
         return self.report()
 
     def _repr_html_(self) -> str:
-        scale, unit = scale_of(self)
-        names = labels(self.candidates)
+        unit = "mm" if self.knowledge.in_si else "λc"
         rows = [
             (
-                names[i],
-                f"{self.expected_length[i, 0] * scale[i]:.4g} ± {self.expected_length[i, 1] * scale[i]:.2g} {unit}",
+                self.names[i],
+                "{:.4g} ± {:.2g} {}".format(*self.expected_length[i] * self.scale[i], unit),
                 f"{self.information[i] / BIT:.3f} bit",
                 f"{self.log_stderr[i]:.3g}",
             )
@@ -110,8 +186,41 @@ class Design:
         return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain Python values of everything but the samples, ready for JSON."""
-        return to_dict(self)
+        """Plain Python values of everything but the samples, ready for JSON; information in nats."""
+        k, rank = self.knowledge, np.argsort(self.ranking) + 1
+        columns = {
+            "label": self.names,
+            "rank": rank,
+            "length": self.expected_length[:, 0],
+            "length_sd": self.expected_length[:, 1],
+            "never_stops": self.never_stops,
+            "information": self.information,
+            "information_error": self.information_error,
+            "log_stderr": self.log_stderr,
+            "told_apart": self.told_apart,
+        }
+        content = {
+            "knowledge": {
+                "unit": "Pa/m" if k.in_si else "",
+                "log_sd": k.log_sd,
+                "event": k.event,
+                "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
+            },
+            "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
+            "candidates": [
+                {**c._asdict(), **{name: column[i] for name, column in columns.items()}} for i, c in enumerate(self.candidates)
+            ],
+            "sequence": [{"candidate": i, **gain._asdict()} for i, gain in self.sequence],
+            "notes": self.notes,
+        }
+        return plain(content)
+
+
+def _bits(information: Any, error: Any, width: int = 0) -> str:
+    """Format an information in nats, with its error, in bits."""
+    error = error / BIT
+    small = f"{error:.3f}" if error >= 5e-4 else "0.001" if error > 1e-4 else "0.000"
+    return f"{information / BIT:{width}.3f} ± {small} bit"
 
 
 def design(
@@ -168,7 +277,7 @@ def design(
         If a value lies outside its domain, the shapes do not broadcast, or the knowledge is about another kind of stiffness,
         or from measurements of another body.
     NotConverged
-        If the exact solution did not converge for a candidate; never seen.
+        If the exact solution did not converge for a candidate.
 
     Notes
     -----
@@ -193,24 +302,19 @@ def design(
         raise ValueError(f"the knowledge is about {known}: {needed}")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
-    prior = Prior(knowledge.theta, knowledge.probability, knowledge.labels)
-    length, slope = lengths_of(candidates, knowledge.theta, knowledge.event)
+    length = lengths_of(candidates, knowledge.theta, knowledge.event)
     error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
-    gains = [expected_gain(prior, column, s, kind) for column, s in zip(length.T, error, strict=True)]
-    # a count adds to σ² the variance of rounding to a whole contact
-    variance = error**2 + (kind == "whole") / 12
-    local = 0.5 * np.log1p(knowledge.within_sd**2 * slope**2 / variance)
+    gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, error, strict=True)]
     information, information_error, log_stderr, told_apart = (np.array(x) for x in zip(*gains, strict=True))
     return Design(
         knowledge=knowledge,
         candidates=candidates,
         information=information,
         information_error=information_error,
-        d_optimal=prior.weight @ local,
         log_stderr=log_stderr,
         told_apart=told_apart,
         length=length,
-        sequence=_greedy(prior, length, error, kind, gains, experiments, seed),
+        sequence=_greedy(knowledge, length, error, kind, gains, experiments, seed),
     )
 
 
@@ -263,8 +367,8 @@ def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
         Push(at, width)
 
 
-def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind) -> tuple[np.ndarray, np.ndarray]:
-    """Length of every candidate at every ln(stiffness), in λc, and dℓ/d ln k, 0 where the front never stops.
+def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind) -> np.ndarray:
+    """Length of every candidate at every ln(stiffness), in λc; shape (m, c), inf where the front never stops.
 
     ℓ* of a slider's front, or the length of the whole event; of a block always that.
     """
@@ -278,27 +382,26 @@ def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind)
         at, width = np.array([[c.push_height, c.push_width or np.nan] for c in candidates]).T
         push = pushed(np.ones(len(at)), at, width, [c.push_control for c in candidates])
         front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
-    found = front.predict(inputs.ravel(), ("log_stiffness",))
-    return found.value.reshape(ratio.shape), found.slopes["log_stiffness"].reshape(ratio.shape)
+    return front.lengths(inputs.ravel()).reshape(ratio.shape)
 
 
 def _greedy(
-    prior: Prior, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
-) -> list[Step]:
-    best = int(np.argmax([g.information for g in gains]))
-    steps = [Step(best, gains[best])]
+    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
+) -> list[tuple[int, Gain]]:
+    """Choose experiments one by one, each adding most to those before it."""
+    best = int(np.argmax([gain.information for gain in gains]))
+    sequence = [(best, gains[best])]
     if experiments == 1:
-        return steps
-    drawn = draw(prior, experiments, seed)
-    so_far = log_likelihoods(drawn, 0, length[:, best], error[best], kind)
+        return sequence
+    truth, noise = draw(known, experiments, seed)
+    so_far = log_likelihoods(truth, noise[:, 0], length[:, best], error[best], kind)
     for step in range(1, experiments):
-        taken: tuple[Gain, int, np.ndarray] | None = None
+        best, gain, together = -1, None, so_far
         for j in range(length.shape[1]):
-            together = so_far + log_likelihoods(drawn, step, length[:, j], error[j], kind)
-            gain = joint_gain(prior, drawn, together)
-            if taken is None or gain.information > taken[0].information:
-                taken = gain, j, together
-        assert taken is not None
-        gain, best, so_far = taken
-        steps.append(Step(best, gain))
-    return steps
+            log_p = so_far + log_likelihoods(truth, noise[:, step], length[:, j], error[j], kind)
+            of_all = joint_gain(known, truth, log_p)
+            if gain is None or of_all.information > gain.information:
+                best, gain, together = j, of_all, log_p
+        assert gain is not None
+        sequence, so_far = [*sequence, (best, gain)], together
+    return sequence

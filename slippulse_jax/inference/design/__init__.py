@@ -1,1 +1,0 @@
-"""Design experiments: rank candidates by the information expected about the interface stiffness."""

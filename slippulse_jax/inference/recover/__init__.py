@@ -1,1 +1,0 @@
-"""Recover a threshold or prestress that varies along the interface from measured lengths."""
