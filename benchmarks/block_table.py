@@ -11,8 +11,8 @@ import itertools
 import numpy as np
 
 from slippulse_jax.files import write_atomically
+from slippulse_jax.inference.fronts import BLOCK_FROM, BLOCK_TO
 from slippulse_jax.inference.interpolation import BLOCK_SPACING, TABLE, block_grid
-from slippulse_jax.inference.parameters import BLOCK_FROM, BLOCK_TO
 
 POISSON = (0.3, 0.4, 0.2)
 HEIGHTS = (0.25, 0.2, 0.3, 0.5, 0.45, 0.55, 0.4, 0.35, 0.1, 0.15, 0.05, 0.6, 0.75, 0.7, 0.8, 0.65, 0.85, 0.9)

@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.calibrate import calibrated
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.profile import Interval
+from slippulse_jax.inference.intervals import Interval, calibrated
 
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")
@@ -87,7 +86,7 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
         plain = fit(m, intervals="profile")
         intervals = {"profile": plain.intervals["stiffness"]}
         if careful:
-            found = calibrated(plain.problem, LEVELS, seed=number)[0].intervals
+            found, _ = calibrated(plain.problem, LEVELS, seed=number)[0]
             intervals["calibrated"] = {level: _values(pieces) for level, pieces in found.items()}
         best = plain.roots[0] if plain.roots else None
         error = best and best.stderrs["stiffness"]

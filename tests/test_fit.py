@@ -15,8 +15,8 @@ from slippulse_jax.inference.changes import of_inputs, total
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import RISING, FirstFront
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.optimise import Convergence
-from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.report import interval, sentences, value_with_error
 from slippulse_jax.inference.search import undetermined_axes
 

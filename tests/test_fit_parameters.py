@@ -19,10 +19,10 @@ from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import COMMON, Inputs
+from slippulse_jax.inference.intervals import rise_of
 from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Data, loss_of, make_problem, terms
 from slippulse_jax.inference.observables import displacements, forces
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.profile import rise_of
 from slippulse_jax.inference.samples import bootstrap
 from slippulse_jax.status import Outcome
 

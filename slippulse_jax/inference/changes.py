@@ -16,6 +16,7 @@ from slippulse_jax.inference.columns import IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.interpolation import packaged_b
+from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.optimise import minimise
@@ -27,7 +28,6 @@ from slippulse_jax.inference.parameters import (
     ParameterSet,
     parameter_set,
 )
-from slippulse_jax.inference.profile import Interval
 from slippulse_jax.shown import format_number
 
 

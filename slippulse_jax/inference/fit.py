@@ -16,11 +16,21 @@ from tqdm.auto import tqdm
 from slippulse_jax.domains import check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import record, report
-from slippulse_jax.inference.calibrate import calibrated, can_be_calibrated, to_be_simulated
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
-from slippulse_jax.inference.counts import allowed_by_counts
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.fronts import Body, MeasuredEvent
+from slippulse_jax.inference.intervals import (
+    Curve,
+    Interval,
+    Intervals,
+    allowed,
+    allowed_by_counts,
+    calibrated,
+    can_be_calibrated,
+    profile,
+    rise_of,
+    to_be_simulated,
+)
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.optimise import METHODS
@@ -31,7 +41,6 @@ from slippulse_jax.inference.parameters import (
     parameter_set,
     with_errors_of_measuring,
 )
-from slippulse_jax.inference.profile import Curve, Interval, Intervals, allowed, profile, rise_of
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.scatter import Scatter, scatter_about
 from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, search
@@ -199,7 +208,7 @@ def fit(
         Seed of the starts where several parameters are fitted, and of simulations.
     intervals : {"auto", "profile", "calibrated"}
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
-        longest attainable length too (`slippulse_jax.inference.calibrate`; one or two parameters, plain lengths). By default
+        longest attainable length too (`slippulse_jax.inference.intervals`; one or two parameters, plain lengths). By default
         simulated where valleys of the deviance compete, or its shape is far from a parabola.
     event : {"domino", "full", "crack"}
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
@@ -278,8 +287,8 @@ def fit(
     if counts is None and not scaled and to_be_simulated(problem, intervals, found.roots, deviance, pieces, best):
         with _progress(problem) as shown:
             simulated = calibrated(shown, LEVELS, curves=found.curves, cells=found.cells, seed=seed)
-        reported = {j: one.intervals for j, one in simulated.items()}
-        covered = {names[j]: one.covered for j, one in simulated.items()}
+        reported = {j: own for j, (own, _) in simulated.items()}
+        covered = {names[j]: shares for j, (_, shares) in simulated.items()}
     longest, longest_at = attainable(parameters, best)
     result = FitResult(
         measurements=measurements,

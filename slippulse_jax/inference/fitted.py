@@ -11,10 +11,10 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fronts import Regime
+from slippulse_jax.inference.intervals import Curve, Intervals, rise_of
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.profile import Curve, Intervals, rise_of
 from slippulse_jax.inference.search import Root, describe
 
 LEVELS = (0.6827, 0.95)

@@ -31,6 +31,8 @@ SCHEMA = 2
 """Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
 LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
+LONGEST, DEEPEST = 2000, 64
+"""Most characters and dots on one line of TOML: the time to read a dotted key grows as the square of its parts."""
 
 
 # --- records by their type hints --------------------------------------------------------------------------------------------
@@ -340,6 +342,11 @@ def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise ValueError(f"{name}: not UTF-8 text") from None
     in_json = text.lstrip().startswith("{")
+    for number, line in enumerate(() if in_json else text.splitlines(), start=1):
+        if len(line) > LONGEST:
+            raise ValueError(f"{name}, line {number}: longer than {LONGEST} characters")
+        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
+            raise ValueError(f"{name}, line {number}: nested too deeply")
     try:
         content = json.loads(text) if in_json else tomllib.loads(text)
     except ValueError as error:  # of either format, or a number of too many digits

@@ -32,9 +32,9 @@ from slippulse_jax.inference.fitted import (
     gravest,
 )
 from slippulse_jax.inference.fronts import ENDED
+from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.profile import Interval
 from slippulse_jax.inference.search import SCANNED
 from slippulse_jax.inference.verdict import PLATEAU, degrees_of_freedom, of_inputs_in_words
 from slippulse_jax.shown import exponent_of, format_number, html

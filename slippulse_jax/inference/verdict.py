@@ -6,9 +6,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, Fitted, Identifiability, Verdict
+from slippulse_jax.inference.intervals import Interval, Intervals
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
-from slippulse_jax.inference.profile import Interval, Intervals
 from slippulse_jax.inference.search import SLACK
 from slippulse_jax.shown import format_number
 

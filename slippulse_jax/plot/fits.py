@@ -12,9 +12,9 @@ from scipy.special import ndtri
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.intervals import profile_2d
 from slippulse_jax.inference.observables import PREDICTED
 from slippulse_jax.inference.parameters import attainable_of
-from slippulse_jax.inference.profile import profile_2d
 from slippulse_jax.inference.report import TIED, folded, sentences, value_in_words, value_with_error
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import (
@@ -608,7 +608,7 @@ def confidence_region(
     grids = [_window(result, k, nodes) for k in (i, j)]
     starts = np.array([root.theta for root in result.roots] or [result.theta])[:4]
     surface = profile_2d(result.problem, i, j, grids[0], grids[1], starts)
-    rise = surface.deviance - result.deviance
+    rise = surface - result.deviance
     first, second = q.free[i].value(grids[0]), q.free[j].value(grids[1])
     levels = [0, result.rise(ONE_SIGMA, 2), result.rise(BAND_LEVEL, 2)]
     ax.contourf(first, second, rise.T, levels=levels, colors=[c.blue, c.sky], alpha=0.5)

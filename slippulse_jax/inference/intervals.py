@@ -1,0 +1,518 @@
+"""Intervals of a parameter: by profile likelihood, by simulated measurements, and by counts.
+
+The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
+side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose
+deviance D = −2 ln(likelihood × prior), minimised over the other parameters, lies no more than a rise (`rise_of`) above its
+minimum, in as many disjoint pieces as there are.
+
+Near the longest attainable length, and where two valleys compete, the rise of the deviance at the true value is not
+distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: at each value
+measurements are drawn, each is fitted, and the quantile of the rise replaces that of χ² (`calibrated`). A second parameter
+has its best value there. Every such fit is a search of one table of predictions, in units of σ, over all values that are not
+hopeless; a prior is a datum like any other.
+
+A count without an error of its own holds or does not: n contacts are counted where n − 1 < ℓ* ≤ n, one also where no domino
+starts. For one fitted parameter the ends of that set are crossings of ℓ* with n − 1 and n, on either side of every peak; with
+several measurements it is the intersection (`allowed_by_counts`). The set is the answer; or there is none, and some counts
+are at odds.
+"""
+
+import dataclasses
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri, fdtri
+
+from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.search import SLACK, Cells, Root, first_edges
+
+NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
+STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
+STARTS_KEPT = 4  # per node
+EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out
+CONTENDING = 3.0  # expected deviance above that of the best start, within which a node gets a second start
+STEPS = 25  # of a minimisation at a node
+AT_NODES = 1e-7  # Newton decrement at which it ends
+CROSSING_ROUNDS = 14
+CROSSED = 1e-5  # distance of the deviance from a limit at which an end is found: 10⁻⁵ of the interval
+SIMULATIONS = {1: 2000, 2: 500}
+"""By the number of fitted parameters."""
+RESOLUTION = {1: 0.15, 2: 0.3}
+"""Spacing of the table of predictions, in standard errors of all measurements together."""
+MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
+MOST_OTHERS = 80  # values of a second parameter at each of the first
+ONE_THREAD = 4 * 2**16
+"""Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
+STRAIGHT = 1.15
+"""Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
+HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration; the cells of a scan reach farther
+HALVINGS = 48  # of a bracket of the scan: to rounding
+
+
+class Interval(NamedTuple):
+    """One piece of a profile-likelihood interval; on an open side it reaches the end of the range searched."""
+
+    low: float
+    high: float
+    open_low: bool
+    open_high: bool
+
+    def encloses(self, value: float) -> bool:
+        """Whether it is closed, and the value lies inside."""
+        return self.low < value < self.high and not (self.open_low or self.open_high)
+
+
+Intervals = dict[float, list[Interval]]
+"""The pieces of an interval, in increasing order, by confidence level."""
+
+
+def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interval]:
+    """Pair ends in increasing order to intervals; the first and last end may be those of the range searched."""
+    pairs = list(zip(ends[::2], ends[1::2], strict=True))
+    return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
+
+
+def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
+    """Rise of the deviance at the ends of an interval: 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ.
+
+    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the
+    errors is itself estimated, with `dof` degrees of freedom, it is larger, by the F distribution: exactly so for a
+    straight-line model.
+    """
+    if dof is None:
+        return float(chdtri(parameters, 1 - level))
+    return parameters * float(fdtri(parameters, dof, level))
+
+
+class Curve(NamedTuple):
+    """A profile: nodes in increasing order, the deviance at each, and the best θ there."""
+
+    node: np.ndarray  # (g,), θ of the parameter followed
+    deviance: np.ndarray  # (g,)
+    theta: np.ndarray  # (g, p)
+
+
+def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray) -> Curve:
+    """Least deviance at every node with the `held` coordinates fixed there; the best of all starts.
+
+    Parameters
+    ----------
+    held : array of bool, shape (p,)
+    nodes : array, shape (g, number held)
+    starts : array, shape (s, p) or (g, s, p)
+        Values of the other coordinates to start from.
+    """
+    starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
+    starts[:, :, held] = nodes[:, None, :]
+    count, many, p = starts.shape
+    holding = dataclasses.replace(problem, held=held)
+    box = problem.parameters.low, problem.parameters.high
+    found = minimise(holding, starts.reshape(-1, p), *box, held=held, max_steps=STEPS, tolerance=AT_NODES)
+    value = found.value.reshape(count, many)
+    best = value.argmin(axis=1)
+    rows = np.arange(count)
+    return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
+
+
+def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, cells: Cells | None = None) -> Curve:
+    """Profile of parameter j over its whole range, or where a scan has left it, with nodes crowded around every root.
+
+    Parameters
+    ----------
+    roots : list of Root
+    seeds : array, shape (s, p)
+        Other good points to start from.
+    cells : Cells, optional
+        Of a scan: the values that are not excluded.
+    """
+    low, high = problem.parameters.low[j], problem.parameters.high[j]
+    alone = problem.p == 1
+    scanned = cells is not None and cells.complete and len(cells.low) > 0 and not alone
+    if cells is not None and scanned:
+        # everything outside the cells is excluded
+        low, high = cells.low[:, j].min(), cells.high[:, j].max()
+    around = [np.linspace(low, high, NODES_ALONE if alone else NODES), [root.theta[j] for root in roots]]
+    for root in roots:
+        step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
+        around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]
+    if cells is not None and len(cells.low):
+        around += [_spread(cells, j, 2 * len(cells.low) if alone else NODES)]
+    node = np.unique(np.concatenate(around))
+    node = node[(node >= low) & (node <= high)]
+    held = np.arange(problem.p) == j
+    if alone:
+        return constrained(problem, held, node[:, None], seeds)
+    if cells is not None and scanned:
+        node, starts = _of_cells(node, j, cells, problem.p)
+        return constrained(problem, held, node[:, None], starts)
+    starts = _predicted(node, j, roots, seeds, problem)
+    starts[:, :, j] = node[:, None]
+    value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
+    best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
+    curve = constrained(problem, held, node[:, None], np.take_along_axis(starts, best, axis=1))
+    return _from_neighbours(problem, held, curve)
+
+
+def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
+    """Limits of the cells along parameter j, thinned out evenly to `count`."""
+    limits = np.unique(np.concatenate([cells.low[:, j], cells.high[:, j]]))
+    return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), count)).round().astype(int))]
+
+
+def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts at each node, (g, 2, p), by the linear models of the cells there, or of the nearest ones.
+
+    Nodes that these models exclude are dropped, except next to others.
+    """
+    away = np.maximum(np.maximum(cells.low[:, j] - node[:, None], node[:, None] - cells.high[:, j]), 0)
+    row, cell = np.nonzero(away == away.min(axis=1, keepdims=True))
+    at = np.zeros((len(row), p))
+    at[:, j] = node[row]
+    value, point = cells.expected(np.arange(p) == j, at, cell)
+    order = np.lexsort((value, row))
+    first = np.searchsorted(row[order], np.arange(len(node)))
+    second = np.minimum(first + 1, len(order) - 1)
+    best = value[order[first]]
+    contending = (row[order[second]] == row[order[first]]) & (value[order[second]] < best + CONTENDING)
+    starts = np.stack([point[order[first]], point[order[np.where(contending, second, first)]]], axis=1)
+    near = best < best.min() + EXCLUDED
+    kept = near | np.append(near[1:], False) | np.append(False, near[:-1])
+    return node[kept], starts[kept]
+
+
+def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, problem: Problem) -> np.ndarray:
+    """Starts at each node, (g, s, p): every root moved along its ridge, and the other points."""
+    starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
+    for root in roots:
+        moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
+        starts.append(root.theta + moved)
+    return np.clip(np.stack(starts, axis=1), problem.parameters.low, problem.parameters.high)
+
+
+def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
+    """Minimise again at each node from the results of its neighbours, until nothing improves."""
+    for _ in range(3):
+        before, after = np.roll(curve.theta, 1, axis=0), np.roll(curve.theta, -1, axis=0)
+        again = constrained(problem, held, curve.theta[:, held], np.stack([before, after], axis=1))
+        better = again.deviance < curve.deviance - 1e-6
+        if not better.any():
+            break
+        theta = np.where(better[:, None], again.theta, curve.theta)
+        curve = Curve(curve.node, np.where(better, again.deviance, curve.deviance), theta)
+    return curve
+
+
+def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> Intervals:
+    """Intervals of θ_j with a deviance below each limit, in increasing order.
+
+    Parameters
+    ----------
+    limits : dict
+        Deviance allowed, by confidence level.
+    """
+    found = {}
+    brackets = []
+    for level, limit in limits.items():
+        inside = curve.deviance <= limit
+        changes = np.nonzero(inside[1:] != inside[:-1])[0]
+        found[level] = inside, len(changes)
+        brackets += [(i, limit) for i in changes]
+    ends = _crossings(problem, j, curve, brackets)
+    result, used = {}, 0
+    for level, (inside, count) in found.items():
+        own = list(ends[used : used + count])
+        used += count
+        open_low, open_high = bool(inside[0]), bool(inside[-1])
+        own = [float(curve.node[0])] * open_low + own + [float(curve.node[-1])] * open_high
+        result[level] = pieces_of(own, open_low, open_high)
+    return result
+
+
+def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
+    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois)."""
+    if not brackets:
+        return []
+    index = np.array([i for i, _ in brackets])
+    limit = np.array([x for _, x in brackets])
+    held = np.arange(problem.p) == j
+    left, right = curve.node[index], curve.node[index + 1]
+    f_left, f_right = (np.minimum(curve.deviance[index + k] - limit, 1e6) for k in (0, 1))
+    near = np.stack([curve.theta[index], curve.theta[index + 1]], axis=1)
+    w_left, w_right, last = f_left.copy(), f_right.copy(), np.zeros(len(index))
+    at = left
+    for round_ in range(CROSSING_ROUNDS):
+        share = np.clip(w_left / (w_left - w_right), 1e-3, 1 - 1e-3)
+        # a wall next to a floor (counts without blur) defeats false position, so every third step halves
+        share = 0.5 if round_ % 3 == 2 else share
+        at = left + share * (right - left)
+        here = constrained(problem, held, at[:, None], near)
+        value = here.deviance - limit
+        on_left = np.sign(value) == np.sign(f_left)
+        left, right = np.where(on_left, at, left), np.where(on_left, right, at)
+        w_right = np.where(on_left & (last == 1), w_right / 2, np.where(on_left, w_right, value))
+        w_left = np.where(~on_left & (last == -1), w_left / 2, np.where(on_left, value, w_left))
+        last = np.where(on_left, 1, -1)
+        near = np.where(on_left[:, None, None], np.stack([here.theta, near[:, 1]], 1), np.stack([near[:, 0], here.theta], 1))
+        if (np.abs(value) < CROSSED).all():
+            break
+    return [float(x) for x in at]
+
+
+def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Least deviance at every pair of values of parameters i and j, (a, b); `starts` (s, p) are points to begin from."""
+    held = np.isin(np.arange(problem.p), (i, j))
+    a, b = np.meshgrid(first, second, indexing="ij")
+    nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
+    curve = constrained(problem, held, nodes, starts)
+    return curve.deviance.reshape(a.shape)
+
+
+# --- by simulation ----------------------------------------------------------------------------------------------------
+
+
+class Table(NamedTuple):
+    """Predictions at M values of one parameter, at each of which the other takes several."""
+
+    node: np.ndarray  # (M,), θ of the parameter
+    best: np.ndarray  # (M,), row of the best value of the other
+    theta: np.ndarray  # (G, p)
+    column: np.ndarray  # (G,), which of the M values
+    off: np.ndarray  # (G, n), predictions less what was measured, in σ, the parameters with priors last
+
+
+def can_be_calibrated(problem: Problem) -> bool:
+    """Whether this is a fit of one or two parameters to values with Gaussian errors."""
+    return problem.p <= 2 and problem.plain
+
+
+def to_be_simulated(
+    problem: Problem, wanted: str, minima: list[Root], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
+) -> bool:
+    """Whether to simulate intervals: as requested, or where valleys compete or one is not parabolic.
+
+    Parameters
+    ----------
+    problem : Problem
+    wanted : {"auto", "profile", "calibrated"}
+    minima : list of Root
+        Best first.
+    deviance : float
+        The least.
+    pieces : dict
+        Profile-likelihood intervals of each θ_j.
+    best : array, shape (p,)
+    """
+    if wanted == "calibrated":
+        return True
+    if wanted == "profile" or not can_be_calibrated(problem) or not minima:
+        return False
+    if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
+        return True
+    for j, found in pieces.items():
+        level, last = max(found.items())
+        if not last or minima[0].singular[j]:
+            return False
+        reach = np.sqrt(chdtri(1, 1 - level) * minima[0].covariance[j, j])
+        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
+        if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
+            return True
+    return False
+
+
+def calibrated(
+    problem: Problem,
+    levels: tuple[float, ...],
+    *,
+    curves: dict[int, Curve] | None = None,
+    cells: Cells | None = None,
+    seed: int = 0,
+) -> dict[int, tuple[Intervals, tuple[float, float]]]:
+    """Simulate the intervals of each θ_j, and the shares of estimates within 1 and 1.96 standard errors of its best value.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one or two parameters, and values with Gaussian errors.
+    levels : tuple of float
+    curves : dict, optional
+        Profile of each θ_j asked for; needed with two parameters.
+    cells : Cells, optional
+        Of a scan; needed with two parameters.
+    seed : int
+        Of the simulations, `SIMULATIONS` per value looked at.
+    """
+    if problem.p == 1:
+        return {0: _simulated(problem, levels, 0, _along(problem), seed)}
+    if curves is None or cells is None:
+        raise ValueError("calibrated intervals of two parameters need their profiles and a scan")
+    return {j: _simulated(problem, levels, j, _across(problem, j, curve, cells), seed) for j, curve in curves.items()}
+
+
+def _simulated(
+    problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int
+) -> tuple[Intervals, tuple[float, float]]:
+    """Simulate measurements at each value of θ_j and fit them by the table."""
+    deviance = (table.off**2).sum(axis=1)
+    rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
+    candidates = np.nonzero(rise < HOPELESS)[0]
+    places = np.linspace(0, len(candidates) - 1, MOST_VALUES[problem.p]).round().astype(int)
+    chosen = np.unique(np.concatenate([candidates[places], [int(np.argmin(rise))]]))
+    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.off.shape[1]), np.float32)
+    found = [_refitted(table, int(one), noise) for one in chosen]
+    critical = np.quantile(np.array([rises for rises, _ in found]), levels, axis=1)
+    intervals = {
+        level: _below(table.node, rise - np.interp(table.node, table.node[chosen], own))
+        for level, own in zip(levels, critical, strict=True)
+    }
+    best = int(np.argmin(rise))
+    estimates = table.node[found[int(np.searchsorted(chosen, best))][1]]
+    stderr = np.interp(estimates, table.node[chosen], _standard_errors(problem, j, table.theta[table.best[chosen]]))
+    off = np.abs(estimates - table.node[best]) / stderr
+    return intervals, (float((off <= 1).mean()), float((off <= 1.96).mean()))
+
+
+def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Residuals at points (B, p); very large instead of infinite where the front never stops."""
+    found, _ = problem.residuals(problem.predictions(theta), theta)
+    return np.where(np.isfinite(found), found, 1e9)
+
+
+def _steps(off: np.ndarray) -> np.ndarray:
+    """Distance from each row to the next, in σ."""
+    return np.sqrt((np.diff(off, axis=0) ** 2).sum(axis=1))
+
+
+def _along(problem: Problem) -> Table:
+    """Choose values of a single parameter, evenly spaced in the predictions."""
+    low, high = problem.parameters.low[0], problem.parameters.high[0]
+    node = np.linspace(low, high, 801)
+    for _ in range(2):
+        path = np.concatenate([[0], np.cumsum(_steps(_residuals(problem, node[:, None])))])
+        count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
+        # values stay apart where the predictions are constant too, so that an open side is seen
+        path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
+        node = np.interp(np.linspace(0, path[-1], count), path, node)
+    every = np.arange(len(node))
+    return Table(node, every, node[:, None], every, _residuals(problem, node[:, None]))
+
+
+def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
+    """Choose values of θ_j along its profile, and at each those of the other parameter that a scan left."""
+    near = curve.deviance <= curve.deviance.min() + HOPELESS
+    profile = np.nonzero(near)[0]
+    profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
+    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(_residuals(problem, curve.theta[profile])), 3.0))])
+    path += 1e-3 * np.arange(len(path))
+    count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
+    node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
+    ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
+    other, found = 1 - j, []
+    # the values of the other that the scan left, and how far apart their predictions are
+    for x, on_ridge in zip(node, ridge[:, other], strict=True):
+        there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
+        # a cell is almost linear, so its two ends give its length
+        found.append(np.unique(np.concatenate([[on_ridge], cells.low[there, other], cells.high[there, other]])))
+    steps = _steps(_residuals(problem, _points(node, found, j)))
+    starts = np.cumsum([0] + [len(y) for y in found])
+    for i, y in enumerate(found):
+        # gaps between cells are skipped
+        path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
+        count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
+        found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
+    theta = _points(node, found, j)
+    off = _residuals(problem, theta)
+    deviance = (off**2).sum(axis=1)
+    starts = np.cumsum([0] + [len(y) for y in found])
+    best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
+    return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
+
+
+def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
+    """Points (G, 2) of every value of θ_j with each of the other's values there."""
+    theta = np.empty((sum(len(y) for y in others), 2))
+    theta[:, j] = np.repeat(node, [len(y) for y in others])
+    theta[:, 1 - j] = np.concatenate(others)
+    return theta
+
+
+def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rise of D at the true value above its minimum, and the value at that minimum, per simulation."""
+    # single precision is enough: the table is far coarser
+    off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
+    # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
+    there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1).T
+    drawn, own = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1), table.column == true
+    rise, least = np.empty(len(noise), np.float32), np.empty(len(noise), np.intp)
+    rows = max(1, ONE_THREAD // there.size)
+    for some in (slice(start, start + rows) for start in range(0, len(noise), rows)):
+        deviance = drawn[some] @ there
+        least[some] = deviance.argmin(axis=1)
+        rise[some] = deviance[:, own].min(axis=1) - deviance.min(axis=1)
+    return rise, table.column[least]
+
+
+def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
+    """Standard error of θ_j from the information at each point; inf where that is singular."""
+    information = problem(theta, order=1).metric
+    assert information is not None
+    regular = np.linalg.cond(information) < 1e14
+    found = np.full(len(theta), np.inf)
+    found[regular] = np.sqrt(np.linalg.inv(information[regular])[:, j, j])
+    return found
+
+
+def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
+    """Where `excess` is not positive, its ends by straight lines."""
+    inside = excess <= 0
+    change = np.nonzero(inside[1:] != inside[:-1])[0]
+    ends = [
+        float(node[i] + (node[i + 1] - node[i]) * excess[i] / (excess[i] - excess[i + 1]))
+        for i in change
+    ]  # fmt: skip
+    open_low, open_high = bool(inside[0]), bool(inside[-1])
+    ends = [float(node[0])] * open_low + ends + [float(node[-1])] * open_high
+    return pieces_of(ends, open_low, open_high)
+
+
+# --- by counts --------------------------------------------------------------------------------------------------------
+
+
+def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
+    """Values of the parameter under which every count holds, as pieces in increasing order.
+
+    If there are none: the fewest measurements without which there would be some, by index.
+
+    Between two edges of the scan, which has the peak of every length among them, each length is taken to be monotonic.
+    """
+    block = problem.blocks[0]
+    kind, value = block.data.kind, block.data.value[0]
+    edge = first_edges(problem)[0]
+    length = problem.predictions(edge[:, None])
+    # a count holds between n − 1 and n, a front without arrest from the length it ran past
+    limits = [(i, x) for i in range(len(value)) for x in ((value[i] - 1, value[i]) if kind[i] == "whole" else (value[i],))]
+    datum = np.array([i for i, _ in limits])
+    limit = np.array([x for _, x in limits])
+    above = length[:, datum] > limit
+    cell, which = np.nonzero(above[1:] != above[:-1])
+    low, high = edge[cell], edge[cell + 1]
+    rises = above[cell + 1, which]
+    rows = np.arange(len(cell))
+    for _ in range(HALVINGS if len(cell) else 0):
+        middle = (low + high) / 2
+        beyond = (problem.predictions(middle[:, None])[rows, datum[which]] > limit[which]) == rises
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    ends = np.unique(np.concatenate([edge[[0, -1]], high]))
+    found = problem.predictions(((ends[1:] + ends[:-1]) / 2)[:, None])
+    holds = np.where(
+        kind == "whole", (found <= value) & ((found > value - 1) | (value <= 1)), found >= value
+    )  # fmt: skip
+    inside = holds.all(axis=1)
+    if not inside.any():
+        best = int(np.argmax(holds.sum(axis=1)))
+        return [], block.measurement[~holds[best]].tolist()
+    starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
+    stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
+    own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]
+    return pieces_of(own, bool(inside[0]), bool(inside[-1])), []
