@@ -110,7 +110,7 @@ def test_the_pulse_may_be_a_whole_event():
     with pytest.raises(ValueError, match=r"event = 'crack': both fronts are fitted"):
         sp.pulse_or_crack(m, event="crack")
     found = sp.pulse_or_crack(m, event="full", simulations=20)
-    assert (found.pulse.parameters.event, found.crack.parameters.event) == ("full", "crack")
+    assert (found.pulse.parameters.front.event, found.crack.parameters.front.event) == ("full", "crack")
 
 
 @pytest.mark.parametrize(
