@@ -406,7 +406,7 @@ def test_figure(tmp_path):
         )
         if name == "pmma_block":
             assert title.endswith("E = 3 GPa, ν = 0.3, λc = 10 µm")
-            assert all(unfolded(sentence) in unfolded(title) for sentence in sentences(result))
+            assert all(unfolded(sentence) in unfolded(title) for sentence in sentences(result, result.changes))
         labels = {text.get_text() for text in left.get_legend().get_texts()}
         assert {best, "longer than the model allows", measured} <= labels
         assert any(label.startswith("95% band") for label in labels)

@@ -195,7 +195,7 @@ def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted
     assert piece.low < stiffness < piece.high
     slider = sp.fit(m, body="slider")
     moved = np.exp(moves(fitted)["slider"]["stiffness"])
-    assert moved == pytest.approx(slider.values["stiffness"] / fitted.values["stiffness"], rel=1e-9)
+    assert moved == pytest.approx(slider.values["stiffness"] / fitted.values["stiffness"], rel=1e-6)
     report = fitted.report()
     assert "block under two-dimensional elasticity" in unfolded(report)
     rows = section(report, "What else would move it")
@@ -214,7 +214,7 @@ def test_where_the_side_is_pushed_decides(study):
     slider = sp.fit(m, body="slider")
     assert "slider" not in moves(slider)
     moved = np.exp(moves(higher)["slider"]["stiffness"])
-    assert slider.values["stiffness"] == pytest.approx(higher.values["stiffness"] * moved, rel=1e-9)
+    assert slider.values["stiffness"] == pytest.approx(higher.values["stiffness"] * moved, rel=1e-6)
 
 
 def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
@@ -270,7 +270,7 @@ def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
 def test_what_follows_a_fit_of_a_block(study, fitted):
     """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
     compared = sp.pulse_or_crack(study[1], simulations=20)
-    assert compared.pulse.parameters.body == compared.crack.parameters.body == "slider"
+    assert compared.pulse.parameters.front.body == compared.crack.parameters.front.body == "slider"
     drawn = fitted.bootstrap(20)
     relative = fitted.stderrs["stiffness"] / fitted.values["stiffness"]
     assert float(np.std(drawn.theta[:, 0])) == pytest.approx(relative, rel=0.6)

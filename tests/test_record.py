@@ -142,7 +142,7 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("fitted again")
 
-    for module in ("changes", "search", "profile", "scatter", "samples"):
+    for module in ("changes", "search", "intervals", "scatter", "samples"):
         monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
     for name in ("_refitted", "_helps"):
         monkeypatch.setattr(f"slippulse_jax.inference.changes.{name}", refuse)

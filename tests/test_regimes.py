@@ -42,7 +42,7 @@ def test_counts_that_exclude_each_other_are_named():
     assert result.identifiability is Identifiability.POOR_FIT
     assert "measurement 1" in result.reason
     assert not result.intervals["stiffness"][0.95]
-    assert allowed_by_counts(problem_of(whole(height, true), "stiffness")).pieces
+    assert allowed_by_counts(problem_of(whole(height, true), "stiffness"))[0]
 
 
 def test_a_count_of_one_holds_where_no_domino_starts():
