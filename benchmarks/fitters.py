@@ -27,7 +27,7 @@ from slippulse_jax.inference.fitted import LEVELS
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import parameter_set
 
 STARTS = np.log([1e-5, 1.0])

@@ -1,4 +1,4 @@
-"""The optimisers of `fit` on the same studies: Levenberg–Marquardt, optax's L-BFGS and Adam, optax's sgd on the natural gradient.
+"""The optimisers of `fit` on the same studies: Levenberg–Marquardt, optax's L-BFGS and Adam.
 
 Three uses of each, on studies of one, two and four parameters, of lengths with 2 % errors or of counts of whole contacts:
 
@@ -15,8 +15,7 @@ Run: python -m benchmarks optimisers [studies, 20 by default] [beginning of a pr
 import argparse
 import sys
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.inference import fronts
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.optimise import METHODS, Convergence, Descents, Starts, descend, minimise
+from slippulse_jax.inference.minimise import Convergence, Method, minimise
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search import search
 
@@ -33,24 +32,6 @@ STARTS, STEPS, CLOSE = 32, 60, 1e-3
 EVERY = {"adam": 4}  # which studies it is given
 
 Free = list[str | Parameter]
-
-
-def natural(given: Starts, max_steps: int) -> Descents:
-    """optax.sgd on the natural gradient, M⁻¹g with the metric M of Gauss and Newton: rate 1, halved until it gains."""
-    import optax
-
-    optimiser = optax.sgd(1.0)
-    reach = given.high - given.low
-
-    def propose(theta: np.ndarray, gradient: np.ndarray, metric: np.ndarray, state: Any):
-        invertible = metric + np.eye(theta.shape[1]) * (1e-6 / reach**2)[:, None, :]
-        updates, state = optimiser.update(np.linalg.solve(invertible, gradient[:, :, None])[:, :, 0], state)
-        return theta + np.asarray(updates), state
-
-    return descend(given, max_steps, optimiser.init, propose, careful=True)
-
-
-OPTIMISERS: dict[str, Callable[[Starts, int], Descents]] = {**METHODS, "natural": natural}
 
 
 class Kind(NamedTuple):
@@ -120,7 +101,7 @@ class Run(NamedTuple):
     seconds: float
 
 
-def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> list[Run]:
+def runs(m: Measurements, kind: Kind, method: Method, seed: int, tally: Tally) -> list[Run]:
     """By starts, by search, by fit."""
     parameters = parameter_set(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
     problem = make_problem(m, parameters, "normal", m.sigma)
@@ -149,7 +130,7 @@ def runs(m: Measurements, kind: Kind, method: str, seed: int, tally: Tally) -> l
 
 def table(name: str, kind: Kind, studies: int, tally: Tally) -> None:
     """Rows of one problem."""
-    found: dict[str, dict[int, list[Run]]] = {method: {} for method in OPTIMISERS}
+    found: dict[Method, dict[int, list[Run]]] = {method: {} for method in get_args(Method)}
     for number in range(studies):
         m = draw(np.random.default_rng([number, len(kind.free), kind.whole]), kind)
         for method, own in found.items():
@@ -174,7 +155,6 @@ def main() -> None:
     asked.add_argument("studies", nargs="?", type=int, default=20)
     asked.add_argument("problems", nargs="*", default=list(KINDS), help="beginnings of their names")
     given = asked.parse_args()
-    METHODS.update(OPTIMISERS)  # so that `fit` knows them all
     tally = Tally()
     columns = " | ".join(f"{use}: reached, % | and said so, % | lengths | ms" for use in ("a start", "search", "fit"))
     print(f"| fitted | method | studies | {columns} |\n|" + "---|" * 15)

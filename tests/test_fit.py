@@ -16,7 +16,7 @@ from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import RISING, FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import Interval
-from slippulse_jax.inference.optimise import Convergence
+from slippulse_jax.inference.minimise import Convergence
 from slippulse_jax.inference.report import interval, sentences, value_with_error
 from slippulse_jax.inference.search import undetermined_axes
 

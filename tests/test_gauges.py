@@ -25,8 +25,8 @@ from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.observables import slips, stresses
-from slippulse_jax.inference.optimise import minimise
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.tables import read_measurements
 

@@ -19,7 +19,7 @@ from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import (
     MODEL_ERROR,
     OF_MEASURING,

@@ -33,7 +33,7 @@ from slippulse_jax.inference.intervals import (
 )
 from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.optimise import METHODS
+from slippulse_jax.inference.minimise import Method
 from slippulse_jax.inference.parameters import (
     Parameter,
     attainable,
@@ -167,7 +167,7 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     loss: Loss = "normal",
     sigma: str = "absolute",
-    method: str = "lm",
+    method: Method = "lm",
     max_steps: int = 60,
     seed: int = 0,
     intervals: str = "auto",
@@ -249,7 +249,7 @@ def fit(
         "body": body,
     }
     settings = (
-        *(("loss", loss, get_args(Loss)), ("method", method, METHODS), ("sigma", sigma, SIGMAS)),
+        *(("loss", loss, get_args(Loss)), ("method", method, get_args(Method)), ("sigma", sigma, SIGMAS)),
         ("intervals", intervals, INTERVALS),
     )
     for name, value, known in settings:

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.search import SLACK, Cells, Root, first_edges
 
 NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not

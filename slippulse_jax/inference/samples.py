@@ -20,7 +20,7 @@ from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem, log_density
-from slippulse_jax.inference.optimise import Convergence, minimise
+from slippulse_jax.inference.minimise import Convergence, minimise
 from slippulse_jax.inference.parameters import Free
 
 if TYPE_CHECKING:

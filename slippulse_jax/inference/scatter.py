@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.likelihood import EXPECTED, Problem, terms
-from slippulse_jax.inference.optimise import minimise
+from slippulse_jax.inference.minimise import minimise
 
 UNMEASURABLE = 1e-4
 """Relative scatter of the lengths below which it is not an error of measurement."""

@@ -16,7 +16,7 @@ import numpy as np
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import Evaluation, Problem
-from slippulse_jax.inference.optimise import Convergence, minimise
+from slippulse_jax.inference.minimise import Convergence, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
 from slippulse_jax.status import Outcome
 

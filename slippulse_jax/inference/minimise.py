@@ -1,15 +1,15 @@
 """Minimisation from many starts at once.
 
 A fit is thousands of small minimisations: starts, nodes of profiles, replicates of a bootstrap. All are lanes of one call of
-`minimise`, by Gauss and Newton's method with Levenberg and Marquardt's damping, or by optax; the model is evaluated for the
-lanes still at work, in one batch per step.
+`minimise`, by Levenberg–Marquardt or by an optimiser of optax; the model is evaluated for the lanes still at work, in one batch
+per step.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.likelihood import Evaluation
 from slippulse_jax.status import Status
 
@@ -20,7 +20,12 @@ KINK = 1e-2
 """Newton decrement, likewise, below which a point counts as a minimum if no step from it gains: the differences across a kink
 give a gradient that vanishes next to the minimum, not at it."""
 HALVINGS = 30  # of an optax step that does not lower the value
+ADAM_STEPS = 20  # of optax.adam for each one allowed
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
+
+
+Method = Literal["lm", "lbfgs", "adam"]
+"""Levenberg–Marquardt; or optax's L-BFGS or Adam."""
 
 
 class Convergence(Status):
@@ -50,6 +55,7 @@ class Starts(NamedTuple):
     held: np.ndarray  # (p,), fixed coordinates
     lane: np.ndarray  # (B,), replicate of each
     tolerance: float
+    method: Method
 
 
 class Descents(NamedTuple):
@@ -69,7 +75,7 @@ def minimise(
     *,
     held: np.ndarray | None = None,
     lane: np.ndarray | None = None,
-    method: str = "lm",
+    method: Method = "lm",
     max_steps: int = 60,
     tolerance: float = TOLERANCE,
 ) -> Descents:
@@ -87,14 +93,13 @@ def minimise(
     lane : array of int, shape (B,), optional
         Replicate of each start.
     method : {"lm", "lbfgs", "adam"}
-        Levenberg–Marquardt by default; the others are optax's (docs/evidence/coverage.md compares them).
+        docs/evidence/coverage.md compares them.
     max_steps : int
-        Steps allowed each start; optax's Adam gets twenty times as many.
+        Steps allowed each start; Adam gets `ADAM_STEPS` times as many.
     tolerance : float
         Newton decrement at which a minimum is found; as `TOLERANCE`.
     """
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}: one of {', '.join(METHODS)}")
+    check_choice("method", method, Method)
     start = np.clip(np.atleast_2d(np.array(start, dtype=np.float64)), low, high)
     low, high = np.broadcast_to(low, start.shape), np.broadcast_to(high, start.shape)
     held = np.zeros(start.shape[1], dtype=bool) if held is None else held
@@ -103,12 +108,13 @@ def minimise(
         value = objective(start, lane).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Descents(start, value, ends, np.zeros(len(start), dtype=int))
-    return METHODS[method](Starts(objective, start, low, high, held, lane, tolerance), max_steps)
+    given = Starts(objective, start, low, high, held, lane, tolerance, method)
+    return _levenberg_marquardt(given, max_steps) if method == "lm" else _by_optax(given, max_steps)
 
 
 def _levenberg_marquardt(given: Starts, max_steps: int) -> Descents:
     """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
-    objective, theta, low, high, _, lane, _ = given
+    objective, theta, low, high, _, lane, *_ = given
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
@@ -216,110 +222,62 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.einsum("bpk,bk,bqk->bpq", vectors, upward, vectors) * unit[:, :, None] * unit[:, None, :]
 
 
-def _adam(given: Starts, max_steps: int) -> Descents:
-    """optax.adam in units of a sixtieth of the box, its rate falling to nothing by a cosine."""
-    import jax
-    import optax
+def _by_optax(given: Starts, max_steps: int) -> Descents:
+    """Take steps of an optax optimiser, vmapped over the lanes, clipped to the box and halved until they lower the value.
 
-    rounds = 20 * max_steps
-    unit = (given.high - given.low) / 60
-    optimiser = optax.adam(optax.cosine_decay_schedule(1.0, rounds))
-    update = jax.jit(optimiser.update)
-
-    def propose(theta: np.ndarray, gradient: np.ndarray, _: np.ndarray, state: Any):
-        updates, state = update(gradient * unit, state)
-        return theta + np.asarray(updates) * unit, state
-
-    return descend(given, rounds, optimiser.init, propose, careful=False)
-
-
-def _lbfgs(given: Starts, max_steps: int) -> Descents:
-    """optax.scale_by_lbfgs of every lane (vmapped), a step halved until it gains; in units of the first metric."""
-    import jax
-    import optax
-
-    optimiser = optax.scale_by_lbfgs(memory_size=10)
-    _, _, first = _first_order(given.objective, given.theta, given.lane)
-    unit = _unit(given, first)
-    update = jax.jit(jax.vmap(optimiser.update))
-
-    def propose(theta: np.ndarray, gradient: np.ndarray, _: np.ndarray, state: Any):
-        updates, state = update(gradient * unit, state, theta / unit)
-        return theta - np.asarray(updates) * unit, state
-
-    return descend(given, max_steps, jax.vmap(optimiser.init), propose, careful=True)
-
-
-def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, careful: bool) -> Descents:
-    """Steps of an optax optimiser, clipped to the box; `careful` ones lead downhill, and are halved until they gain.
-
-    Parameters
-    ----------
-    given : Starts
-    rounds : int
-        Steps at most.
-    init : callable
-        State of the optimiser for points (B, p).
-    propose : callable
-        From points (B, p), gradient and metric there (0 in coordinates that cannot move), and the state: where to go, and
-        the next state.
-    careful : bool
-        Whether the value must never rise.
+    In units of the first metric. A step that leads uphill, since it was clipped or remembers negative curvature, becomes one
+    down the gradient, as does the one after a step that did not gain.
     """
     import jax
+    import optax
 
-    objective, theta, low, high, _, lane, _ = given
+    objective, theta, low, high, _, lane, tolerance, method = given
+    rounds = max_steps * (ADAM_STEPS if method == "adam" else 1)
+    schedule = optax.cosine_decay_schedule(0.1, rounds)
+    optimiser = {"lbfgs": optax.scale_by_lbfgs(10), "adam": optax.scale_by_adam()}[method]
     value, gradient, metric = _first_order(objective, theta, lane)
-    best, lowest = theta.copy(), value.copy()
-    steps = np.zeros(len(theta), dtype=int)
+    unit = _unit(given, metric)
+    steps, lost = np.zeros(len(theta), dtype=int), np.zeros(len(theta), dtype=bool)  # whether the last step did not gain
     work = np.nonzero(np.isfinite(value))[0]
     with jax.enable_x64(True):
-        state = init(theta)
-        for _ in range(rounds):
+        state, update = jax.vmap(optimiser.init)(theta / unit), jax.jit(jax.vmap(optimiser.update))
+        for count in range(rounds):
             stuck = _stuck(given, slice(None), theta, gradient)
             g, m = _without(gradient, metric, stuck)
             left = _decrement(g[work], m[work], np.einsum("bpp->bp", m[work]))
-            work = work[left > TOLERANCE * np.maximum(1, np.abs(value[work]))]
+            work = work[left > tolerance * np.maximum(1, np.abs(value[work]))]
             if not len(work):
                 break
-            target, state = propose(theta, g, m, state)
-            trial = np.where(stuck, theta, np.clip(target, low, high))
-            if careful:
-                # a step clipped by the box, or remembering negative curvature, can point uphill
-                uphill = ((trial - theta) * g).sum(axis=1) >= 0
-                trial[uphill] = np.clip(theta - g * _unit(given, metric) ** 2, low, high)[uphill]
+            updates, state = update(g * unit, state, theta / unit)
+            size = float(schedule(count)) / 0.1 if method == "adam" else 1.0
+            trial = np.where(stuck, theta, np.clip(theta - size * np.asarray(updates) * unit, low, high))
+            uphill = (((trial - theta) * g).sum(axis=1) >= 0) | lost
+            trial[uphill] = np.clip(theta - g * unit**2, low, high)[uphill]
             moves = np.any(np.abs(trial - theta) > 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
             work = work[moves[work]]
             steps[work] += 1
             look = work
-            for _ in range(HALVINGS if careful else 1):
+            for _ in range(HALVINGS):
                 if not len(look):
                     break
                 tried, *slopes = _first_order(objective, trial[look], lane[look])
-                accept = tried <= value[look] if careful else np.ones(len(look), dtype=bool)
+                accept = tried <= value[look]
                 took = look[accept]
                 theta[took], value[took] = trial[took], tried[accept]
                 gradient[took], metric[took] = (x[accept] for x in slopes)
                 look = look[~accept]
                 trial[look] = (trial[look] + theta[look]) / 2
-            work = np.setdiff1d(work, look)  # no step gains there, however small
-            if not len(work):
-                break
-            gained = value < lowest
-            best[gained], lowest[gained] = theta[gained], value[gained]
-    at = objective(best, lane, 2)
+            work = np.setdiff1d(work, look[lost[look]])  # no step gains there, not even down the gradient
+            lost[:] = np.isin(np.arange(len(theta)), look)
+    at = objective(theta, lane, 2)
     assert at.gradient is not None
     assert at.metric is not None
-    stuck = _stuck(given, slice(None), best, at.gradient)
+    stuck = _stuck(given, slice(None), theta, at.gradient)
     g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
     flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
     ends = np.select(
-        [~np.isfinite(lowest), flat, _decrement(g, m, np.einsum("bpp->bp", m)) <= 1e-4],
+        [~np.isfinite(value), flat, _decrement(g, m, np.einsum("bpp->bp", m)) <= 1e-4],
         [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED],
         Convergence.NOT_CONVERGED,
     )
-    return Descents(best, lowest, ends, steps)
-
-
-METHODS: dict[str, Callable[[Starts, int], Descents]] = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
-"""By the name that `fit` takes."""
+    return Descents(theta, value, ends, steps)
