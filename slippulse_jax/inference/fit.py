@@ -416,7 +416,7 @@ def _of_counts(problem: Problem, held: list[Interval]) -> Found:
 
 
 def _explore_scaled(
-    problem: Problem, m: Measurements, method: str, max_steps: int, seed: int
+    problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int
 ) -> tuple[Problem, Scatter, Found]:
     """Search with σ scaled to the scatter about the best fit known."""
     theta, rounds = first_look(problem, seed), 0
@@ -429,7 +429,7 @@ def _explore_scaled(
         theta = found.theta
 
 
-def _explore(problem: Problem, method: str, max_steps: int, seed: int) -> Found:
+def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Found:
     """Search the range, and compute the profile of every requested parameter."""
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, method=method, max_steps=max_steps, seed=seed)

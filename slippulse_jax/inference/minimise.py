@@ -233,7 +233,7 @@ def _by_optax(given: Starts, max_steps: int) -> Descents:
 
     objective, theta, low, high, _, lane, tolerance, method = given
     rounds = max_steps * (ADAM_STEPS if method == "adam" else 1)
-    schedule = optax.cosine_decay_schedule(0.1, rounds)
+    shorter = optax.cosine_decay_schedule(1.0, rounds) if method == "adam" else optax.constant_schedule(1.0)
     optimiser = {"lbfgs": optax.scale_by_lbfgs(10), "adam": optax.scale_by_adam()}[method]
     value, gradient, metric = _first_order(objective, theta, lane)
     unit = _unit(given, metric)
@@ -249,8 +249,7 @@ def _by_optax(given: Starts, max_steps: int) -> Descents:
             if not len(work):
                 break
             updates, state = update(g * unit, state, theta / unit)
-            size = float(schedule(count)) / 0.1 if method == "adam" else 1.0
-            trial = np.where(stuck, theta, np.clip(theta - size * np.asarray(updates) * unit, low, high))
+            trial = np.where(stuck, theta, np.clip(theta - np.asarray(shorter(count) * updates) * unit, low, high))
             uphill = (((trial - theta) * g).sum(axis=1) >= 0) | lost
             trial[uphill] = np.clip(theta - g * unit**2, low, high)[uphill]
             moves = np.any(np.abs(trial - theta) > 1e-12 * np.maximum(1, np.abs(theta)), axis=1)

@@ -202,35 +202,39 @@ class ParameterSet:
         return self.inputs_at(theta).common_ratio if fitted else None
 
 
-class _Kind(NamedTuple):
+class Kind(NamedTuple):
+    """A row of the table of parameters."""
+
     symbol: str
     unit: tuple[str, str]  # for lengths in λc, and in SI
     log: bool
-    acts: dict[str, float]  # what a unit of θ adds to each of Inputs, SCALES and "offset"
-    stated: str | None = None  # column of Measurements that gives its value where it is not fitted
+    acts: dict[str, float]  # what a unit of θ adds to each of the inputs, `SCALES` and "offset"
+    bounds: tuple[float, float] | None = None  # searched by default
+    factor: float | None = None  # of one that measurements may state: up to which multiple of it is searched, if no bounds are
+    limits: tuple[float, float] = (-np.inf, np.inf)  # of a range that follows from a prior
 
 
-PARAMETERS: dict[str, _Kind] = {
-    "stiffness": _Kind("k/K", ("", ""), True, {"log_stiffness": 1}),
-    "areal_stiffness": _Kind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
-    "areal_stiffness_over_young": _Kind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
-    "height": _Kind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, "height"),
-    "correlation_length": _Kind(
+PARAMETERS: dict[str, Kind] = {
+    "stiffness": Kind("k/K", ("", ""), True, {"log_stiffness": 1}),
+    "areal_stiffness": Kind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
+    "areal_stiffness_over_young": Kind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
+    "height": Kind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, factor=2.0),
+    "correlation_length": Kind(
         "λc", ("", "m"), True,
         # H/λc falls; k/K = (k/λc²) λc/E rises
         {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1, "log_sites": -1},
-        "correlation_length",
+        factor=10.0,
     ),
-    "push_height": _Kind("h", ("λc", "m"), True, {"log_push": 1}, "push_height"),
-    "young": _Kind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, "young"),
-    "poisson": _Kind("ν", ("", ""), False, {"poisson": 1}, "poisson"),
-    "prestress": _Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, "prestress"),
-    "threshold_slope": _Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, "threshold_slope"),
-    "friction": _Kind("σ_k", ("σ_s", "σ_s"), False, {"friction": 1}),
-    "strength": _Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}),
-    "offset": _Kind("offset", ("λc", "m"), False, {"offset": 1}),
-    "model_factor": _Kind("model factor", ("", ""), True, {"length": 1}),
-    "arrest": _Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
+    "push_height": Kind("h", ("λc", "m"), True, {"log_push": 1}, factor=2.0),
+    "young": Kind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, factor=10.0),
+    "poisson": Kind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
+    "prestress": Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
+    "threshold_slope": Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
+    "friction": Kind("σ_k", ("σ_s", "σ_s"), False, {"friction": 1}, (0.0, 0.95), limits=(0.0, 0.99)),
+    "strength": Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
+    "offset": Kind("offset", ("λc", "m"), False, {"offset": 1}),
+    "model_factor": Kind("model factor", ("", ""), True, {"length": 1}),
+    "arrest": Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
 }  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
@@ -315,10 +319,9 @@ def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray
     measured = np.array([one == "measured" for one in m.provenance], dtype=bool)
     shared = parameter.nuisance and name in OF_MEASURING and measured.any()
     groups = groups or [(name, measured if shared else np.ones(len(m), dtype=bool))]
-    stated = PARAMETERS[name].stated
-    if stated and name not in HEIGHTS and getattr(m, stated) is not None:
+    if PARAMETERS[name].factor and name not in HEIGHTS and getattr(m, name) is not None:
         for label, rows in groups:
-            if np.ptp(getattr(m, stated)[rows]) > 0:
+            if np.ptp(getattr(m, name)[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
     return groups
 
@@ -362,7 +365,7 @@ class _Builder:
 
     def _reference(self, name: str) -> np.ndarray:
         """θ at which the parameter adds nothing to any row: the value stated with the measurements."""
-        column = self.stated.get(PARAMETERS[name].stated or "")
+        column = self.stated.get(name)
         if column is None:
             return np.zeros(len(self.m))
         if name in HEIGHTS and self.m.correlation_length is not None:
@@ -461,7 +464,7 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         if PARAMETERS[name].log:
             reach = PRIOR_REACH * sigma / mean
             return mean * np.exp(-reach), mean * np.exp(reach)
-        low, high = _LIMITS.get(name, (-np.inf, np.inf))
+        low, high = PARAMETERS[name].limits
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
@@ -471,20 +474,13 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         all_of = front.body == "block" and lowest.max() < highest.min()
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
     size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
-    by_name = {
-        "offset": (-longest * size, longest * size),
-        "threshold_slope": (-0.5 / longest, 2 / longest),
-        "strength": (1.0, 1e12),
-        "friction": (0.0, 0.95),
-        "poisson": (0.0, 0.5),
-        "prestress": (-0.95, 0.95),
-    }
-    if name in by_name:
-        return by_name[name]
+    own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
+    if bounds := PARAMETERS[name].bounds or own:
+        return bounds
     if name == "push_height" and m.push_height is not None:
         ratio = m.push_height[rows] / m.height[rows]
         return float(np.exp(reference)) * min(0.5, 0.02 / ratio.min()), float(np.exp(reference)) * min(2.0, 0.98 / ratio.max())
-    factor = {"height": 2.0}.get(name, 10.0)
+    factor = PARAMETERS[name].factor or 10.0
     lowest = 1.01 / m.height[rows].min()
     low = max(1 / factor, lowest) if name == "height" else 1 / factor
     high = min(factor, 1 / lowest) if name == "correlation_length" else factor
@@ -523,9 +519,6 @@ def _check_reached(builder: _Builder, q: ParameterSet) -> None:
         f"{_span(np.exp(low.min()), np.exp(high.max()))}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
         + f" (k/K = {numbers[0]:g} is {ratio:.2g} {unit})" * bool(in_si and numbers[0] <= STIFFEST)
     )
-
-
-_LIMITS = {"poisson": (-0.99, 0.5), "prestress": (-0.99, 0.99), "friction": (0.0, 0.99)}
 
 
 def ratio_per_unit(m: Measurements) -> np.ndarray:

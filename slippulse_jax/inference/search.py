@@ -16,7 +16,7 @@ import numpy as np
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import Evaluation, Problem
-from slippulse_jax.inference.minimise import Convergence, minimise
+from slippulse_jax.inference.minimise import Convergence, Method, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
 from slippulse_jax.status import Outcome
 
@@ -135,14 +135,13 @@ class Found(NamedTuple):
     curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
 
 
-def search(problem: Problem, *, method: str, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
+def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
     """Find the minima of the deviance within `SLACK` of the least one, best first.
 
     Parameters
     ----------
     problem : Problem
-    method : str
-        Of `minimise`.
+    method : {"lm", "lbfgs", "adam"}
     max_steps : int
         Steps allowed each start.
     seed : int
