@@ -20,7 +20,7 @@ from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.intervals import rise_of
-from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Data, loss_of, make_problem, terms
+from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Observations, loss_of, make_problem, terms
 from slippulse_jax.inference.observables import displacements, forces
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.samples import bootstrap
@@ -35,6 +35,11 @@ def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
 def log_stderr(result):
     """Relative standard error of the first parameter."""
     return result.stderrs[result.names[0]] / result.values[result.names[0]]
+
+
+def observations(kind, value, sigma, weight):
+    """Data without a model."""
+    return Observations(kind, value, sigma, weight, "length", *[None] * 5)
 
 
 def log_width(result, level):
@@ -170,7 +175,7 @@ def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
 
 def test_likelihood_of_a_count_is_that_of_its_interval():
     """P(n) = Φ((n − ℓ)/σ) − Φ((n − 1 − ℓ)/σ), also far out in both tails, and without blur the interval itself."""
-    data = Data(
+    data = observations(
         np.array(["whole"] * 4),
         np.array([[26.0, 26, 26, 26]]),
         np.array([0.7, 0.01, 1e-6, 0.0]),
@@ -199,7 +204,7 @@ def test_an_improbable_count_is_as_rare_as_its_cost_says():
         least = np.where(count > 1, -np.log(2 * ndtr(1 / (2 * sigma)) - 1), 0)
         assert problem.perfect == pytest.approx(2 * least.sum(), rel=1e-9, abs=1e-9)
         for mu in np.concatenate([np.linspace(0, 3, 16), np.linspace(30, 31, 11)]):
-            cost = terms(np.full((1, 159), mu), problem.blocks[0].data, np.zeros(1, int), "normal").value[0]
+            cost = terms(np.full((1, 159), mu), problem.lengths, np.zeros(1, int), "normal").value[0]
             rare = np.exp(least - cost)
             order = np.argsort(rare)
             share = np.cumsum(np.exp(-cost)[order]) / np.maximum(rare[order], 1e-300)
@@ -240,7 +245,7 @@ def test_a_limit_that_the_lengths_deny_counts_against_the_fit():
 
 def test_a_datum_left_out_costs_nothing_where_its_front_never_stops():
     """Nor does it warn: 0 times inf is NaN. As in a refit without an outlier, and in a bootstrap by cases."""
-    data = Data(np.array(["length", "length"]), np.array([[9.0, 20.0]]), np.array([0.5, 0.5]), np.array([[1.0, 0.0]]))
+    data = observations(np.array(["length", "length"]), np.array([[9.0, 20.0]]), np.array([0.5, 0.5]), np.array([[1.0, 0.0]]))
     found = terms(np.array([[9.5, np.inf]]), data, np.array([0]), "normal")
     np.testing.assert_allclose(found.value, [[0.5, 0.0]])
     assert all(np.isfinite(x).all() for x in found)
@@ -255,7 +260,7 @@ def test_counts_of_every_length_add_up_to_certainty():
     """A count of 1 is any length up to 1: contact 0 breaks even where no domino starts."""
     count = np.arange(1.0, 40)
     for sigma in (0.0, 0.3, 2.0):
-        data = Data(np.full(39, "whole"), count[None], np.full(39, sigma), np.ones((1, 39)))
+        data = observations(np.full(39, "whole"), count[None], np.full(39, sigma), np.ones((1, 39)))
         for mu in (0.0, 0.6, 3.2, 17.4):
             found = terms(np.full((1, 39), mu), data, np.zeros(1, int), "normal")
             assert np.exp(-found.value).sum() == pytest.approx(1, abs=1e-12)

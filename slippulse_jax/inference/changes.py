@@ -536,11 +536,11 @@ def _outliers(fitted: Fitted) -> Iterator[tuple[float, str]]:
     count = len(suspects)
     if len(m) < 4:
         return
-    weights = {block.observable: np.ones((count, len(block.measurement))) for block in problem.blocks}
+    weights = {data.observable: np.ones((count, len(data.measurement))) for data in problem.observed}
     for lane, i in enumerate(suspects):
-        for block in problem.blocks:
-            weights[block.observable][lane, block.measurement == i] = 0.0
-    values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}
+        for data in problem.observed:
+            weights[data.observable][lane, data.measurement == i] = 0.0
+    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
     without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
     starts = _starts(q, fitted.theta)
     lane = np.repeat(np.arange(count), len(starts))

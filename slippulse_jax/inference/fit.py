@@ -394,17 +394,17 @@ def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 
     It is 0 for counts, unless lengths are interpolated.
     """
-    block, q = problem.blocks[0], problem.parameters
-    concerned = (block.data.kind == "length") | q.front.interpolated
+    data, q = problem.lengths, problem.parameters
+    concerned = (data.kind == "length") | q.front.interpolated
     widest = q.front.most_off * np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
-    if not (concerned & (widest > BETWEEN * block.data.sigma)).any():
+    if not (concerned & (widest > BETWEEN * data.sigma)).any():
         return None
     theta = first_look(problem, seed)
     off = q.front.uncertainty(q.inputs_at(theta))
     if off is None:
         return None
     off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
-    return off if (off > BETWEEN * block.data.sigma).any() else None
+    return off if (off > BETWEEN * data.sigma).any() else None
 
 
 def _of_counts(problem: Problem, held: list[Interval]) -> Found:

@@ -191,7 +191,7 @@ class Fitted:
 
         As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
         """
-        return self.problem.blocks[0].data.sigma
+        return self.problem.lengths.sigma
 
     @property
     def stderrs(self) -> dict[str, float | None]:
@@ -265,12 +265,12 @@ class Fitted:
     def further(self) -> list[Further]:
         """Data other than lengths, and the model's values for them."""
         m, found = self.measurements, []
-        for block in self.problem.blocks[1:]:
-            places = [m.place(i) for i in block.measurement.tolist()]
-            if m.gauges is not None and block.observable in READINGS:
-                places = [m.gauges.place(i) for i in np.nonzero(m.gauges.there(block.observable))[0].tolist()]
-            fitted = self.problem.predict(self.theta, block.observable)[0]
-            found.append(Further(block.observable, block.data.value[0], block.data.sigma, fitted, places))
+        for data in self.problem.observed[1:]:
+            places = [m.place(i) for i in data.measurement.tolist()]
+            if m.gauges is not None and data.observable in READINGS:
+                places = [m.gauges.place(i) for i in np.nonzero(m.gauges.there(data.observable))[0].tolist()]
+            fitted = self.problem.predict(self.theta, data.observable)[0]
+            found.append(Further(data.observable, data.value[0], data.sigma, fitted, places))
         return found
 
     @property

@@ -486,8 +486,8 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
 
     Between two edges of the scan, which has the peak of every length among them, each length is taken to be monotonic.
     """
-    block = problem.blocks[0]
-    kind, value = block.data.kind, block.data.value[0]
+    data = problem.lengths
+    kind, value = data.kind, data.value[0]
     edge = first_edges(problem)[0]
     length = problem.predictions(edge[:, None])
     # a count holds between n − 1 and n, a front without arrest from the length it ran past
@@ -511,7 +511,7 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
     inside = holds.all(axis=1)
     if not inside.any():
         best = int(np.argmax(holds.sum(axis=1)))
-        return [], block.measurement[~holds[best]].tolist()
+        return [], data.measurement[~holds[best]].tolist()
     starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
     stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
     own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]

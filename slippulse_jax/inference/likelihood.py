@@ -159,13 +159,19 @@ def _derivatives(kind: str, loss: Loss) -> Kernel:
     return lambda columns: jax.vmap(one)(*columns)
 
 
-class Data(NamedTuple):
-    """What was measured, n data of R replicates each; R = 1 for the measurements themselves."""
+class Observations(NamedTuple):
+    """The data of one observable: n data of R replicates each; R = 1 for the measurements themselves."""
 
     kind: np.ndarray  # (n,) of "length", "whole", "at_least"
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
     sigma: np.ndarray  # (n,)
     weight: np.ndarray  # (R, n), how often a datum counts
+    observable: str
+    measurement: np.ndarray  # (n,), which measurement each datum belongs to
+    inputs: Inputs  # a `Linear` of length m each: the distinct inputs of the model
+    rows: np.ndarray  # (n,), which of them each datum has
+    scale: Linear  # (n,), ln of the unit of the data in that of the model
+    offset: Linear  # (n,)
 
 
 class Terms(NamedTuple):
@@ -177,14 +183,14 @@ class Terms(NamedTuple):
     information: np.ndarray  # its expectation under the model
 
 
-def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss) -> Terms:
+def terms(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> Terms:
     """−ln p of every datum, with derivatives.
 
     Parameters
     ----------
     mu : array, shape (B, n)
         Predictions.
-    data : Data
+    data : Observations
     lane : array of int, shape (B,)
         Which replicate each lane belongs to.
     loss : {"normal", "student"}
@@ -197,7 +203,7 @@ def terms(mu: np.ndarray, data: Data, lane: np.ndarray, loss: Loss) -> Terms:
     return Terms(*(weight * x for x in (*columns, np.where(exact, plain, columns[2]))))
 
 
-def _costs(mu: np.ndarray, value: np.ndarray, data: Data, loss: Loss) -> np.ndarray:
+def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) -> np.ndarray:
     """Evaluate `_derivatives` for every datum, by its kind; shape (3, B, n)."""
     given = np.broadcast_arrays(mu, value, data.sigma)
     columns = np.empty((3, *mu.shape))
@@ -218,29 +224,22 @@ class Evaluation(NamedTuple):
     curvature: Float[np.ndarray, "B p p"] | None = None  # the full second derivative
 
 
-class Block(NamedTuple):
-    """The data of one observable."""
-
-    observable: str
-    measurement: np.ndarray  # (n,), which measurement each datum belongs to
-    inputs: Inputs  # a `Linear` of length m each: the distinct inputs of the model
-    rows: np.ndarray  # (n,), which of them each datum has
-    scale: Linear  # (n,), ln of the unit of the data in that of the model
-    offset: Linear  # (n,)
-    data: Data
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """Measurements and parameters: everything the log density depends on apart from θ."""
 
     parameters: ParameterSet
-    blocks: tuple[Block, ...]
+    observed: tuple[Observations, ...]  # of the lengths first
     loss: Loss
     prior_mean: np.ndarray  # (R, p), one for each replicate
     prior_weight: np.ndarray  # 1/σ² of the priors, (p,)
     held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
     tick: Callable[[int], object] | None = None  # called with the number of lengths computed, to show progress
+
+    @property
+    def lengths(self) -> Observations:
+        """The lengths, counts and fronts without arrest."""
+        return self.observed[0]
 
     @property
     def p(self) -> int:
@@ -250,7 +249,7 @@ class Problem:
     @property
     def count(self) -> int:
         """Number of data, including the priors, which were measured too."""
-        return sum(block.data.value.shape[1] for block in self.blocks) + int((self.prior_weight > 0).sum())
+        return sum(data.value.shape[1] for data in self.observed) + int((self.prior_weight > 0).sum())
 
     @property
     def exact_values(self) -> bool:
@@ -267,7 +266,7 @@ class Problem:
         """
         if self.loss != "normal":
             return None
-        data, lane = self.blocks[0].data, np.zeros(1, int)  # counts and fronts without arrest are lengths
+        data, lane = self.lengths, np.zeros(1, int)  # counts and fronts without arrest are lengths
         costs = terms(self.predict(theta), data, lane, self.loss).value[0]
         binding = (data.kind != "length") & (costs - self._least > NOTHING)
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
@@ -281,14 +280,14 @@ class Problem:
     @property
     def _least(self) -> np.ndarray:
         """Least cost of each length: that of the middle of a count."""
-        data = self.blocks[0].data
+        data = self.lengths
         between = (data.kind == "whole") & (data.value[0] > 1)
         return np.where(between, -np.log(erf(1 / (np.sqrt(8) * np.maximum(data.sigma, SHARPEST)))), 0.0)
 
     @property
     def known(self) -> int:
         """Number of values with an error, the priors among them: not of counts and fronts without arrest."""
-        return self.count - int((self.blocks[0].data.kind != "length").sum())
+        return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
         """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
@@ -297,7 +296,7 @@ class Problem:
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         lane = np.zeros(len(theta), dtype=int) if lane is None else lane
-        widest = max(len(block.rows) for block in self.blocks) * (self.p if order else 1)
+        widest = max(len(data.rows) for data in self.observed) * (self.p if order else 1)
         at_once = max(1, ELEMENTS // widest)
         parts = [
             self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
@@ -328,22 +327,22 @@ class Problem:
         return (second + np.swapaxes(second, 1, 2)) / 2
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
-        return self._of([self._predictions(block, theta, order) for block in self.blocks], theta, lane)
+        return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
 
     def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
         """Evaluate from known predictions, (B, N), and their derivatives in θ, (B, N, p)."""
-        ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
+        ends = np.cumsum([len(data.rows) for data in self.observed])[:-1]
         parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
         return self._of(list(parts), theta, np.zeros(len(theta), dtype=int))
 
     def _of(self, predicted: "list[tuple[np.ndarray, np.ndarray | None]]", theta: np.ndarray, lane: np.ndarray) -> Evaluation:
-        """Sum the cost of the predictions over the blocks; with derivatives, gradient and metric too."""
+        """Sum the cost of the predictions over the observables; with derivatives, gradient and metric too."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
-        for block, (mu, first) in zip(self.blocks, predicted, strict=True):
-            cost = terms(mu, block.data, lane, self.loss)
+        for data, (mu, first) in zip(self.observed, predicted, strict=True):
+            cost = terms(mu, data, lane, self.loss)
             value = value + cost.value.sum(axis=1)
             if first is None:
                 continue
@@ -351,28 +350,28 @@ class Problem:
             metric = metric + np.matmul(np.swapaxes(first, 1, 2) * cost.curvature[:, None, :], first)
         return Evaluation(value) if predicted[0][1] is None else Evaluation(value, gradient, metric)
 
-    def _predictions(self, block: Block, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
+    def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
         """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
-        inputs = block.inputs.at(theta)
+        inputs = data.inputs.at(theta)
         free = slice(None) if self.held is None else ~self.held
-        wanted = [name for name in inputs.names if order and block.inputs.get(name).slope[:, free].any()]
+        wanted = [name for name in inputs.names if order and data.inputs.get(name).slope[:, free].any()]
         lanes, distinct = inputs.poisson.shape
         if self.tick is not None:
             self.tick(lanes * distinct)
-        model = PREDICTED[block.observable](self.parameters.front, inputs.ravel(), wanted)
-        scale = np.exp(block.scale(theta))
-        value = model.value.reshape(lanes, distinct)[:, block.rows] * scale
-        mu = value + block.offset(theta)
+        model = PREDICTED[data.observable](self.parameters.front, inputs.ravel(), wanted)
+        scale = np.exp(data.scale(theta))
+        value = model.value.reshape(lanes, distinct)[:, data.rows] * scale
+        mu = value + data.offset(theta)
         if not order:
             return mu, None
         # scales and offset change the prediction even where no input does, as with a held stiffness
         size = np.where(np.isfinite(value), value, 0)[:, :, None]
-        first = size * block.scale.slope + block.offset.slope
+        first = size * data.scale.slope + data.offset.slope
         if wanted:
             by_input = np.stack([model.slopes[name].reshape(lanes, distinct) for name in wanted], axis=-1)
-            slope = np.stack([block.inputs.get(name).slope for name in wanted], axis=1)
+            slope = np.stack([data.inputs.get(name).slope for name in wanted], axis=1)
             by_theta = np.matmul(by_input[:, :, None, :], slope)[:, :, 0]
-            first = first + by_theta[:, block.rows] * scale[:, :, None]
+            first = first + by_theta[:, data.rows] * scale[:, :, None]
         return mu, first
 
     @property
@@ -388,36 +387,36 @@ class Problem:
     @property
     def only_counts(self) -> bool:
         """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
-        block, *others = self.blocks
-        exact = not (block.data.kind == "length").any() and not block.data.sigma.any()
+        data, *others = self.observed
+        exact = not (data.kind == "length").any() and not data.sigma.any()
         return self.p == 1 and not others and exact and not self.prior_weight.any()
 
     @property
     def gauged(self) -> bool:
         """Whether gauges were read, whose fields change in steps from contact to contact."""
-        return any(block.observable in READINGS for block in self.blocks)
+        return any(data.observable in READINGS for data in self.observed)
 
     @functools.cached_property
     def reach(self) -> np.ndarray:
         """Change of each prediction that matters, (N,): one σ, and for counts at least a tenth of a contact."""
         columns = []
-        for block in self.blocks:
-            exact = block.data.kind == "length"
-            columns.append(np.where(exact, block.data.sigma, np.hypot(block.data.sigma, 0.1)))
+        for data in self.observed:
+            exact = data.kind == "length"
+            columns.append(np.where(exact, data.sigma, np.hypot(data.sigma, 0.1)))
         return np.concatenate(columns)
 
     def predictions(self, theta: np.ndarray) -> np.ndarray:
         """Predictions for the data of all observables, one after another, shape (B, N)."""
-        at_once = max(1, ELEMENTS // max(len(block.rows) for block in self.blocks))
+        at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
         parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
-            [np.concatenate([self._predictions(block, part, 0)[0] for block in self.blocks], axis=1) for part in parts]
+            [np.concatenate([self._predictions(data, part, 0)[0] for data in self.observed], axis=1) for part in parts]
         )
 
     def residuals(self, mu: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals in σ, priors last, (B, N + p), and 1/σ of the data, (B, N), of a `plain` problem."""
-        value = np.concatenate([block.data.value[0] for block in self.blocks])
-        sigma = np.concatenate([block.data.sigma for block in self.blocks])
+        value = np.concatenate([data.value[0] for data in self.observed])
+        sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
         return np.concatenate([(mu - value) / sigma, known], axis=1), np.broadcast_to(1 / sigma, mu.shape)
 
@@ -429,8 +428,7 @@ class Problem:
         off = np.clip(self.prior_mean[0], theta_low, theta_high) - self.prior_mean[0]
         total = (self.prior_weight * off**2).sum(axis=1) / 2
         first = 0
-        for block in self.blocks:
-            data = block.data
+        for data in self.observed:
             n = len(data.sigma)
             mu_low, mu_high, first = low[:, first : first + n], high[:, first : first + n], first + n
             value = data.value[0]
@@ -449,16 +447,16 @@ class Problem:
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
-        (block,) = (block for block in self.blocks if block.observable == observable)
-        return self._predictions(block, np.atleast_2d(theta), 0)[0]
+        (data,) = (one for one in self.observed if one.observable == observable)
+        return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
         theta = np.atleast_2d(theta)
         rows = []
-        for block in self.blocks:
-            mu, first = self._predictions(block, theta, 1)
-            cost = terms(mu, block.data, np.zeros(1, int), self.loss)
+        for data in self.observed:
+            mu, first = self._predictions(data, theta, 1)
+            cost = terms(mu, data, np.zeros(1, int), self.loss)
             assert first is not None
             rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
         rows.append(np.diag(np.sqrt(self.prior_weight)))
@@ -468,19 +466,18 @@ class Problem:
     def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
         """The problem with σ of all data, or of lengths alone, `factor` times as large."""
 
-        def scaled(block: Block) -> Block:
-            return block._replace(data=block.data._replace(sigma=factor * block.data.sigma))
+        def scaled(data: Observations) -> Observations:
+            return data._replace(sigma=factor * data.sigma)
 
-        kept = self.blocks[1:] if of_lengths else tuple(scaled(block) for block in self.blocks[1:])
-        return dataclasses.replace(self, blocks=(scaled(self.blocks[0]), *kept))
+        kept = self.observed[1:] if of_lengths else tuple(scaled(data) for data in self.observed[1:])
+        return dataclasses.replace(self, observed=(scaled(self.lengths), *kept))
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
         """The problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
-        blocks = tuple(
-            block._replace(data=block.data._replace(value=values[block.observable], weight=weights[block.observable]))
-            for block in self.blocks
+        observed = tuple(
+            data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
         )
-        return dataclasses.replace(self, blocks=blocks, prior_mean=means)
+        return dataclasses.replace(self, observed=observed, prior_mean=means)
 
 
 def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
@@ -490,16 +487,16 @@ def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]
     under ``jax.enable_x64``. θ is in the order of ``problem.parameters.names``; the bounds are not part of it.
     """
     off = theta - jnp.asarray(problem.prior_mean[0])
-    return sum((_log_likelihood(theta, problem, block) for block in problem.blocks), -(problem.prior_weight * off**2).sum() / 2)
+    prior = -(problem.prior_weight * off**2).sum() / 2
+    return sum((_log_likelihood(theta, problem, data) for data in problem.observed), prior)
 
 
-def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
-    data = block.data
-    relaxed = not any(x.base.any() or x.slope.any() for x in (block.inputs.prestress, block.inputs.threshold_slope))
-    sites = _sites(problem, block) if block.observable in READINGS else 0
-    predict = partial(traced, problem.parameters.front, block.observable, relaxed=relaxed, sites=sites)
-    predicted = jax.vmap(predict)(block.inputs.at(theta))
-    mu = predicted[block.rows] * jnp.exp(block.scale(theta)) + block.offset(theta)
+def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array:
+    relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
+    sites = _sites(problem, data) if data.observable in READINGS else 0
+    predict = partial(traced, problem.parameters.front, data.observable, relaxed=relaxed, sites=sites)
+    predicted = jax.vmap(predict)(data.inputs.at(theta))
+    mu = predicted[data.rows] * jnp.exp(data.scale(theta)) + data.offset(theta)
     total = jnp.zeros(())
     for kind in COSTS:
         there = np.nonzero(data.kind == kind)[0]
@@ -509,36 +506,36 @@ def _log_likelihood(theta: Array, problem: Problem, block: Block) -> Array:
     return total
 
 
-def _sites(problem: Problem, block: Block) -> int:
+def _sites(problem: Problem, data: Observations) -> int:
     """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
-    middle = block.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
+    middle = data.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.get("log_position")).max(), middle.get("counted").max()))
 
 
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
     """Set up the log density of these measurements; `sigma` is the standard error of each length, in λc."""
     every = np.arange(len(m))
-    blocks = [_block(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
+    observed = [_observations(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
     for observable in ("displacement", "force"):
         values = getattr(m, observable)
         if values is None or not np.isfinite(values).any():
             continue
         rows = np.nonzero(np.isfinite(values))[0]
         errors = getattr(m, f"{observable}_sigma")[rows]
-        blocks.append(_block(parameters, observable, rows, values[rows], errors, parameters.inputs.take(rows)))
+        observed.append(_observations(parameters, observable, rows, values[rows], errors, parameters.inputs.take(rows)))
     if m.gauges is not None:
-        blocks += [_gauge_block(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
+        observed += [_readings(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])
     return Problem(
         parameters=parameters,
-        blocks=tuple(blocks),
+        observed=tuple(observed),
         loss=loss,
         prior_mean=np.array([[one.prior_mean for one in parameters.free]]),
         prior_weight=1 / prior_sigma**2,
     )
 
 
-def _block(
+def _observations(
     q: ParameterSet,
     observable: str,
     rows: np.ndarray,
@@ -546,26 +543,28 @@ def _block(
     sigma: np.ndarray,
     inputs: Inputs,
     kind: np.ndarray | None = None,
-) -> Block:
+) -> Observations:
     """Collect the data of one observable, with each distinct input of the model once."""
     n = len(rows)
     given = [inputs.get(name) for name in inputs.names]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
     _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    data = Data(kind=np.full(n, "length") if kind is None else kind, value=value[None], sigma=sigma, weight=np.ones((1, n)))
     none = Linear(np.zeros(n), np.zeros((n, len(q.free))))
-    return Block(
+    return Observations(
+        kind=np.full(n, "length") if kind is None else kind,
+        value=value[None],
+        sigma=sigma,
+        weight=np.ones((1, n)),
         observable=observable,
         measurement=rows,
         inputs=inputs.take(first),
         rows=own.ravel(),
         scale=q.scales[observable][rows],
         offset=q.offset if observable == "length" else none,
-        data=data,
     )
 
 
-def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Block:
+def _readings(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Observations:
     """Collect the gauges' readings of one kind."""
     there = gauges.there(name)
     rows = gauges.row[there]
@@ -580,4 +579,4 @@ def _gauge_block(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) ->
         counted=Linear(counted, np.zeros_like(unit.slope)),
     )
     sigma = getattr(gauges, f"{name}_sigma")[there]
-    return _block(q, name, rows, getattr(gauges, name)[there], sigma, inputs)
+    return _observations(q, name, rows, getattr(gauges, name)[there], sigma, inputs)

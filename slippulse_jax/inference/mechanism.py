@@ -125,8 +125,8 @@ def _differences(
 ) -> tuple[np.ndarray, float]:
     """Deviance of the pulse less that of the crack in simulated measurements; and the share of refits not converged."""
     drawn = simulated(truth, count, rng)
-    values = {block.observable: block.data.value for block in drawn.blocks}
-    weights = {block.observable: block.data.weight for block in drawn.blocks}
+    values = {data.observable: data.value for data in drawn.observed}
+    weights = {data.observable: data.weight for data in drawn.observed}
     deviance, lost = [], []
     for result in (pulse, crack):
         means = np.repeat(result.problem.prior_mean, count, axis=0)

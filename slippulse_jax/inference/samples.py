@@ -220,16 +220,16 @@ def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fitted model, and new values of the inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
-    for block in problem.blocks:
-        mu = problem.predict(result.theta, block.observable)[0]
-        sigma = block.data.sigma
+    for data in problem.observed:
+        mu = problem.predict(result.theta, data.observable)[0]
+        sigma = data.sigma
         student = problem.loss == "student"
         noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
         drawn = mu + sigma * noise
-        whole, beyond = block.data.kind == "whole", block.data.kind == "at_least"
+        whole, beyond = data.kind == "whole", data.kind == "at_least"
         drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
-        values[block.observable] = np.where(beyond, block.data.value[0], drawn)
-        weights[block.observable] = np.ones((count, len(mu)))
+        values[data.observable] = np.where(beyond, data.value[0], drawn)
+        weights[data.observable] = np.ones((count, len(mu)))
     spread = np.array([one.prior_sigma for one in q.free])
     means = np.repeat(problem.prior_mean, count, axis=0)
     known = np.isfinite(spread)
@@ -240,8 +240,8 @@ def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
 def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
-    values = {block.observable: np.repeat(block.data.value, count, axis=0) for block in problem.blocks}
-    weights = {block.observable: often[:, block.measurement] for block in problem.blocks}
+    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
+    weights = {data.observable: often[:, data.measurement] for data in problem.observed}
     return problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
 
 

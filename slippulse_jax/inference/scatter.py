@@ -39,7 +39,7 @@ def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> S
         Scale the errors of lengths alone, instead of those of all data.
     """
     q, factor, turns = problem.parameters, 1.0, 0
-    widest = float(np.max(problem.blocks[0].data.sigma / problem.blocks[0].data.value[0]))
+    widest = float(np.max(problem.lengths.sigma / problem.lengths.value[0]))
     while True:
         sized = problem.with_sigma(factor, of_lengths=of_lengths)
         end = minimise(sized, theta[None], q.low, q.high)
@@ -61,11 +61,11 @@ def scatter_about(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> S
 
 def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
     """Deviance of the data whose σ are scaled, and their degrees of freedom."""
-    blocks = problem.blocks[:1] if of_lengths else problem.blocks
-    deviance, count = 0.0, sum(len(block.rows) for block in blocks)
-    for block in blocks:
-        mu = problem.predict(theta, block.observable)
-        deviance += 2 * float(terms(mu, block.data, np.zeros(1, int), problem.loss).value.sum())
+    blocks = problem.observed[:1] if of_lengths else problem.observed
+    deviance, count = 0.0, sum(len(data.rows) for data in blocks)
+    for data in blocks:
+        mu = problem.predict(theta, data.observable)
+        deviance += 2 * float(terms(mu, data, np.zeros(1, int), problem.loss).value.sum())
     reach = problem.parameters.high - problem.parameters.low
     jacobian = problem.information(theta)[1] * reach
     own = jacobian[:count]  # the lengths come first, priors last

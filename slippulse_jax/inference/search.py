@@ -384,11 +384,11 @@ def _tops(problem: Problem) -> np.ndarray:
 
     With more, each with its own peak, no single length makes a pair of roots.
     """
-    q, block = problem.parameters, problem.blocks[0]
-    _, first = np.unique(block.rows, return_index=True)
+    q, data = problem.parameters, problem.lengths
+    _, first = np.unique(data.rows, return_index=True)
     if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
-    rows = block.measurement[first]
+    rows = data.measurement[first]
     theta = q.low
     inputs = q.inputs_at(theta).take(rows)
     _, ratio = attainable_of(q, theta, rows, inputs)

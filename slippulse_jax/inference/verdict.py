@@ -170,7 +170,7 @@ def _above_maximum(e: Fitted) -> bool:
 def _beyond_maximum(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
     if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
         return None
-    over = e.problem.blocks[0].data.value[0] / e.attainable
+    over = e.problem.lengths.value[0] / e.attainable
     worst = int(np.argmax(over))
     return Verdict(
         Identifiability.AT_MAXIMUM,

@@ -773,7 +773,7 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
     readings = _readings(result)
     scale, label = GAUGE_UNITS[name]
     there = readings.there(name)
-    (data,) = (block.data for block in result.problem.blocks if block.observable == name)
+    (data,) = (one for one in result.problem.observed if one.observable == name)
     for color, row in zip(colours(ax).data * 9, dict.fromkeys(readings.row[there].tolist()), strict=False):
         own = there & (readings.row == row)
         x = np.linspace(0, 1.08 * max(readings.position[own].max(), _arrest(result, row)), GAUGE_POINTS)
@@ -805,7 +805,7 @@ def _arrest(result: "FitResult", row: int) -> float:
 def _field(result: "FitResult", row: int, name: str, x: np.ndarray) -> np.ndarray:
     """Predicted slip or stress of one precursor at distances `x`, in SI."""
     q = result.parameters
-    block = next(one for one in result.problem.blocks if one.observable == name)
+    block = next(one for one in result.problem.observed if one.observable == name)
     datum = int(np.nonzero(block.measurement == row)[0][0])
     inputs = block.inputs.at(result.theta).take(np.full(len(x), block.rows[datum]))
     assert result.measurements.correlation_length is not None
