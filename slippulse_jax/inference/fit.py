@@ -11,11 +11,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference import record, report
+from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.fronts import Body, MeasuredEvent
@@ -84,6 +85,62 @@ class FitResult(Fitted):
     def directions(self) -> list[Direction]:
         """Combinations of the parameters by how well they are determined."""
         return directions(self.problem, self.theta)
+
+    def curve(
+        self,
+        rows: "int | Sequence[int] | np.ndarray",
+        heights: ArrayLike,
+        theta: np.ndarray | None = None,
+        *,
+        along: predicted.Along = "height",
+    ) -> predicted.LengthCurve:
+        """Predict the lengths of measurements like some of these at other heights.
+
+        Parameters
+        ----------
+        rows : int or sequence of int
+            Measurements that they are like: every other input is the mean of theirs.
+        heights : array_like, shape (n,)
+            Heights in λc of the table (of ``measurements.unit[0]`` each, in the unit of the table).
+        theta : array, shape (p,) or (t, p), optional
+            Other θ than those of the best fit, in the order of ``parameters.names``.
+        along : {"height", "push_height"}
+            Whether `heights` are those of the block, whose push stays at its share of the height, or of the push.
+
+        Returns
+        -------
+        LengthCurve
+            ``length``, ``bands``, ``longest`` in λc of the table, and ``breaks_again``.
+
+        Raises
+        ------
+        ValueError
+            If the measurements state no such height.
+        """
+        return predicted.curve(self, rows, heights, theta, along=along)
+
+    def field(self, row: int, observable: str, position: ArrayLike) -> np.ndarray:
+        """Predict the slip or stress along the interface after one precursor.
+
+        Parameters
+        ----------
+        row : int
+            Measurement, for which gauges read this.
+        observable : {"slip", "stress"}
+        position : array_like, shape (n,)
+            Distances from the pushed edge, in m.
+
+        Returns
+        -------
+        array, shape (n,)
+            Slip in m, or stress in Pa; inf where the front never stops.
+
+        Raises
+        ------
+        ValueError
+            If no gauge read it.
+        """
+        return predicted.field(self, row, observable, position)
 
     @property
     def notes(self) -> list[str]:

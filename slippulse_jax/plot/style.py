@@ -30,6 +30,9 @@ ABOVE: dict[str, Any] = {
 }  # fmt: skip
 """Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
 
+WIDEST = 1.2
+"""Largest width of a legend above an Axes, over that of the Axes before its figure is laid out."""
+
 
 class Colours(NamedTuple):
     """Six colours for data, in order of use; `ink` for text, `grey` for what is secondary."""
@@ -179,11 +182,20 @@ def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **opt
 
 
 def handles_of(ax: Any, *, again: bool) -> list[Any]:
-    """Handles for a legend, with one for dashed lines if the edge contact breaks `again` somewhere."""
+    """Handles for a legend, one per label, with one for dashed lines if the edge contact breaks `again` somewhere."""
     from matplotlib.lines import Line2D
 
     key = Line2D([], [], color=colours(ax).ink, linestyle="--", linewidth=0.8, label=AGAIN)
-    return ax.get_legend_handles_labels()[0] + [key] * again
+    handles, labels = ax.get_legend_handles_labels()
+    return [handle for i, handle in enumerate(handles) if labels[i] not in labels[:i]] + [key] * again
+
+
+def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> None:
+    """Draw a small legend above the Axes, in as many columns, `most` at most, as do not press panels together."""
+    look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
+    for columns in range(most, 0, -1):
+        if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
+            return
 
 
 def contrast(one: str, other: str) -> float:
