@@ -18,8 +18,8 @@ from slippulse_jax.domains import check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
+from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.fitted import LEVELS, Fitted
-from slippulse_jax.inference.fronts import Body, MeasuredEvent
 from slippulse_jax.inference.intervals import (
     Curve,
     Interval,
@@ -32,7 +32,7 @@ from slippulse_jax.inference.intervals import (
     rise_of,
     to_be_simulated,
 )
-from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
+from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.optimise import METHODS
 from slippulse_jax.inference.parameters import (
@@ -51,8 +51,6 @@ from slippulse_jax.inference.verdict import Direction, directions, judge
 if TYPE_CHECKING:
     import pandas as pd
 
-SIGMAS = ("absolute", "relative")
-INTERVALS = ("auto", "profile", "calibrated")
 MOST_ROOTS = 4  # from which a profile is started
 SEARCH_ROUNDS = 3  # the search is repeated where a profile finds a lower deviance
 BETWEEN = 0.5
@@ -223,11 +221,11 @@ def fit(
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     loss: Loss = "normal",
-    sigma: str = "absolute",
-    method: str = "lm",
+    sigma: Sigma = "absolute",
+    method: Method = "lm",
     max_steps: int = 60,
     seed: int = 0,
-    intervals: str = "auto",
+    intervals: IntervalsBy = "auto",
     event: MeasuredEvent | None = None,
     body: Body | None = None,
 ) -> FitResult:
@@ -306,8 +304,8 @@ def fit(
         "body": body,
     }
     settings = (
-        *(("loss", loss, get_args(Loss)), ("method", method, METHODS), ("sigma", sigma, SIGMAS)),
-        ("intervals", intervals, INTERVALS),
+        *(("loss", loss, get_args(Loss)), ("method", method, METHODS), ("sigma", sigma, get_args(Sigma))),
+        ("intervals", intervals, get_args(IntervalsBy)),
     )
     for name, value, known in settings:
         if value not in list(known):

@@ -6,10 +6,11 @@ lanes still at work, in one batch per step.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, get_args
 
 import numpy as np
 
+from slippulse_jax.inference.choices import Method
 from slippulse_jax.inference.likelihood import Evaluation
 from slippulse_jax.status import Status
 
@@ -321,5 +322,7 @@ def descend(given: Starts, rounds: int, init: Callable, propose: Callable, *, ca
     return Descents(best, lowest, ends, steps)
 
 
-METHODS: dict[str, Callable[[Starts, int], Descents]] = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
+METHODS: dict[str, Callable[[Starts, int], Descents]] = dict(
+    zip(get_args(Method), (_levenberg_marquardt, _lbfgs, _adam), strict=True)
+)
 """By the name that `fit` takes."""

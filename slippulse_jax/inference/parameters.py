@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Body, Front, MeasuredEvent, WholeEvent, front_of
+from slippulse_jax.inference.choices import Body, MeasuredEvent
+from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Front, WholeEvent, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS

@@ -24,6 +24,7 @@ from slippulse_jax.plot.style import (
     dashed_where,
     drawn,
     handles_of,
+    label_decades,
     legend_above,
     letter_panels,
     new_figure,
@@ -352,8 +353,6 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
 
     With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
     """
-    from matplotlib.ticker import LogLocator
-
     ax = axes(ax)
     c = colours(ax)
     m, q, (scale, unit), along = result.measurements, result.parameters, result.measurements.unit, abscissa(result)
@@ -388,7 +387,6 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
         ax.axvspan(piece.low, piece.high, **look)
     ax.axvline(result.values[result.names[0]], color=c.ink, lw=1, ls=":", label=_best(result))
     ax.set_xscale("log")
-    ax.xaxis.set_major_locator(LogLocator(numticks=8))
     if (top := largest.max()) > 0:
         # from where a precursor reaches a hundredth of the longest
         ax.set_xlim(stiffness[largest > 0.01 * top][0], stiffness[-1])
@@ -553,9 +551,10 @@ def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
 
 def _name(one: "Free", axis: "Axis") -> None:
     """Label a finished axis; a power of ten goes into the unit, where Matplotlib would print it over a neighbour's label."""
-    unit = one.unit
-    power = int(np.floor(np.log10(max(np.abs(axis.get_view_interval()).max(), 1e-300))))
-    if axis.get_scale() == "linear" and not -2 <= power < 4:
+    unit, (low, high) = one.unit, axis.get_view_interval()
+    power = int(np.floor(np.log10(max(abs(low), abs(high), 1e-300))))
+    label_decades(axis)
+    if (axis.get_scale() == "linear" or high < 100 * low) and not -2 <= power < 4:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
         unit = f"$10^{{{power}}}$ {printed(unit)}".rstrip()
     specimen = f"\n{one.label[one.label.index('[') :]}" if "[" in one.label else ""

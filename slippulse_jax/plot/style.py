@@ -18,6 +18,7 @@ from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
@@ -196,6 +197,20 @@ def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> N
     for columns in range(most, 0, -1):
         if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
             return
+
+
+def label_decades(axis: "Axis") -> None:
+    """Label the decades of a logarithmic axis, up to five; and 2 and 5 times them where it has fewer than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if axis.get_scale() != "log":
+        return
+    low, high = np.log10(axis.get_view_interval())
+    few = np.floor(high + 1e-6) - np.ceil(low - 1e-6) < 1
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
+    if few:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def contrast(one: str, other: str) -> float:
