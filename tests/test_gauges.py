@@ -128,6 +128,10 @@ def test_fit_to_what_the_dense_program_makes():
     assert "slip         18 readings" in result.report()
     assert [one.observable for one in result.further] == ["slip", "stress"]
     assert max(np.abs(one.residuals).max() for one in result.further) < 1e-5
+    _, slip, stress = dense_fields(25.0, RATIO)
+    places = np.arange(1, 40)
+    np.testing.assert_allclose(result.field(0, "slip", places * LC), slip[places] * UNIT, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(result.field(0, "stress", places * LC), stress[places] * STRENGTH, rtol=1e-5, atol=1e-2)
     assert len(sp.plot.gauges(result).axes) == 2
 
 

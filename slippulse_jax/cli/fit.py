@@ -1,11 +1,12 @@
 """``slippulse fit``."""
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
 from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult
@@ -44,23 +45,23 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 @click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")
 @click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
-@click.option("--loss", type=click.Choice(["normal", "student"]), help="Loss function.")
-@click.option("--sigma", type=click.Choice(["absolute", "relative"]), help="Take σ as given, or only the ratios of σ.")
-@click.option("--method", type=click.Choice(["lm", "lbfgs", "adam"]), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
+@click.option("--loss", type=click.Choice(get_args(Loss)), help="Loss function.")
+@click.option("--sigma", type=click.Choice(get_args(Sigma)), help="Take σ as given, or only the ratios of σ.")
+@click.option("--method", type=click.Choice(get_args(Method)), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
 @click.option(
     "--intervals",
-    type=click.Choice(["auto", "profile", "calibrated"]),
+    type=click.Choice(get_args(IntervalsBy)),
     help="From chi-squared, or simulations; simulated by default where chi-squared would mislead.",
 )
 @click.option(
     "--event",
-    type=click.Choice(["domino", "full", "crack"]),
+    type=click.Choice(get_args(MeasuredEvent)),
     help="Take a length as that of the first front; of the whole event, in which contacts may break again; or of a crack-like "
     "front, with a friction behind it.",
 )
 @click.option(
     "--body",
-    type=click.Choice(["slider", "block"]),
+    type=click.Choice(get_args(Body)),
     help="Take the body as the paper's slider; or as a block under two-dimensional elasticity, the default where the table "
     "says at what height it is pushed.",
 )

@@ -11,14 +11,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_whole
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference import record, report
+from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
+from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.fitted import LEVELS, Fitted
-from slippulse_jax.inference.fronts import Body, MeasuredEvent
 from slippulse_jax.inference.intervals import (
     Curve,
     Interval,
@@ -31,9 +32,8 @@ from slippulse_jax.inference.intervals import (
     rise_of,
     to_be_simulated,
 )
-from slippulse_jax.inference.likelihood import Loss, Problem, make_problem
+from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.minimise import Method
 from slippulse_jax.inference.parameters import (
     Parameter,
     attainable,
@@ -50,8 +50,6 @@ from slippulse_jax.inference.verdict import Direction, directions, judge
 if TYPE_CHECKING:
     import pandas as pd
 
-SIGMAS = ("absolute", "relative")
-INTERVALS = ("auto", "profile", "calibrated")
 MOST_ROOTS = 4  # from which a profile is started
 SEARCH_ROUNDS = 3  # the search is repeated where a profile finds a lower deviance
 BETWEEN = 0.5
@@ -84,6 +82,62 @@ class FitResult(Fitted):
     def directions(self) -> list[Direction]:
         """Combinations of the parameters by how well they are determined."""
         return directions(self.problem, self.theta)
+
+    def curve(
+        self,
+        rows: "int | Sequence[int] | np.ndarray",
+        heights: ArrayLike,
+        theta: np.ndarray | None = None,
+        *,
+        along: predicted.Along = "height",
+    ) -> predicted.LengthCurve:
+        """Predict the lengths of measurements like some of these at other heights.
+
+        Parameters
+        ----------
+        rows : int or sequence of int
+            Measurements that they are like: every other input is the mean of theirs.
+        heights : array_like, shape (n,)
+            Heights in λc of the table (of ``measurements.unit[0]`` each, in the unit of the table).
+        theta : array, shape (p,) or (t, p), optional
+            Other θ than those of the best fit, in the order of ``parameters.names``.
+        along : {"height", "push_height"}
+            Whether `heights` are those of the block, whose push stays at its share of the height, or of the push.
+
+        Returns
+        -------
+        LengthCurve
+            ``length``, ``bands``, ``longest`` in λc of the table, and ``breaks_again``.
+
+        Raises
+        ------
+        ValueError
+            If the measurements state no such height.
+        """
+        return predicted.curve(self, rows, heights, theta, along=along)
+
+    def field(self, row: int, observable: str, position: ArrayLike) -> np.ndarray:
+        """Predict the slip or stress along the interface after one precursor.
+
+        Parameters
+        ----------
+        row : int
+            Measurement, for which gauges read this.
+        observable : {"slip", "stress"}
+        position : array_like, shape (n,)
+            Distances from the pushed edge, in m.
+
+        Returns
+        -------
+        array, shape (n,)
+            Slip in m, or stress in Pa; inf where the front never stops.
+
+        Raises
+        ------
+        ValueError
+            If no gauge read it.
+        """
+        return predicted.field(self, row, observable, position)
 
     @property
     def notes(self) -> list[str]:
@@ -166,11 +220,11 @@ def fit(
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     loss: Loss = "normal",
-    sigma: str = "absolute",
+    sigma: Sigma = "absolute",
     method: Method = "lm",
     max_steps: int = 60,
     seed: int = 0,
-    intervals: str = "auto",
+    intervals: IntervalsBy = "auto",
     event: MeasuredEvent | None = None,
     body: Body | None = None,
 ) -> FitResult:
@@ -249,8 +303,8 @@ def fit(
         "body": body,
     }
     settings = (
-        *(("loss", loss, get_args(Loss)), ("method", method, get_args(Method)), ("sigma", sigma, SIGMAS)),
-        ("intervals", intervals, INTERVALS),
+        *(("loss", loss, get_args(Loss)), ("method", method, get_args(Method)), ("sigma", sigma, get_args(Sigma))),
+        ("intervals", intervals, get_args(IntervalsBy)),
     )
     for name, value, known in settings:
         if value not in list(known):

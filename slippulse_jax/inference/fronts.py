@@ -5,7 +5,7 @@ lane. A new model is a new class here, which `front_of` chooses.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
 from slippulse_jax.front.arrest import quantity
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
+from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.interpolation import block_lengths, whole_over_front
 from slippulse_jax.inference.measurements import Measurements
@@ -30,11 +31,6 @@ from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.theory import block_decay_length
 from slippulse_jax.units import machine_ratio
 
-MeasuredEvent = Literal["domino", "full", "crack"]
-"""What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
-or the front of a crack, behind which they slide."""
-Body = Literal["slider", "block"]
-"""What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 FULL_TO = 200.0

@@ -12,7 +12,8 @@ from jaxtyping import ArrayLike
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import EventKind, check_event
-from slippulse_jax.inference.fronts import Body, front_of
+from slippulse_jax.inference.choices import Body
+from slippulse_jax.inference.fronts import front_of
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, parameter_set

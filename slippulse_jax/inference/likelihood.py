@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 from scipy.special import digamma, erf
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import Gauges, Measurements
@@ -45,12 +46,6 @@ LAYOUT = Layout(chunk=128, fusion_emitters=False)
 ELEMENTS = 2_000_000
 """Elements of the largest array held at once; more points are evaluated in turns."""
 
-
-Loss = Literal["normal", "student"]
-"""Loss function of a residual of r standard errors: r²/2, or that of the t distribution with 4 degrees of freedom.
-
-Intervals (counts, fronts without arrest) keep their own likelihood under both.
-"""
 INFORMATION = {"normal": 1.0, "student": (STUDENT_DOF + 1) / (STUDENT_DOF + 3)}
 """Information of one datum with σ = 1: 1/variance of the estimate if its errors are distributed as the loss assumes."""
 EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))}

@@ -5,11 +5,12 @@ A fit is thousands of small minimisations: starts, nodes of profiles, replicates
 per step.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from slippulse_jax.domains import check_choice
+from slippulse_jax.inference.choices import Method
 from slippulse_jax.inference.likelihood import Evaluation
 from slippulse_jax.status import Status
 
@@ -22,10 +23,6 @@ give a gradient that vanishes next to the minimum, not at it."""
 HALVINGS = 30  # of an optax step that does not lower the value
 ADAM_STEPS = 20  # of optax.adam for each one allowed
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
-
-
-Method = Literal["lm", "lbfgs", "adam"]
-"""Levenberg–Marquardt; or optax's L-BFGS or Adam."""
 
 
 class Convergence(Status):

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Body, Front, MeasuredEvent, WholeEvent, front_of
+from slippulse_jax.inference.choices import Body, MeasuredEvent
+from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Front, WholeEvent, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
@@ -650,21 +651,19 @@ def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray,
 
     The other parameters stay as in `theta`.
     """
-    inputs = parameters.inputs_at(theta)
-    longest, where = attainable_of(parameters, theta, np.arange(len(inputs.poisson)), inputs)
+    longest, where = attainable_of(parameters, theta, parameters.inputs)
     return longest * np.exp(parameters.scales["length"](theta)) + parameters.offset(theta), where
 
 
-def attainable_of(
-    parameters: ParameterSet, theta: np.ndarray, rows: np.ndarray, inputs: Inputs
-) -> tuple[np.ndarray, np.ndarray]:
-    """Longest length for other `inputs`, over the stiffness range of the measurements `rows`; in true λc, without offset."""
-    low, high = np.array(inputs.log_stiffness), np.array(inputs.log_stiffness)
+def attainable_of(parameters: ParameterSet, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+    """Longest length for other inputs, a `Linear` each, at any stiffness searched; in true λc, without offset."""
+    at = inputs.at(theta)
+    low, high = np.array(at.log_stiffness), np.array(at.log_stiffness)
     for i, one in enumerate(parameters.free):
         if one.name in STIFFNESSES:
-            on = parameters.inputs.log_stiffness.slope[rows, i] != 0
-            low[on], high[on] = (inputs.log_stiffness[on] + end - theta[i] for end in (parameters.low[i], parameters.high[i]))
-    distinct, own = distinct_rows(np.column_stack([inputs.table(), low, high]))
-    given = Inputs.from_table(inputs.names, distinct[:, :-2])
+            on = inputs.log_stiffness.slope[:, i] != 0
+            low[on], high[on] = (at.log_stiffness[on] + end - theta[i] for end in (one.low, one.high))
+    distinct, own = distinct_rows(np.column_stack([at.table(), low, high]))
+    given = Inputs.from_table(at.names, distinct[:, :-2])
     longest, where = parameters.front.longest(given, distinct[:, -2], distinct[:, -1])
     return longest[own], np.exp(where[own])

@@ -16,9 +16,10 @@ import numpy as np
 
 from slippulse_jax.files import plain, read_whole, shortened
 from slippulse_jax.inference.changes import Change
+from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.fitted import Fitted
-from slippulse_jax.inference.likelihood import Loss, make_problem
+from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter, parameter_set, with_errors_of_measuring
 from slippulse_jax.status import Outcome

@@ -388,11 +388,9 @@ def _tops(problem: Problem) -> np.ndarray:
     _, first = np.unique(data.rows, return_index=True)
     if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
-    rows = data.measurement[first]
-    theta = q.low
-    inputs = q.inputs_at(theta).take(rows)
-    _, ratio = attainable_of(q, theta, rows, inputs)
-    return np.unique(np.log(ratio) - inputs.log_stiffness + theta[0])
+    theta, inputs = q.low, q.inputs.take(data.measurement[first])
+    _, ratio = attainable_of(q, theta, inputs)
+    return np.unique(np.log(ratio) - inputs.log_stiffness(theta) + theta[0])
 
 
 def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Root]:

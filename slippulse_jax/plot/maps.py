@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     import xarray as xr
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
 
@@ -94,7 +93,7 @@ def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str
         x, y = member[along].values, np.where(np.isfinite(member.values), member.values, np.nan)
         style.dashed_where(ax, x, y, again.isel(one).values, color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
-    _label_decades(ax.xaxis)
+    style.label_decades(ax.xaxis)
     ax.set(xlabel=_axis(along), ylabel=_label(column))
     handles = style.handles_of(ax, again=bool(again.any()))
     if handles:
@@ -126,7 +125,7 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
     mesh = ax.pcolormesh(x, y, shown, shading="nearest", cmap="cividis", norm=norm, rasterized=True)
     for axis, set_scale, values in ((ax.xaxis, ax.set_xscale, x), (ax.yaxis, ax.set_yscale, y)):
         _scale(set_scale, values)
-        _label_decades(axis)
+        style.label_decades(axis)
     labelled = None
     if is_float and shown.count() and np.ptp(shown) > 0:
         subs = (1, 2, 5) if shown.max() < 1e3 * low else (1, 3)
@@ -143,7 +142,7 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
     ax.set(xlabel=_axis(horizontal), ylabel=_axis(vertical))
     extend = "min" if decades and shown.min() < low else "neither"
     bar = ax.figure.colorbar(mesh, ax=ax, label=fill(_label(column), WIDEST), extend=extend)
-    _label_decades(bar.ax.yaxis)
+    style.label_decades(bar.ax.yaxis)
     if labelled is not None:
         _label_contours(ax, labelled)
 
@@ -177,20 +176,6 @@ def _scale(set_scale: Any, values: np.ndarray) -> None:
     """Choose a logarithmic scale for positive values that span decades."""
     if spans_decades(values):
         set_scale("log")
-
-
-def _label_decades(axis: "Axis") -> None:
-    """Label the decades of a logarithmic axis, up to five; and 2 and 5 times them where it has fewer than two."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    if axis.get_scale() != "log":
-        return
-    low, high = np.log10(axis.get_view_interval())
-    few = np.floor(high + 1e-6) - np.ceil(low - 1e-6) < 1
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
-    if few:
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
 
 
 def _short(values: np.ndarray) -> list[str]:

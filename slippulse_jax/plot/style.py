@@ -18,6 +18,7 @@ from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
@@ -29,6 +30,9 @@ ABOVE: dict[str, Any] = {
     "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
 }  # fmt: skip
 """Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
+
+WIDEST = 1.2
+"""Largest width of a legend above an Axes, over that of the Axes before its figure is laid out."""
 
 
 class Colours(NamedTuple):
@@ -179,11 +183,34 @@ def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **opt
 
 
 def handles_of(ax: Any, *, again: bool) -> list[Any]:
-    """Handles for a legend, with one for dashed lines if the edge contact breaks `again` somewhere."""
+    """Handles for a legend, one per label, with one for dashed lines if the edge contact breaks `again` somewhere."""
     from matplotlib.lines import Line2D
 
     key = Line2D([], [], color=colours(ax).ink, linestyle="--", linewidth=0.8, label=AGAIN)
-    return ax.get_legend_handles_labels()[0] + [key] * again
+    handles, labels = ax.get_legend_handles_labels()
+    return [handle for i, handle in enumerate(handles) if labels[i] not in labels[:i]] + [key] * again
+
+
+def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> None:
+    """Draw a small legend above the Axes, in as many columns, `most` at most, as do not press panels together."""
+    look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
+    for columns in range(most, 0, -1):
+        if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
+            return
+
+
+def label_decades(axis: "Axis") -> None:
+    """Label the decades of a logarithmic axis, up to five; and 2 and 5 times them where it has fewer than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if axis.get_scale() != "log":
+        return
+    low, high = np.log10(axis.get_view_interval())
+    few = np.floor(high + 1e-6) - np.ceil(low - 1e-6) < 1
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
+    if few:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def contrast(one: str, other: str) -> float:

@@ -1,0 +1,25 @@
+"""Choices of a fit, by name; the command line reads them without loading JAX."""
+
+from typing import Literal
+
+Loss = Literal["normal", "student"]
+"""Loss function of a residual of r standard errors: r²/2, or that of the t distribution with 4 degrees of freedom.
+
+Intervals (counts, fronts without arrest) keep their own likelihood under both.
+"""
+
+Sigma = Literal["absolute", "relative"]
+"""Whether the stated σ are standard errors, or only their ratios are used."""
+
+Method = Literal["lm", "lbfgs", "adam"]
+"""Minimisation: Levenberg and Marquardt's, or optax's L-BFGS or Adam."""
+
+IntervalsBy = Literal["auto", "profile", "calibrated"]
+"""Intervals by rises of the deviance from χ², or from simulated measurements; `auto` chooses."""
+
+MeasuredEvent = Literal["domino", "full", "crack"]
+"""What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
+or the front of a crack, behind which they slide."""
+
+Body = Literal["slider", "block"]
+"""What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
