@@ -14,7 +14,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.record import data_hash
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "fit_examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 LENGTHS = EXAMPLES / "pmma_block/lengths.csv"
 
 

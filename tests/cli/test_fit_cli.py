@@ -12,7 +12,7 @@ from slippulse_jax.inference.fit import fit
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.record import from_request, read_request
 
-DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
+DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
 
 
 def run(*arguments):

@@ -16,7 +16,7 @@ from slippulse_jax.cli import main as cli
 from slippulse_jax.files import plain
 from slippulse_jax.status import Outcome
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PMMA = "fit_examples/pmma_block/lengths.csv"
 FIG2 = ["--height", "25", "--stiffness", "0.03", "--poisson", "0.3"]
 

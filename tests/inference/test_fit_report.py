@@ -19,7 +19,7 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.interpolation import block_lengths
 from slippulse_jax.inference.report import value_with_error
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "fit_examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT = np.array([250.0, 350.0, 450.0, 550.0, 650.0, 750.0])
 LENGTH = np.asarray(sp.exact_lengths(sp.Slider(HEIGHT, 3e-4, 0.3)))
 NOISE = np.array([0.4, -1.1, 0.8, -0.3, 1.0, -0.7])

@@ -1,8 +1,6 @@
 """Recovered profiles: data from the dense program, derivatives against differences, algebra against textbook formulas, coverage."""
 
 import json
-import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +8,6 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 from scipy.stats import multivariate_normal, norm
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import slippulse_jax as sp
 from benchmarks import recover_coverage

@@ -2,9 +2,7 @@
 
 import dataclasses
 import json
-import sys
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +11,6 @@ import pytest
 from click.testing import CliRunner
 from oracles import dense_chain
 from reports import unfolded
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import slippulse_jax as sp
 from benchmarks import gauge_coverage

@@ -23,7 +23,7 @@ from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.status import Outcome
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 FOLDERS = ("learn", "howto", "fit", "model", "evidence")
 WRITTEN = [DOCS / "index.md", *sorted(path for folder in FOLDERS for path in (DOCS / folder).glob("*.md"))]

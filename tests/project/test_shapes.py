@@ -10,7 +10,7 @@ import pytest
 import shapes
 from jaxtyping import Array, Float
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 PROGRAM = """
 import sys

@@ -9,7 +9,7 @@ import pytest
 import slippulse_jax as sp
 
 PACKAGE = Path(sp.__file__).parent
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 MODULES = {
     "cloudpickle", "ctypes", "dill", "ftplib", "http", "joblib", "marshal", "multiprocessing", "pickle", "pty", "requests", "runpy",
     "shelve", "smtplib", "socket", "socketserver", "ssl", "subprocess", "urllib", "urllib3", "webbrowser", "xmlrpc",

@@ -23,7 +23,7 @@ from slippulse_jax.sweeps import store as stores
 from slippulse_jax.sweeps.request import Request, chunk_shape, make_axes, regions
 from slippulse_jax.sweeps.store import StoreError
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 REQUEST = {
     "height": np.linspace(10, 50, 30), "stiffness": np.geomspace(1e-3, 0.1, 20), "poisson": np.array([0.2, 0.3]), "outputs": ("length",)
 }  # fmt: skip

@@ -24,7 +24,7 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import log_density, make_problem
 from slippulse_jax.inference.parameters import parameter_set
 
-DATA = str(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
+DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
 
 
 def outside(self, inputs, relaxed):

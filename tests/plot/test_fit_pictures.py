@@ -12,7 +12,7 @@ from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 
-EXAMPLES = Path(__file__).parents[1] / "fit_examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT_OF_P = (40.0, 60.0, 80.0, 100.0)
 HEIGHTS = (2.5, 5.0, 7.5)
 

@@ -1,12 +1,7 @@
 """A seeded sample of benchmarks/fit_coverage.py: intervals hold the truth as often as they say, degenerate studies get no number."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.fit_coverage import DEGENERATE, coverage, degenerate, study
 from slippulse_jax import fit

@@ -20,7 +20,7 @@ from slippulse_jax.inference.optimise import Convergence
 from slippulse_jax.inference.report import interval, sentences, value_with_error
 from slippulse_jax.inference.search import undetermined_axes
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PMMA = ROOT / "fit_examples/pmma_block/lengths.csv"
 
 

@@ -1,4 +1,4 @@
-"""Sliders move the model; tests/test_browser.py moves them in a real browser."""
+"""Sliders move the model; tests/plot/test_browser.py moves them in a real browser."""
 
 import re
 import sys

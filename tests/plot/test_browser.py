@@ -15,7 +15,7 @@ import pytest
 
 import slippulse_jax as sp
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 TOKEN = "slippulse"
 # the one thing that the extra `test` cannot install; a package of it that is missing is a failure, not a reason to skip
 MISSING = [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]

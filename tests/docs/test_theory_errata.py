@@ -4,7 +4,7 @@ from pathlib import Path
 
 import errata
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_errata_page_is_up_to_date():

@@ -22,7 +22,7 @@ from slippulse_jax.cli.main import slippulse
 from slippulse_jax.sweeps import run
 from slippulse_jax.sweeps.outputs import OUTPUTS, SETS
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
 SAME = {"height": np.linspace(10, 50, 5), "stiffness": np.geomspace(1e-3, 0.1, 3), "poisson": 0.3}
 

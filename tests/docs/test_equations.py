@@ -7,7 +7,7 @@ import numpy as np
 
 import slippulse_jax as sp
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_no_equation_is_missing():

@@ -27,7 +27,7 @@ from slippulse_jax.inference.record import as_request, from_request
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 HEIGHT = np.array([300.0, 400.0, 520.0, 700.0, 900.0])
 
 

@@ -494,7 +494,7 @@ def test_a_held_parameter_takes_nothing_else(more):
 
 def test_intervals_of_the_ratio_do_not_depend_on_the_order_of_parameters():
     """k/K is proportional to the areal stiffness, whether that was asked for first or last."""
-    m = read_measurements(Path(__file__).resolve().parent.parent / "fit_examples/pmma_block/lengths.csv")
+    m = read_measurements(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
     both = (["stiffness", "prestress"], ["prestress", "stiffness"])
     one, other = (fit(m, free, intervals="profile") for free in both)
     assert one.intervals["stiffness"][0.95][0].low == pytest.approx(other.intervals["stiffness"][0.95][0].low, rel=1e-4)
@@ -556,7 +556,7 @@ def test_bounds_of_the_ratio_on_a_table_in_si_are_refused(body):
     Of a slider 10 to 30 Pa/m too, where at most the first contact breaks, and a prior or a held value in k/K.
     """
     name = {"slider": "pmma_block", "block": "pushed_block"}[body]
-    m = read_measurements(Path(__file__).resolve().parent.parent / f"fit_examples/{name}/lengths.csv")
+    m = read_measurements(Path(__file__).resolve().parents[2] / f"fit_examples/{name}/lengths.csv")
     low, high = (1e9, 1e12)
     for given in (
         {"bounds": (1e-5, 1e-2)},
