@@ -22,6 +22,10 @@ from slippulse_jax.status import Outcome
 
 PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
 NAMES = ["top", "patch", "force", "side"]
+EACH = [
+    pytest.param(push, id=name, marks=[] if name == "patch" else pytest.mark.ci)
+    for push, name in zip(PUSHES, NAMES, strict=True)
+]
 KINDS = ["domino", "full"]
 
 
@@ -56,7 +60,13 @@ def slider_as_a_waveguide(slider):
 
 @pytest.mark.parametrize(
     ("height", "stiffness", "count", "length"),
-    [(10, 0.03, 10, 9.722), (25, 0.03, 26, 25.790), (50, 0.03, 52, 51.393), (25, 0.01, 22, 21.637), (25, 0.003, 16, 15.022)],
+    [
+        (25, 0.03, 26, 25.790),
+        *(
+            pytest.param(*one, marks=pytest.mark.ci)
+            for one in ((10, 0.03, 10, 9.722), (50, 0.03, 52, 51.393), (25, 0.01, 22, 21.637), (25, 0.003, 16, 15.022))
+        ),
+    ],
 )
 def test_the_slider_is_a_waveguide_of_two_freedoms(height, stiffness, count, length):
     slider = sp.Slider(float(height), stiffness, 0.3)
@@ -95,7 +105,7 @@ def whole(block, contacts, reach=None):
     return found
 
 
-@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
+@pytest.mark.parametrize("push", EACH)
 def test_response_is_that_of_a_long_block(push):
     """The long block ends at 40 H, where nothing of the push is left."""
     block = sp.Block(4.0, 0.08, 0.3, push)
@@ -111,6 +121,7 @@ def test_response_is_that_of_a_long_block(push):
         np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
 
 
+@pytest.mark.ci
 def test_twenty_random_blocks_break_in_the_same_order():
     rng = np.random.default_rng(7)
     for _ in range(20):
@@ -143,13 +154,20 @@ def test_a_front_behind_which_a_contact_is_overloaded():
     assert float(front.length) < float(event.length)
 
 
+@pytest.mark.ci
 def test_plane_strain_is_plane_stress_of_other_constants():
     strain = sp.Block(4.0, 0.08, 0.25, sp.Push(0.3), plane="strain")
     dense = whole(strain, 160, reach=48)
     np.testing.assert_allclose(response(strain, 48).push[0], dense.push, atol=1e-10)
 
 
-@pytest.mark.parametrize(("push", "contacts"), [*((push, 160) for push in PUSHES), (PUSHES[1], 14)], ids=[*NAMES, "ends"])
+@pytest.mark.parametrize(
+    ("push", "contacts"),
+    [
+        *(pytest.param(push, 160, id=name, marks=pytest.mark.ci) for push, name in zip(PUSHES, NAMES, strict=True)),
+        pytest.param(PUSHES[1], 14, id="ends"),
+    ],
+)
 def test_an_interface_that_gives_way_across(push, contacts):
     """Springs under every point of the lower edge; plane strain, whose E differs; and with a free end."""
     more = {"plane": "strain"} if contacts == 160 and push is PUSHES[0] else {}
@@ -160,6 +178,7 @@ def test_an_interface_that_gives_way_across(push, contacts):
     np.testing.assert_allclose(found.near[0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_a_stiff_interface_across_is_a_rigid_one():
     """And as it gives way, the front runs further."""
     rigid, stiff, equal = (
@@ -182,6 +201,7 @@ def test_derivative_in_the_normal_stiffness():
 # --- a block that ends --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("contacts", [5, 30])
 def test_a_free_end_of_the_slider(contacts):
     """Against its modes, which a mirror reflects."""
@@ -192,7 +212,7 @@ def test_a_free_end_of_the_slider(contacts):
     np.testing.assert_allclose(found.push[0][:contacts], driven, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
+@pytest.mark.parametrize("push", EACH)
 def test_a_block_with_a_free_end(push):
     """Two contacts, and 2.5 and 6 heights; the sequence of breaks too, to the end where it runs through."""
     for contacts in (2, 10, 24):
@@ -227,6 +247,7 @@ def test_fields_of_a_block_with_a_free_end():
         blocks.fields(found.block, found.load, jnp.zeros(8))
 
 
+@pytest.mark.ci
 def test_a_block_of_twelve_heights_is_as_good_as_endless():
     """And a shorter one has longer events, until they run through."""
     endless = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.4))))
@@ -235,6 +256,7 @@ def test_a_block_of_twelve_heights_is_as_good_as_endless():
     assert endless < found[0] < found[1] < found[2] < found[3] == np.inf
 
 
+@pytest.mark.ci
 def test_derivatives_of_a_block_that_ends():
     def length(x):
         return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(x[3]), length=80), sites=128)
@@ -254,7 +276,7 @@ def strip(q, height, poisson):
     return 2 * abs(q) * (s * c + z) / ((1 + poisson) ** 2 * z**2 + 4 + (3 - poisson) * (1 + poisson) * s**2)
 
 
-@pytest.mark.parametrize("reach", [0.1, 1.0, 5.0, 20.0, 100.0])
+@pytest.mark.parametrize("reach", [1.0, *(pytest.param(x, marks=pytest.mark.ci) for x in (0.1, 5.0, 20.0, 100.0))])
 def test_stiffness_of_a_strip_at_one_wavelength(reach):
     """The uniform tractions of patches are waves of q and all q + 2πn, whose compliances add; finer meshes come closer."""
     height, poisson = 200.0, 0.3
@@ -274,6 +296,7 @@ def test_stiffness_of_a_strip_at_one_wavelength(reach):
     assert off[1] < off[0] / 3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
 def test_slow_decay_is_that_of_an_edge_load(b):
     """The first root of the strip's characteristic equation on the imaginary axis; four digits with eight elements."""
@@ -368,6 +391,7 @@ INSIDE = (
 )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", TABLE)
 def test_lengths_of_a_separate_program(name):
     """H/λc = 100, ν = 0.3, ℓ/H to the mesh; and where the event begins, and whether contacts break again."""
@@ -388,6 +412,7 @@ def test_a_side_displaced_as_a_whole_has_no_precursor():
     assert "a side that is pushed as a whole" in str(found)
 
 
+@pytest.mark.ci
 def test_lengths_on_finer_meshes():
     """A mesh twice as fine lengthens an event by half a per cent or less, the next one by less than half of that."""
     block = at_b(60.0, 1.0, sp.Push(0.25))
@@ -404,6 +429,7 @@ def test_lengths_on_finer_meshes():
     assert 0 < four / twice - 1 < (twice / usual - 1) / 2
 
 
+@pytest.mark.ci
 def test_lengths_do_not_depend_on_the_contacts_resolved():
     block = at_b(30.0, 1.0, sp.Push(0.4))
     few, many = (float(sp.precursor_length(block, sites=n)) for n in (96, 192))
@@ -423,6 +449,7 @@ def test_too_few_contacts_resolved_are_said():
     assert float(sp.precursor_length(ends, sites=8)) == float(sp.precursor_length(ends)) == np.inf
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "push", [pytest.param(sp.Push(0.3), id="top", marks=pytest.mark.slow), pytest.param(sp.Push(0.4, 0.15), id="patch")]
 )
@@ -441,6 +468,7 @@ def test_derivatives_at_a_fixed_order_of_breaks(push):
 # --- a smooth rule ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_a_smooth_front_on_the_slider_as_a_waveguide():
     """The block's sum over every contact, against the recursion of two modes."""
     slider, rule = sp.Slider(10.0, 0.03, 0.3), sp.SmoothBreak(0.02)
@@ -449,6 +477,7 @@ def test_a_smooth_front_on_the_slider_as_a_waveguide():
     assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
 
 
+@pytest.mark.ci
 def test_a_smooth_front_tends_to_the_hard_one():
     """And an interface counts: with a prestress it runs further."""
     block = at_b(40.0, 1.0, sp.Push(0.25))
@@ -460,6 +489,7 @@ def test_a_smooth_front_tends_to_the_hard_one():
     assert float(stressed) > hard + 1
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [11, pytest.param(81, marks=pytest.mark.slow)])
 def test_a_smooth_length_has_no_jumps(count):
     """Over pushes at which contacts behind the front break again in ever other orders, the hard one has."""
@@ -569,6 +599,7 @@ def test_refusals(make, message):
 # --- series of events ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.7), Steps(0.05)], ids=["edge", "spring", "steps"])
 def test_a_series_of_the_slider_as_a_waveguide(protocol):
     """Springs, forces and energies of contacts whose response is a matrix are those of the chain."""
@@ -591,7 +622,7 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
     assert max(found.drift, found.energy_drift) < 1e-12
 
 
-@pytest.mark.parametrize("contacts", [None, 40])
+@pytest.mark.parametrize("contacts", [pytest.param(None, marks=pytest.mark.ci), 40])
 def test_a_series_of_a_block(contacts):
     """Loads and breaks of a whole block by sparse finite elements; the first event is the first precursor."""
     block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=contacts)
@@ -646,6 +677,7 @@ def test_series_that_cannot_be(body, given, message):
 # --- the first front, and the whole event -------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("b", "again"), [(2.0, False), (10.0, True), (25.0, True)])
 def test_both_events_of_the_slider_as_a_waveguide(b, again):
     """Contacts in one block, against the recursion and the event of the chain."""
@@ -680,6 +712,7 @@ def test_the_front_of_a_block_is_that_of_its_slider():
     assert "'full' has the length of the whole event" in str(sp.first_precursor(at_b(40.0, 25.0, sp.Push(0.4))))
 
 
+@pytest.mark.ci
 def test_both_events_of_tall_blocks():
     """From coarser blocks, against the contacts themselves."""
     block = at_b(600.0, 25.0, sp.Push(0.1))
@@ -689,6 +722,7 @@ def test_both_events_of_tall_blocks():
     assert found[0] < found[1]
 
 
+@pytest.mark.ci
 def test_derivative_of_a_front_at_a_fixed_order_of_breaks():
     """Beyond the onset of breaking again, where the whole event has other ones."""
     slopes = []
@@ -736,6 +770,7 @@ def test_the_whole_event_of_a_slider_where_it_cannot_be():
 # --- precision ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("double", [True, False])
 def test_blocks_under_strict_promotion(double):
     """No number changes its type by itself."""

@@ -13,6 +13,8 @@ from slippulse_jax.exact import crack
 from slippulse_jax.exact import front as exact
 from slippulse_jax.front.front import readings
 
+pytestmark = pytest.mark.ci
+
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
 BLOCK = sp.Block(20.0, 1 / 52, 0.3, sp.Push(0.3))
 

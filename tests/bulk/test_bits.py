@@ -1,6 +1,7 @@
 """No bit of a lane depends on its company: programs for many lanes."""
 
 import numpy as np
+import pytest
 from strategies import random_sliders
 
 import slippulse_jax as sp
@@ -9,6 +10,8 @@ from slippulse_jax.bulk.chunks import Layout, over_lanes
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.front import lanes
+
+pytestmark = pytest.mark.ci
 
 
 def alike(f, columns):

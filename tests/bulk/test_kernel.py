@@ -67,6 +67,7 @@ print(loops_are_whole(), int(constant), *np.asarray(found), *lengths)
 """
 
 
+@pytest.mark.ci
 def test_whole_loops_give_the_same(breaks):
     """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
     whole, constant, *found = run(inspect.getsource(loops_are_whole) + WHOLE, XLA_FLAGS="").split()
@@ -97,6 +98,7 @@ def test_an_option_that_xla_does_not_know_is_not_given(monkeypatch, option):
     assert not os.environ["XLA_FLAGS"]
 
 
+@pytest.mark.ci
 def test_known_options_are_those_that_xla_takes():
     """XLA ends a process that names another one."""
     for name in ("xla_backend_optimization_level", "xla_cpu_parallel_codegen_split_count", "xla_no_such_option", "xla_backend"):
@@ -149,6 +151,7 @@ def failing(rows, starts, take, axes):
     raise jax.errors.JaxRuntimeError("UNIMPLEMENTED: reductions")
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("reduction", "said"),
     [(pairs, "in another order"), (apart, r"in \d+ loops"), (failing, r"with an error \(UNIMPLEMENTED: reductions\)")],
@@ -173,10 +176,12 @@ def test_a_compiler_without_the_habit(monkeypatch, reduction, said):
         kernel.reduces_in_one_loop.cache_clear()
 
 
+@pytest.mark.ci
 def test_all_constants_and_one_output_used(breaks):
     assert int(jax.jit(lambda: event(CHAIN).breaks)()) == breaks
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
 def test_in_the_loops_of_jax(breaks, dtype):
     """Inside map, scan, cond and vmap; the count does not depend on a threshold common to all."""
@@ -197,6 +202,7 @@ def swapped(pair, third):
     return (pair[1] - third, pair[0] + third), third * pair[0] + 1, jnp.sqrt(third)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_in_one_loop(dtype):
     """Applied once to every element, in jit, loops and vmap; trees in and out."""
@@ -225,6 +231,7 @@ def test_in_one_loop(dtype):
             kernel.in_one_loop(lambda pair, third: (pair[0], third), *given)
 
 
+@pytest.mark.ci
 def test_lengths_without_it(monkeypatch):
     """The same lengths and derivatives, to rounding; and this release of jaxlib does it."""
     parameters = np.array([[10.0, 25, 50, 1.2], [0.03, 0.01, 0.003, 1e-3], [0.3, 0.1, 0.45, 0.3]])

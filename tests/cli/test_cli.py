@@ -83,6 +83,7 @@ def own_cache(tmp_path):
     return {k: v for k, v in os.environ.items() if k not in names} | dict.fromkeys(CACHES, str(tmp_path)), tmp_path
 
 
+@pytest.mark.ci
 def test_compiled_programs_are_kept_between_calls(own_cache):
     env, folder = own_cache
     first = slippulse("length", *FIG2, env=env)
@@ -99,6 +100,7 @@ def test_compiled_programs_are_kept_between_calls(own_cache):
     assert sorted(folder.rglob("*-cache")) == programs
 
 
+@pytest.mark.ci
 def test_the_cache_can_be_switched_off_and_may_be_unwritable(own_cache):
     env, folder = own_cache
     assert slippulse("--no-cache", "length", *FIG2, env=env).returncode == 0
@@ -270,6 +272,7 @@ def test_interrupted():
     assert "Traceback" not in err
 
 
+@pytest.mark.ci
 def test_reader_that_hangs_up_is_not_an_error_message():
     done = subprocess.run(
         f"{sys.executable} -m slippulse_jax.cli.main length --height 25 --stiffness 0.03 --poisson 0.3 | head -c 0",
@@ -278,6 +281,7 @@ def test_reader_that_hangs_up_is_not_an_error_message():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("encoding", ["latin-1", "cp1252"])
 def test_every_encoding_of_stdout(encoding):
     env = os.environ | {"PYTHONIOENCODING": encoding}
@@ -290,6 +294,7 @@ def test_every_encoding_of_stdout(encoding):
     assert found == json.loads(slippulse("length", *FIG2, "--json").stdout)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("closed", [1, 2])
 def test_closed_streams(closed):
     code = f"import os, sys; os.close({closed}); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
@@ -300,6 +305,7 @@ def test_closed_streams(closed):
     assert done.returncode in (0, 1)
 
 
+@pytest.mark.ci
 def test_interrupted_while_it_starts():
     """Of the command that is installed, from its first import on."""
     slow = (

@@ -56,6 +56,7 @@ def test_json_and_figure(tmp_path, catalogue):
     assert (tmp_path / "series.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.ci
 def test_figure_has_every_break(tmp_path, monkeypatch, catalogue):
     """Also where there was no room for them at first."""
     drawn = []
@@ -66,6 +67,7 @@ def test_figure_has_every_break(tmp_path, monkeypatch, catalogue):
     assert sum(len(line.get_xdata()) for line in drawn[0].lines) == int(catalogue.breaks.sum())
 
 
+@pytest.mark.ci
 def test_netcdf_read_back(tmp_path, catalogue):
     path = tmp_path / "series.nc"
     write_series(path, catalogue)
@@ -120,6 +122,7 @@ def test_bad_input(arguments, message):
     assert done.stdout == ""
 
 
+@pytest.mark.ci
 def test_claims_command(tmp_path):
     done = run(claims_command, "C18", "C16", "--json", "--write", str(tmp_path / "claims.md"))
     assert done.exit_code == 0
@@ -142,6 +145,7 @@ def ax():
     plt.close(figure)
 
 
+@pytest.mark.ci
 def test_friction_curve(ax, catalogue):
     friction_curve(catalogue, ax=ax)
     assert "u_s" in ax.get_xlabel()
@@ -167,6 +171,7 @@ def test_space_time(ax, catalogue):
         space_time(catalogue._replace(break_site=catalogue.break_site[:9], break_event=catalogue.break_event[:9]), ax=ax)
 
 
+@pytest.mark.ci
 def test_single_precision(float32, catalogue):
     """A series follows the precision of its chain: the same events while no two contacts are as near to their thresholds as 1e-5."""
     chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=40)

@@ -87,6 +87,7 @@ def test_share_is_incomplete_then_resumed(tmp_path):
     xr.testing.assert_equal(sp.open_sweep(store).length.load(), exact)
 
 
+@pytest.mark.ci
 def test_another_processor_is_one_line_on_stderr(tmp_path):
     """The sweep is done all the same."""
     store = tmp_path / "s"
@@ -161,6 +162,7 @@ def test_bad_usage(arguments, message, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.ci
 def test_interrupt_leaves_a_store_to_resume(tmp_path):
     """Ctrl-C: exit 130, a line on how to go on, and going on gives what an undisturbed run gives."""
     store = tmp_path / "s"

@@ -160,7 +160,11 @@ def jax_as_it_is():
     jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-@pytest.mark.parametrize("page", PAGES)
+QUICK = ("index.md", "howto/units.md")
+"""Pages of which README's command runs the programs; CI runs those of the others too."""
+
+
+@pytest.mark.parametrize("page", [page if page in QUICK else pytest.param(page, marks=pytest.mark.ci) for page in PAGES])
 def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
     """Programs, commands and tables in their order, in one folder; pages mark what cannot run here as another kind of block."""
     import matplotlib.pyplot as plt

@@ -3,6 +3,9 @@
 from pathlib import Path
 
 import errata
+import pytest
+
+pytestmark = pytest.mark.ci
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

@@ -113,7 +113,7 @@ def test_1000_random_chains_break_as_the_dense_program_does():
 
 
 @pytest.mark.parametrize("right", ENDS)
-@pytest.mark.parametrize("sites", [2, 9, 50])
+@pytest.mark.parametrize("sites", [9, *(pytest.param(n, marks=pytest.mark.ci) for n in (2, 50))])
 def test_response_is_the_inverse_of_the_stiffness_matrix(sites, right):
     numbers, mine, _, _ = random_event(np.random.default_rng(sites), sites, right)
     G = numbers.inverse[sites:, sites:] * numbers.k[:, None]
@@ -131,7 +131,13 @@ def first_precursor(slider_fields):
 
 @pytest.mark.parametrize(
     ("height", "stiffness", "count", "load"),
-    [(10.0, 0.03, 10, 2.0197), (25.0, 0.03, 26, 3.1985), (50.0, 0.003, 35, 1.4736), (25.0, 0.003, 16, 1.2770)],
+    [
+        (25.0, 0.03, 26, 3.1985),
+        *(
+            pytest.param(*one, marks=pytest.mark.ci)
+            for one in ((10.0, 0.03, 10, 2.0197), (50.0, 0.003, 35, 1.4736), (25.0, 0.003, 16, 1.2770))
+        ),
+    ],
 )
 def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion(height, stiffness, count, load):
     numbers = tuple(map(jnp.asarray, (height, stiffness, 0.3)))
@@ -145,6 +151,7 @@ def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion
     np.testing.assert_allclose(found.state.load, load, atol=5e-5)
 
 
+@pytest.mark.ci
 def test_error_over_a_hundred_thousand_breaks():
     """The bound: n breaks leave a relative error of at most n (ε + 8u), componentwise; what is found is far below it."""
     c = chain(FIG2, sites=3000, right="free")
@@ -232,6 +239,7 @@ PARTITIONED = """
 """
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("further", ["", pytest.param(PARTITIONED, marks=pytest.mark.slow)], ids=["dealt", "partitioned"])
 def test_lanes_do_not_depend_on_the_number_of_devices(further):
     """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/model/chain.md)."""

@@ -157,6 +157,7 @@ def against_mpmath(sliders, seed):
     return worst
 
 
+@pytest.mark.ci
 def test_real_positions_against_sixty_digits():
     assert against_mpmath(random_sliders(8, 43), 44) < 1e-11
 
@@ -166,6 +167,7 @@ def test_real_positions_against_sixty_digits_over_the_whole_domain():
     assert against_mpmath(random_sliders(2000, 45), 46) < 1e-11
 
 
+@pytest.mark.ci
 def test_arbitrary_precision_reference_is_itself_right():
     # the plain series meets the recursion at whole s, and the polynomial through 60 whole s in between
     chain = Chain(6, 0.05, 0.2)
@@ -228,6 +230,7 @@ def length_against_mpmath(sliders, order):
     return worst
 
 
+@pytest.mark.ci
 def test_length_and_derivatives_against_sixty_digits():
     value, first = length_against_mpmath(random_sliders(2, 47)[1:], order=1)
     assert value < 1e-11

@@ -48,6 +48,7 @@ def gradients(points):
     return np.asarray(jax.vmap(jax.grad(length))(points[0]))
 
 
+@pytest.mark.ci
 def test_gradient_at_200_points(points, gradients):
     theta, counts = points
     for i, count in enumerate(counts):
@@ -68,6 +69,7 @@ def test_all_modes_agree(points, gradients):
     np.testing.assert_allclose(jax.jacfwd(length)(theta[0]), gradients[0], rtol=1e-13)
 
 
+@pytest.mark.ci
 def test_hessian_in_every_order_of_modes(points):
     theta = points[0][:6]
 

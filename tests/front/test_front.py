@@ -149,6 +149,7 @@ def by_series(chain):
     return t(54194), t(54195)
 
 
+@pytest.mark.ci
 def test_tall_slider_in_extended_precision():
     """H/λc = 75 000, b = 1: value and gradient in k/K to eleven digits."""
     ended = arrest(Slider(*TALL), max_contacts=10**6)

@@ -78,6 +78,7 @@ def test_narrow_rule_is_the_hard_model():
     assert near.max() < 1
 
 
+@pytest.mark.ci
 def test_mean_bias_vanishes_at_second_order():
     """Over many sliders, whose last contact comes as near to its threshold as it happens to.
 
@@ -102,6 +103,7 @@ def test_one_slider_has_an_exponentially_small_bias():
     assert rates[-1] > 3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("n", "tallest", "softest"), [(300, 50.0, 1e-3), pytest.param(3000, 300.0, 1e-5, marks=pytest.mark.slow)]
 )
@@ -117,6 +119,7 @@ def test_never_a_nan_in_value_or_gradient(n, tallest, softest):
     assert np.isfinite(gradient).all()
 
 
+@pytest.mark.ci
 def test_derivatives_forward_and_reverse_at_200_points():
     h, q, nu = random_sliders(200, 4)
     w = 10 ** np.random.default_rng(5).uniform(-2.3, 0, 200)
@@ -135,6 +138,7 @@ def test_derivatives_forward_and_reverse_at_200_points():
     assert np.all(np.abs(gradient).max(-1) > 0)
 
 
+@pytest.mark.ci
 def test_chain_and_recursion_give_the_same_smooth_length():
     for height, width in [(10.0, 0.01), (25.0, 0.03), (25.0, 1e-3)]:
         found = in_a_chain(height, width, jnp.ones(120))
@@ -161,6 +165,7 @@ def test_rupture_of_a_chain_approaches_the_hard_one():
         np.testing.assert_allclose(found.energy, exact.energy, rtol=tolerance)
 
 
+@pytest.mark.ci
 def test_rupture_from_the_middle_of_a_chain_approaches_the_hard_one():
     """Contacts before the trigger are too strong to break; the length counts them all the same."""
     threshold = jnp.where(jnp.arange(120) < 5, 10.0, 1.0)
@@ -176,6 +181,7 @@ def test_rupture_from_the_middle_of_a_chain_approaches_the_hard_one():
     np.testing.assert_allclose(found.slip, exact.slip, atol=1e-9)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("quantity", ["length", pytest.param("energy", marks=pytest.mark.slow)])
 def test_derivatives_of_a_smooth_rupture_in_every_threshold(quantity):
     rng = np.random.default_rng(8)
@@ -194,6 +200,7 @@ def test_derivatives_of_a_smooth_rupture_in_every_threshold(quantity):
     assert (np.abs(reverse[:20]) > 0).all()  # contacts passed by the front, too, hold it back a little
 
 
+@pytest.mark.ci
 def test_broadcasting_and_statuses():
     slider = sp.Slider(height=np.array([10.0, 25.0])[:, None], stiffness=np.array([0.03, 0.01, 0.003]), poisson=0.3)
     rule = SmoothBreak(width=0.01)
@@ -209,6 +216,7 @@ def test_broadcasting_and_statuses():
     assert np.isnan(found)
 
 
+@pytest.mark.ci
 def test_float32():
     h, q, nu = random_sliders(100, 9)
     exact = np.asarray(length(h, q, nu, np.full(100, 0.02))[0])
@@ -228,6 +236,7 @@ ROUGH = sp.Profile(np.append(0.9, 0.97 + 0.06 * SPREAD[0]), np.append(0, 0.1 * S
 CONTACTS = [None, sp.Interface(0.2, 0.002), sp.Interface(-0.1), ROUGH]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
 @pytest.mark.parametrize("contacts", CONTACTS, ids=lambda x: type(x).__name__)
 def test_any_interface_against_the_sweep_of_a_chain(contacts, right):
@@ -247,6 +256,7 @@ def test_any_interface_against_the_sweep_of_a_chain(contacts, right):
             np.testing.assert_allclose(bulk, found, rtol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("contacts", CONTACTS, ids=lambda x: type(x).__name__)
 @pytest.mark.parametrize("ends", [{}, {"right": "free", "sites": 100.3}, {"right": "clamped", "sites": 45.3, "machine": 3.0}])
 def test_any_interface_approaches_the_hard_length(contacts, ends):
@@ -271,6 +281,7 @@ def test_a_front_that_reaches_the_end_runs_through():
     assert np.isfinite(last[-1])
 
 
+@pytest.mark.ci
 def test_prestress_without_end():
     """Beyond the run-away prestress, and where the prestress alone breaks a part of every contact, nothing stops the front."""
     critical = float(runaway_prestress(lattice_modes(FIG2)))
@@ -287,6 +298,7 @@ def test_prestress_without_end():
     np.testing.assert_allclose(leak, rupture(c, state, trigger=site, rule=SmoothBreak(0.03)).length, rtol=1e-7)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("ends", [{}, {"right": "clamped", "sites": 45.3, "machine": 3.0}])
 def test_derivatives_in_every_number(ends):
     given = [25.0, 0.03, 0.3, 0.1, 0.002, 0.02, *(ends[name] for name in ("sites", "machine") if ends)]
@@ -309,6 +321,7 @@ def test_derivatives_in_every_number(ends):
     np.testing.assert_allclose(jax.tree.leaves(bulk)[1:], reverse, rtol=1e-10)
 
 
+@pytest.mark.ci
 def test_derivatives_in_every_contact_of_a_profile():
     """By the sensitivity's sweep in reverse, and by the loop forward."""
     rule = SmoothBreak(width=0.02)

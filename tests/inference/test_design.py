@@ -81,6 +81,7 @@ def brute_force(length, weight, sigma, seed, rolls=20000):
     return np.mean(gains), np.std(gains) / np.sqrt(rolls)
 
 
+@pytest.mark.ci
 def test_information_against_brute_force():
     known = sp.Knowledge.lognormal([0.01, 0.06], [0.3, 0.1], share=[1, 2], nodes=300)
     found = sp.design(known, height=[10, 25, 50], sigma=[0.2, 0.5, 0.5])
@@ -90,6 +91,7 @@ def test_information_against_brute_force():
         assert found.information_error[j] < 0.02
 
 
+@pytest.mark.ci
 def test_counts_against_dense_solves():
     """Without error a count tells the entropy of its own distribution; the counts here are those of the dense program."""
     theta = np.linspace(np.log(0.003), np.log(0.2), 41)
@@ -324,6 +326,7 @@ def test_pictures():
     assert "bits" in left.get_xlabel()
 
 
+@pytest.mark.ci
 def test_at_what_height_to_push_a_block():
     """Information where ℓ is linear in ln k, from cascades of their own; and the report, the picture and the command."""
     height, middle, sd, sigma = 400.0, 8e-4, 0.05, 6.0
@@ -381,6 +384,7 @@ def test_a_push_is_over_the_height_of_its_block_or_in_mm():
         assert re.search(message, done.output)
 
 
+@pytest.mark.ci
 def test_earlier_measurements_of_a_block_are_knowledge_of_it():
     block = sp.Block(400.0, 8e-4, 0.3, sp.Push(0.25))
     length = float(sp.precursor_length(block, event="full"))

@@ -108,6 +108,7 @@ def test_minimum_at_the_step_where_the_domino_starts():
     assert result.deviance <= scan.min() + 1e-6
 
 
+@pytest.mark.ci
 def test_short_sliders_with_noise_always_get_an_answer():
     """H/λc 3–10, where whole contacts are large beside the length: the search ends, with a root or a reason."""
     rng = np.random.default_rng(12)

@@ -6,6 +6,8 @@ import pytest
 from benchmarks.fit_coverage import DEGENERATE, coverage, degenerate, study
 from slippulse_jax import fit
 
+pytestmark = pytest.mark.ci
+
 
 def within(share, level, tries):
     """Three binomial standard deviations."""

@@ -417,6 +417,7 @@ def test_errors_from_the_scatter_keep_those_of_inputs(young_sigma):
         assert np.mean((result.residuals) ** 2) * 8 / 7 == pytest.approx(1, rel=1e-6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("loss", ["normal", "student"])
 def test_scatter_of_many_lengths_is_that_of_their_errors(loss):
     """The size is right for errors as the loss supposes: of 6000 lengths to within two and a half standard errors."""
@@ -448,6 +449,7 @@ def test_scaled_errors():
     )  # Student's t with four degrees of freedom
 
 
+@pytest.mark.ci
 def test_bootstrap_spread_is_the_standard_error():
     length = model(HEIGHTS, 0.004)
     result = fit(Measurements(height=HEIGHTS, poisson=0.3, length=length, length_sigma=0.01 * length))

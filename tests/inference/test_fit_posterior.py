@@ -71,6 +71,7 @@ def test_traced_length_is_that_of_the_fit(relaxed):
     assert float(FirstFront().traced(inputs, relaxed)) == pytest.approx(FirstFront().lengths(inputs.ravel())[0], rel=1e-11)
 
 
+@pytest.mark.ci
 def test_command_line(monkeypatch):
     """`slippulse fit --posterior`: four chains whose interval is that of the profile, in the report and as JSON."""
     monkeypatch.setattr(FirstFront, "traced", tabulated(read_measurements(DATA)))
@@ -88,6 +89,7 @@ def test_command_line(monkeypatch):
     assert drawn["stderr"][name] == pytest.approx(found["stderr"][name], rel=0.2)
 
 
+@pytest.mark.ci
 def test_arviz_takes_the_posterior(monkeypatch):
     """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
     az = import_arviz()

@@ -182,6 +182,7 @@ def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
         assert '(free=[sp.Parameter("stiffness", each="specimen")])' in notes[0]
 
 
+@pytest.mark.ci
 def test_pulls_scatter_as_the_remark_supposes():
     """Of studies with moduli drawn by their stated error, a remark on one in twenty."""
     rng = np.random.default_rng(8)

@@ -151,6 +151,7 @@ def rises(kind, studies, seed):
     return np.array(found)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["whole", "length"])
 @pytest.mark.parametrize("studies", [pytest.param(6, id="sample"), pytest.param(300, id="full", marks=pytest.mark.slow)])
 def test_errors_are_honest(kind, studies):
@@ -161,6 +162,7 @@ def test_errors_are_honest(kind, studies):
         assert abs(inside - level) < 4 * np.sqrt(level * (1 - level) / studies)
 
 
+@pytest.mark.ci
 def test_coverage_where_contacts_break_once_and_again():
     """A sample of benchmarks/gauge_coverage.py: the intervals hold unless contacts behind the front break again."""
     found = gauge_coverage.coverage(14, seed=0)

@@ -43,6 +43,7 @@ def crack_table(heights=(32.0,), noise=None):
     )  # fmt: skip
 
 
+@pytest.mark.ci
 def test_a_crack_gives_its_parameters_back():
     result = sp.fit(crack_table(), ["stiffness", "strength", "friction"], event="crack")
     assert result.values["areal_stiffness"] == pytest.approx(AREAL, rel=1e-5)
@@ -54,6 +55,7 @@ def test_a_crack_gives_its_parameters_back():
     assert set(result.fitted.status) == {Outcome.ARRESTED}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("truth", ["pulse", "crack"])
 def test_gauges_tell_a_pulse_from_a_crack(truth):
     noise = np.random.default_rng(5)
@@ -74,6 +76,7 @@ def test_lengths_of_one_height_do_not():
     assert found.crack.deviance < 1e-6
 
 
+@pytest.mark.ci
 def test_lengths_of_cracks_are_fitted_and_traced(tmp_path):
     """Values and derivatives of the objective, by differences of the closed form and by JAX."""
     import jax
@@ -104,6 +107,7 @@ def test_second_derivatives_where_there_is_no_friction():
     np.testing.assert_allclose(at, near, rtol=0.05)  # one-sided at the limit
 
 
+@pytest.mark.ci
 def test_the_pulse_may_be_a_whole_event():
     """What `event` says is of the pulse's lengths; a crack is fitted in any case."""
     m = sp.Measurements([20.0, 30.0], 0.3, [15.0, 20.0], 0.3)

@@ -22,6 +22,7 @@ def problem_of(m, *free):
     return make_problem(m, parameter_set(m, free), "normal", np.ones(len(m)) if m.length_sigma is None else m.sigma)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [57, 47])
 def test_both_sets_of_one_count(count):
     """Against the recursion, which breaks the contacts one by one, at 20 001 stiffnesses."""
@@ -61,12 +62,14 @@ def test_a_root_in_the_last_cell():
     assert sp.precursor_length(sp.Slider(60.0, soft, 0.3)) == pytest.approx(length, abs=0.01)
 
 
+@pytest.mark.ci
 def test_every_root_of_a_dense_scan_is_reported():
     share, total = roots_missed(6, seed=1, nodes=10_001)
     assert share.hits == share.of
     assert total > share.of
 
 
+@pytest.mark.ci
 def test_the_scan_keeps_every_point_the_data_do_not_exclude():
     """Against the deviance on a fine grid: every value that near the least lies in a cell, and the least is found."""
     study = two(np.random.default_rng(5), 8, 80)
@@ -99,12 +102,14 @@ def test_no_cell_may_be_left(kind):
     assert len(lost.low) == 0
 
 
+@pytest.mark.ci
 def test_counts_always_hold_the_truth():
     (found,) = run(counts, 6, seed=3).values()
     assert [share.hits for share in found.holds] == [6, 6]
     assert found.unconverged == 0
 
 
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore:every height is below 1 mm")
 def test_no_number_where_a_wrong_valley_wins():
     """Errors of this study favour a valley at five times the true λc, by more than any test of χ² would doubt."""

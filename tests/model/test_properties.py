@@ -12,6 +12,8 @@ from oracles import dense_chain
 import slippulse_jax as sp
 from slippulse_jax import domains
 
+pytestmark = pytest.mark.ci
+
 SITES = 80
 
 

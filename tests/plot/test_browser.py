@@ -19,7 +19,10 @@ ROOT = Path(__file__).resolve().parents[2]
 TOKEN = "slippulse"
 # the one thing that the extra `test` cannot install; a package of it that is missing is a failure, not a reason to skip
 MISSING = [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"no browser on this machine: {', '.join(MISSING)} not found")
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(bool(MISSING), reason=f"no browser on this machine: {', '.join(MISSING)} not found"),
+]
 
 
 @pytest.fixture

@@ -19,12 +19,14 @@ def shown_length(text):
     return float(re.search(r"ℓ = ([\d.]+)", text)[1])
 
 
+@pytest.mark.ci
 def test_it_starts_at_the_papers_slider(widget):
     assert shown_length(widget.numbers.value) == pytest.approx(25.79, abs=0.005)
     assert bytes(widget.picture.value).startswith(b"\x89PNG")
     assert (widget.position.value, widget.position.max) == (26, 26)
 
 
+@pytest.mark.ci
 def test_everything_follows_without_compiling_again(widget):
     before, compiled = widget.picture.value, explorer.view._cache_size()
     for control, value in (("height", 40.0), ("stiffness", 0.01), ("poisson", 0.2), ("prestress", 0.2), ("slope", 0.001)):
@@ -45,6 +47,7 @@ def test_stress_is_all_that_the_contacts_carry():
     assert seen.stress[-1] == pytest.approx(0.3, abs=0.01), "far away its prestress alone"
 
 
+@pytest.mark.ci
 def test_slopes_are_those_of_the_length():
     theta = np.array([25.0, 0.03, 0.3, 0.1, 0.001])
     seen = explorer.view(theta, np.asarray(-1))
@@ -58,6 +61,7 @@ def test_slopes_are_those_of_the_length():
         np.testing.assert_allclose(seen.slopes[i], slope, rtol=1e-4)
 
 
+@pytest.mark.ci
 def test_the_edge_that_breaks_again_is_marked():
     """From the contact on whose break brings contact 0 back to its threshold."""
     seen = explorer.view(np.array([25.0, 0.1, 0.3, 0.0, 0.0]), np.asarray(-1))
@@ -68,6 +72,7 @@ def test_the_edge_that_breaks_again_is_marked():
         assert explorer.view(np.array(theta), np.asarray(-1)).again == -1
 
 
+@pytest.mark.ci
 def test_a_front_that_never_stops_is_said_to(widget):
     widget.slope.value = 0.0
     widget.prestress.value = 0.7
@@ -76,6 +81,7 @@ def test_a_front_that_never_stops_is_said_to(widget):
     widget.prestress.value = 0.0
 
 
+@pytest.mark.ci
 def test_a_dark_page():
     assert bytes(sp.plot.explore(dark=True).picture.value).startswith(b"\x89PNG")
 

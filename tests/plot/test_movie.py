@@ -17,6 +17,7 @@ def front():
     return sp.first_precursor(sp.Slider(10.0, 0.03, 0.3))
 
 
+@pytest.mark.ci
 def test_gif_has_a_frame_for_every_break(front, tmp_path):
     path = tmp_path / "front.gif"
     movie = sp.plot.animate(front, path, fps=10, hold=1.0)
@@ -37,6 +38,7 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     assert "u_s" in above.get_ylabel()
 
 
+@pytest.mark.ci
 def test_html_and_notebooks(front, tmp_path):
     movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)
     page = (tmp_path / "front.html").read_text(encoding="utf-8")

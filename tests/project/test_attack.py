@@ -3,6 +3,8 @@
 import attack
 import pytest
 
+pytestmark = pytest.mark.ci
+
 SAMPLE = {
     "lengths": 2000, "beside run-away": 600, "single precision": 200, "blocks": 5, "tables": 150, "gauges": 150, "requests": 300, "stores": 6, "command lines": 15,
 }  # fmt: skip

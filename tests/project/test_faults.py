@@ -30,6 +30,7 @@ def test_interrupt_while_a_file_is_written(tmp_path, monkeypatch, stage):
     assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
 
 
+@pytest.mark.ci
 def test_many_writers_of_one_file(tmp_path):
     """It holds what one of them wrote, whole, at any time."""
     path = tmp_path / "fit.json"

@@ -15,6 +15,8 @@ import pytest
 
 import slippulse_jax as sp
 
+pytestmark = pytest.mark.ci
+
 ROOT = Path(__file__).resolve().parents[2]
 AS_IT_IS = {name: value for name, value in os.environ.items() if name != "JAX_ENABLE_X64"} | {"MPLBACKEND": "Agg"}
 

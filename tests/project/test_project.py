@@ -156,6 +156,7 @@ def test_readme_links_lead_somewhere():
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_fit_example_runs_and_recovers(name, tmp_path, monkeypatch):
     """What its README says to run: main() fits the data and checks what it recovers, and the command line takes them too."""
@@ -193,6 +194,7 @@ AS_NEW = "%reset -f\nimport jax, matplotlib\njax.config.update('jax_enable_x64',
 """A cell that undoes what notebooks set."""
 
 
+@pytest.mark.ci
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_notebook_runs_and_is_committed_with_its_output(name, client):

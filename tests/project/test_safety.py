@@ -54,6 +54,7 @@ def test_no_module_does():
     assert found == {}
 
 
+@pytest.mark.ci
 def test_a_fit_and_a_sweep_use_no_network(monkeypatch, tmp_path):
     def forbidden(*_, **__):
         raise AssertionError("the network was used")

@@ -10,6 +10,8 @@ import pytest
 import shapes
 from jaxtyping import Array, Float
 
+pytestmark = pytest.mark.ci
+
 ROOT = Path(__file__).resolve().parents[2]
 
 PROGRAM = """

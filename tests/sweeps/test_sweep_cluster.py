@@ -19,6 +19,8 @@ import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
 from slippulse_jax.sweeps import dataset, run
 
+pytestmark = pytest.mark.ci
+
 ROOT = Path(__file__).resolve().parents[2]
 GRID = "height=np.linspace(10, 50, 40), stiffness=np.geomspace(1e-3, 0.1, 30), poisson=np.linspace(0.2, 0.35, 4)"
 OUTPUTS = "outputs=('length', 'length_envelope')"

@@ -145,6 +145,7 @@ def test_dataset_of_a_store_can_be_pickled_and_plotted(reference):
     stored.length.sel(poisson=0.3).plot()
 
 
+@pytest.mark.ci
 def test_memory_does_not_grow_with_the_sweep(tmp_path, monkeypatch):
     """No more than two chunks of columns are alive at any time: the one computed and the one being written."""
     import weakref
@@ -193,6 +194,7 @@ def kill_at_random(store, rng, how):
         process.wait(timeout=60)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kills", [2, pytest.param(50, marks=pytest.mark.slow)])
 def test_killed_and_resumed_is_the_same_to_the_last_bit(reference, tmp_path, kills):
     rng = np.random.default_rng(kills)
@@ -438,6 +440,7 @@ def test_what_is_not_a_store(tmp_path):
             way(tmp_path / "old")
 
 
+@pytest.mark.ci
 def test_killed_while_the_store_was_made(reference, tmp_path, monkeypatch):
     """What is there of a store without a manifest is made again; results without one are nobody's."""
     put, calls = stores.write_atomically, iter(range(100))
@@ -467,6 +470,7 @@ def test_shares_together_are_the_whole(reference, tmp_path):
     assert contents(tmp_path / "s") == contents(reference)
 
 
+@pytest.mark.ci
 def test_two_writers_of_one_store(reference, tmp_path):
     """They share the work without knowing of each other, and seldom compute the same chunk."""
     store = tmp_path / "s"

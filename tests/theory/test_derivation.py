@@ -12,6 +12,8 @@ import slippulse_jax as sp
 from slippulse_jax import theory
 from slippulse_jax.theory.frozen import psi6
 
+pytestmark = pytest.mark.ci
+
 SLIDERS = [(25.0, 0.03, 0.3), (8.0, 0.2, 0.1), (400.0, 1e-3, 0.45)]
 
 
