@@ -139,6 +139,7 @@ def test_twenty_random_blocks_break_in_the_same_order():
             assert (int(record.breaks), int(record.contacts_broken)) == (len(order), len(set(order)))
 
 
+@pytest.mark.ci
 def test_a_front_behind_which_a_contact_is_overloaded():
     """It breaks no contact twice, and says that the event goes farther."""
     block = at_b(20.0, 25.0, sp.Push(0.4, 0.2))
@@ -190,6 +191,7 @@ def test_a_stiff_interface_across_is_a_rigid_one():
     assert sp.Block(5.0, 0.1, 0.3, normal_stiffness=np.inf).normal_stiffness is None
 
 
+@pytest.mark.ci
 def test_derivative_in_the_normal_stiffness():
     def length(ratio):
         return sp.precursor_length(at_b(40.0, 0.3, sp.Push(0.25), normal_stiffness=ratio), sites=192)
@@ -212,7 +214,8 @@ def test_a_free_end_of_the_slider(contacts):
     np.testing.assert_allclose(found.push[0][:contacts], driven, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("push", EACH)
+@pytest.mark.ci
+@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
 def test_a_block_with_a_free_end(push):
     """Two contacts, and 2.5 and 6 heights; the sequence of breaks too, to the end where it runs through."""
     for contacts in (2, 10, 24):
@@ -231,6 +234,7 @@ def test_a_block_with_a_free_end(push):
             np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
 
 
+@pytest.mark.ci
 def test_fields_of_a_block_with_a_free_end():
     """What they pull at the contacts is what the pusher does; the mean of their lower edge is what the contacts read."""
     found = sp.first_precursor(at_b(6.0, 1.0, sp.Push(0.3), length=20))
@@ -405,6 +409,7 @@ def test_lengths_of_a_separate_program(name):
             assert int(found.breaks) == int(found.contacts_broken)
 
 
+@pytest.mark.ci
 def test_a_side_displaced_as_a_whole_has_no_precursor():
     found = sp.first_precursor(at_b(100.0, 1.0, sp.Push()), sites=320)
     assert (int(found.status), float(found.length)) == (Outcome.NO_DOMINO, 0)
@@ -437,6 +442,7 @@ def test_lengths_do_not_depend_on_the_contacts_resolved():
     assert float(sp.precursor_length(block)) == pytest.approx(many, rel=1e-12)
 
 
+@pytest.mark.ci
 def test_too_few_contacts_resolved_are_said():
     """A block that goes on has a length, which is not known; one that ends has none, and no warning."""
     block = at_b(30.0, 1.0, sp.Push(0.4))
@@ -512,6 +518,7 @@ def test_a_smooth_length_has_no_jumps(count):
     assert float(jax.grad(width)(0.03)) == pytest.approx(around, rel=1e-5)
 
 
+@pytest.mark.ci
 def test_prestress_lengthens_and_a_threshold_decides():
     block = at_b(30.0, 1.0, sp.Push(0.4))
     plain, stressed = (sp.first_precursor(block, sp.Interface(prestress=p), sites=160) for p in (0.0, 0.15))
@@ -640,6 +647,7 @@ def test_a_series_of_a_block(contacts):
     assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
 
 
+@pytest.mark.ci
 def test_a_series_on_an_interface_and_of_a_batch():
     """The first event is the first precursor there; lanes do not depend on each other; the force is the balance of all contacts."""
     interface = sp.Interface(prestress=0.2, threshold_slope=0.01)
@@ -692,6 +700,7 @@ def test_both_events_of_the_slider_as_a_waveguide(b, again):
     assert whole == float(sp.precursor_lengths(slider, event="full"))
 
 
+@pytest.mark.ci
 def test_the_front_of_a_block_is_that_of_its_slider():
     """Where contacts break again, both fronts stop before their events do; elsewhere they are the events."""
     for b, again in ((1.0, False), (10.0, True), (25.0, True)):
@@ -735,6 +744,7 @@ def test_derivative_of_a_front_at_a_fixed_order_of_breaks():
     assert slopes[0] != pytest.approx(slopes[1], rel=0.1)
 
 
+@pytest.mark.ci
 def test_a_single_break_inside_is_an_event():
     """It is arrested at the contact that broke; no domino is for contact 0 alone."""
     threshold = np.full(64, 0.9)
@@ -792,6 +802,7 @@ def test_blocks_under_strict_promotion(double):
             assert int(many.number) == 3
 
 
+@pytest.mark.ci
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
     three, none = resolution.many(np.full(3, 20.0), 0.02, 0.3, 0.3), np.zeros(3)

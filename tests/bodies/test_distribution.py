@@ -69,7 +69,10 @@ def test_width_zero_is_the_sawtooth_of_the_paper():
     assert abs(np.asarray(law.force) - x % 1)[away].max() < 2e-3
 
 
-@pytest.mark.parametrize(("kind", "width"), [("normal", 0.15), ("uniform", 0.3), ("weibull", 0.5)])
+@pytest.mark.parametrize(
+    ("kind", "width"),
+    [("weibull", 0.5), *(pytest.param(*one, marks=pytest.mark.ci) for one in (("normal", 0.15), ("uniform", 0.3)))],
+)
 def test_explicit_junctions_against_the_master_equation_and_a_plain_program(kind, width):
     thresholds = ThresholdDistribution(kind, width)
     stretch = np.linspace(0.1, 3, 30)
@@ -107,6 +110,7 @@ def test_a_single_contact_jumps_below_the_critical_width_and_slides_above():
             assert (np.diff(pulled_by) > 0).all() == bool(law.steepest_fall > -spring)
 
 
+@pytest.mark.ci
 def test_critical_width_of_the_papers_slider():
     """Below it the contact at the edge is unstable in its surroundings, above it not; the surroundings from dense solves."""
     own = responses(25, 0.03, 0.3, 300, "semi-infinite", 1)[1]
@@ -123,6 +127,7 @@ def test_critical_width_of_the_papers_slider():
         assert abs(below.surroundings - (1 - middle) / middle) < 1e-6
 
 
+@pytest.mark.ci
 def test_smallest_smooth_width_of_a_stiff_slider():
     """A normal law as wide as its mean falls more steeply than one half as wide; and no width will do on a very stiff slider."""
     stiff, stiffest = sp.Slider(25.0, 3.0, 0.3), sp.Slider(25.0, 30.0, 0.3)
@@ -156,6 +161,7 @@ def plain_edge_loads(law, stretches, sites):
     return np.array(loads)
 
 
+@pytest.mark.ci
 def test_a_chain_of_wide_contacts_slides_smoothly():
     """C12 for the whole chain: the load along the path of the first contact rises without a fall only at widths well beyond the
     criterion of a contact among neighbours that hold; against a dense program, and the equilibrium where it is unique."""

@@ -60,6 +60,7 @@ def fitted(study):
 # --- lengths ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("b", "push"), [(0.1, 0.25), (1.0, 0.5), (8.0, 0.25)])
 def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
     """Against every contact of the block, as many as it has."""
@@ -69,6 +70,7 @@ def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
     assert off < 0.02 * found
 
 
+@pytest.mark.ci
 def test_derivatives_of_a_tall_block_at_a_fixed_order_of_breaks():
     def length(height, stiffness):
         return sp.precursor_length(sp.Block(height, stiffness, 0.3, sp.Push(0.3)))
@@ -86,6 +88,7 @@ def test_a_length_varies_as_the_inverse_of_the_number_of_contacts():
     assert (lengths[1] - lengths[0]) / (lengths[2] - lengths[1]) == pytest.approx(2, rel=0.15)
 
 
+@pytest.mark.ci
 def test_lengths_of_a_fit_are_those_of_the_cascade():
     rng = np.random.default_rng(3)
     height, b = rng.uniform(250, 3000, 6), np.exp(rng.uniform(np.log(0.05), np.log(3), 6))
@@ -97,6 +100,7 @@ def test_lengths_of_a_fit_are_those_of_the_cascade():
     assert np.all(off < 0.01 * found)
 
 
+@pytest.mark.ci
 def test_nodes_of_the_package_are_what_it_computes():
     grid = block_grid()
     rng = np.random.default_rng(5)
@@ -123,6 +127,7 @@ def at_prestress(height, b, push, prestress):
     return sp.Block(height, b / (2.6 * height), 0.3, sp.Push(push)), sp.Interface(prestress)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("b", "push", "prestress", "known"),
     # every contact of a block of H/λc = 5000; of 3000; the limit by 240 and 480
@@ -206,6 +211,7 @@ def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted
     assert any(row.startswith("  height of the push larger by 5 %") for row in rows)
 
 
+@pytest.mark.ci
 def test_where_the_side_is_pushed_decides(study):
     """The same lengths, pushed higher up, are those of a much softer interface; the slider does not know."""
     stiffness, m = study
@@ -255,6 +261,7 @@ def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
     """Of the height of the push, beside an offset and a model factor."""
     height = np.array([1500.0, 2500, 4000, 6000])
@@ -267,6 +274,7 @@ def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
     assert abs(moved) > 0.05
 
 
+@pytest.mark.ci
 def test_what_follows_a_fit_of_a_block(study, fitted):
     """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
     compared = sp.pulse_or_crack(study[1], simulations=20)
@@ -326,6 +334,7 @@ def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
     assert {"block", "push_width"} & moves(block).keys() == {"push_width"}  # no longer by where it is pushed
 
 
+@pytest.mark.ci
 def test_the_command_has_lengths_of_blocks():
     given = ["--height", "60", "--stiffness", "0.006", "--poisson", "0.3", "--push-height", "0.5"]
     found = CliRunner().invoke(length_command, [*given, "--json"])
@@ -366,6 +375,7 @@ def test_counts_and_run_throughs_of_blocks(study):
     assert sp.fit(past).values["stiffness"] == pytest.approx(stiffness, rel=0.02)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("control", ["displacement", "force"])
 def test_a_push_on_a_patch_is_fitted_as_one(control):
     """A force that is held lets a contact inside break first, and its lengths say little of the stiffness."""

@@ -34,7 +34,7 @@ def measured(length, **more):
     return sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.01 * length, **more)
 
 
-@pytest.mark.parametrize("machine", [None, MACHINE])
+@pytest.mark.parametrize("machine", [MACHINE, pytest.param(None, marks=pytest.mark.ci)])
 def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     """Lengths of the dense program; the fit that takes the block as endless is far off, and says so by nothing."""
     length = dense_lengths(machine)
@@ -61,6 +61,7 @@ def test_rows_without_an_end_are_those_of_the_closed_form():
     assert slopes["log_sites"][1] < 0
 
 
+@pytest.mark.ci
 def test_observables_at_nucleation_and_gauges():
     """Edge displacement and driving force, slip and stress, on blocks that end, by the dense program."""
     height, sites = 16.0, 64
@@ -84,6 +85,7 @@ def test_observables_at_nucleation_and_gauges():
     np.testing.assert_allclose(stresses(EndedFront(), read).value, chain.stress()[at], atol=1e-7)
 
 
+@pytest.mark.ci
 def test_the_traced_density_is_that_of_the_fit():
     """With an end and a drive in some rows, value and slope."""
     end, machine = np.array([np.nan, 64.0, 80.0]), np.array([np.nan, np.nan, MACHINE])
@@ -169,6 +171,7 @@ def test_what_takes_no_ends_refuses_them():
         sp.Measurements(25.0, 0.3, 20.0, 0.5, correlation_length=1e-4, machine_stiffness=1e9)
 
 
+@pytest.mark.ci
 def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     """As full fits of the table with both stated; nothing where they are stated."""
     height = np.array([30.0, 40.0, 50.0])

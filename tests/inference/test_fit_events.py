@@ -36,6 +36,7 @@ def legend(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("b", [6.5, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_fits_of_whole_events_recover_the_stiffness(b):
     """Taken as fronts they give three quarters of it and less, and say so."""
@@ -76,6 +77,7 @@ def test_the_model_of_a_fit_against_the_cascade():
     np.testing.assert_array_equal(found.slopes["log_stiffness"][early], front.slopes["log_stiffness"][early])
 
 
+@pytest.mark.ci
 def test_the_model_of_a_fit_is_continuous_and_takes_a_prestress():
     b = np.geomspace(2.5, 60, 2001)
     lanes = np.stack([0 * b + 40, b / (2.6 * 40), 0 * b + 0.3, 0 * b, 0 * b])

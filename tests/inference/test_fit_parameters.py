@@ -70,6 +70,7 @@ def problem_of_everything(loss):
     return q, problem, np.array([one.theta(size[one.label]) for one in q.free])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("loss", ["normal", "student"])
 def test_gradient_is_that_of_the_value(loss):
     """Every parameter at once, against central differences of the value."""
@@ -142,6 +143,7 @@ def test_parts_of_a_sum_of_squares():
     np.testing.assert_allclose(values, [at.value[0], ((other**2).sum() + 1.5**2) / 2], rtol=1e-12)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("prestressed", [False, True])
 def test_slopes_are_those_of_the_exact_length(prestressed):
     """Against the derivatives of the series itself, as in the documentation: 1e-8 of the larger of slope and length."""
