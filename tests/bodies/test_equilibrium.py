@@ -167,6 +167,7 @@ def discretisation_error(right, sites):
     return max(np.abs(found.layer - u(x)).max(), np.abs(found.upper - f(x)).max())
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_continuum_equations_are_approached_at_second_order(right):
     # the left edge asks u'(0) = 0 and imposes u_t; the manufactured u has both
@@ -270,6 +271,7 @@ def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     assert all(np.all(np.any(g.reshape(200, -1) != 0, axis=1)) for g in jax.tree.leaves(gradient))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", LAWS)
 def test_second_derivatives(law):
     rng = np.random.default_rng(1)
@@ -298,6 +300,7 @@ def test_second_derivatives(law):
     np.testing.assert_allclose([over, again], twice, rtol=1e-10)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", LAWS)
 def test_implicit_and_unrolled_routes_agree(law):
     """Differentiate through the elimination itself, and through Newton's steps one by one."""
@@ -454,6 +457,7 @@ def test_newton_that_cannot_converge_says_so():
     assert found.residual > 1e-6
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_float32(right):
     rng = np.random.default_rng(3)

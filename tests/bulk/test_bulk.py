@@ -38,6 +38,7 @@ def general():
     return lambda five: batch.over_lanes(kernel, five, bulk.ANY)[0]
 
 
+@pytest.mark.ci
 def test_interfaces_equal_the_general_recursion(general):
     """Prestress and slopes of either sign: length, where there is none, and all derivatives."""
     rng = np.random.default_rng(1)
@@ -111,6 +112,7 @@ def test_long_fronts_by_the_series_equal_the_recursion():
     assert (whole[long] > 0.9 * exact_lanes.LONG).all()
 
 
+@pytest.mark.ci
 def test_smooth_rule_in_bulk():
     slider, width = sp.Slider([10.0, 25.0, 50.0], 0.01, 0.3), 0.02
     np.testing.assert_allclose(

@@ -52,6 +52,7 @@ def test_infinitely_fast_ageing_is_none():
     assert abs(none.load - fast.load)[:30].max() < 1e-5
 
 
+@pytest.mark.ci
 def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
     """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
     plain = DenseChain.uniform((10.0, 0.03, 0.3), np.ones(SITES), np.zeros(SITES), strength=lambda a: 0.5 + 0 * a)
@@ -61,6 +62,7 @@ def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
         assert list(got.break_site[got.break_event == e]) == plain.event()
 
 
+@pytest.mark.ci
 def test_time_and_load_are_one_clock_at_constant_velocity():
     load = long_series(CHAIN, ageing=sp.Ageing(0.3, 3.0))
     time = long_series(CHAIN, Adiabatic(velocity=0.5), ageing=sp.Ageing(0.3, 6.0, clock="time"))
@@ -69,6 +71,7 @@ def test_time_and_load_are_one_clock_at_constant_velocity():
     assert not np.array_equal(load.extent[:30], slower.extent[:30]), "slow loading gives contacts time to recover"
 
 
+@pytest.mark.ci
 def test_with_ageing_precursors_grow_until_one_spans():
     """C14: thresholds reborn at 0.3 σ_s and recovering over 3 u_s of load, N = 150."""
     got = sp.series(sp.chain(FIG2, sites=150), events=3000, ageing=sp.Ageing(0.3, 3.0))

@@ -198,6 +198,7 @@ def test_lanes_do_not_depend_on_the_size_of_the_batch(lanes, size):
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[-size:], b), all_of_them, some)
 
 
+@pytest.mark.ci
 def test_lanes_do_not_depend_on_their_order_and_one_may_fail(lanes):
     run, all_of_them = lanes
     order = np.random.default_rng(0).permutation(200)
@@ -262,6 +263,7 @@ def energy_at(height):
     return rupture(c, c.relaxed(3.5)).energy
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian])
 def test_hard_rupture_refuses_to_be_differentiated_and_names_the_surrogate(derivative):
     with pytest.raises(TypeError, match="SmoothBreak"):
@@ -270,6 +272,7 @@ def test_hard_rupture_refuses_to_be_differentiated_and_names_the_surrogate(deriv
         jax.jit(jax.vmap(derivative(energy_at)))(jnp.array([20.0, 25.0]))
 
 
+@pytest.mark.ci
 def test_loading_to_nucleation_is_differentiable():
     def load(height):
         c = chain(sp.Slider(height=height, stiffness=0.03, poisson=0.3), sites=40)
@@ -365,6 +368,7 @@ def test_nothing_to_load():
     assert rupture(c, state, trigger=site).status == Outcome.INVALID
 
 
+@pytest.mark.ci
 def test_float32():
     with jax.enable_x64(False):
         c = chain(sp.Slider(height=np.float32(25), stiffness=np.float32(0.03), poisson=np.float32(0.3)), sites=200)
@@ -389,6 +393,7 @@ def test_a_chain_takes_an_interface():
         chain(FIG2, sites=5, interface=sp.Interface(prestress=[0.1, 0.2]))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("double", [True, False])
 def test_the_usual_call_breaks_the_first_contact(double):
     """Without a state it nucleates; of a nucleated state, rounding does not matter. These were found among random chains."""

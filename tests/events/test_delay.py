@@ -50,6 +50,7 @@ def test_series_against_dense_program(delay):
     assert got.energy_drift < 1e-12
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("delay", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_rupture_against_dense_program(delay):
     plain, chain = rough(delay)
@@ -97,6 +98,7 @@ def test_long_delays_in_bulk_come_to_an_end(cores):
         assert float(length) == pytest.approx(broken - 1 + excess[-2] / (excess[-2] - excess[-1]), rel=1e-9)
 
 
+@pytest.mark.ci
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
     chain = sp.chain(FIG2, sites=30)

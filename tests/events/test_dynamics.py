@@ -44,6 +44,7 @@ def test_a_stiff_bond_makes_no_block_heavier():
     assert got.imbalance < 1e-3
 
 
+@pytest.mark.ci
 def test_the_step_is_stable_on_any_chain():
     """Below 2/ω_max of the dense spectrum, whatever bonds and end; within a fifth of it on the paper's chain."""
     n = 12
@@ -58,6 +59,7 @@ def test_the_step_is_stable_on_any_chain():
                 assert stable_step(chain, 1.0) > 0.8 * 2 / fastest
 
 
+@pytest.mark.ci
 def test_single_precision():
     def motion(exact):
         with jax.enable_x64(exact):
@@ -85,6 +87,7 @@ def test_derivatives_are_refused():
             refused()
 
 
+@pytest.mark.ci
 def test_energy_balance_to_the_order_of_the_integrator():
     """The largest imbalance at any step falls as the step squared."""
     chain = sp.chain(FIG2, sites=100)
@@ -94,6 +97,7 @@ def test_energy_balance_to_the_order_of_the_integrator():
     assert errors[0] < 1e-3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("steps", [200_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 def test_no_drift_over_many_steps(steps):
     """Undamped, after the breaks are over, the imbalance stays what it was: nothing accumulates."""
@@ -115,6 +119,7 @@ def test_work_of_a_moving_edge_is_booked():
     assert errors[1] < 0.35 * errors[0]
 
 
+@pytest.mark.ci
 def test_slow_breaks_and_damping_are_the_quasi_static_cascade():
     """Breaks far apart in time, as in the paper's hierarchy of times: the same contacts in the same order, to rounding."""
     for height, stiffness, damping in ((10.0, 0.03, 0.5), (6.0, 0.1, 1.0)):
@@ -128,6 +133,7 @@ def test_slow_breaks_and_damping_are_the_quasi_static_cascade():
         assert abs(got.state.pinning - expected.state.pinning).max() < 1e-9
 
 
+@pytest.mark.ci
 def test_inertia_lengthens_the_precursor_and_leaves_nucleation_alone():
     """C11: from overdamped to undamped, never shorter; longer than the quasi-static 26 where waves live."""
     chain = sp.chain(FIG2, sites=150)
@@ -138,6 +144,7 @@ def test_inertia_lengthens_the_precursor_and_leaves_nucleation_alone():
     assert abs(nucleated - sp.first_precursor(FIG2).load) < 1e-12
 
 
+@pytest.mark.ci
 def test_breaking_at_exactly_the_threshold_shortens_the_overdamped_front():
     """With instantaneous breaks a contact gives up exactly σ_s, not the overload of the quasi-static picture: fewer than 26."""
     load, pinning = responses(25, 0.03, 0.3, 200, "semi-infinite", 60)

@@ -56,6 +56,7 @@ def test_the_event_of_a_tall_slider_goes_beyond_the_ceiling_of_fronts():
     assert float(sp.precursor_lengths(slider, event="full")) / 1e4 == pytest.approx(1.1256, abs=5e-5)
 
 
+@pytest.mark.ci
 def test_events_under_prestress_and_on_rising_thresholds_against_dense_solves():
     slider, interface = sp.Slider(20.0, 0.4, 0.3), sp.Interface(np.array([0.2, -0.4, 0.0]), np.array([0.0, 0.0, 2e-3]))
     found = sp.precursor_lengths(slider, interface, event="full")
@@ -67,6 +68,7 @@ def test_events_under_prestress_and_on_rising_thresholds_against_dense_solves():
     assert (found > sp.precursor_lengths(slider, interface)).all()
 
 
+@pytest.mark.ci
 def test_an_event_longer_than_expected_gets_more_sites():
     """Such that the front just fits the sites that are resolved at first."""
     from slippulse_jax.lengths import event_lengths

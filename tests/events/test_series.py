@@ -55,6 +55,7 @@ def test_against_dense_program(protocol, right, ageing):
     assert got.drift < 1e-12
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ["free", "clamped"])
 def test_state_of_a_short_chain_against_dense_program(right):
     """A few contacts are one block; the state after the last event."""
@@ -75,6 +76,7 @@ def energies(catalogue):
     return abs((catalogue.work - catalogue.broken - catalogue.relaxed)[:n] - stored)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("protocol", "ageing"),
     [
@@ -138,6 +140,7 @@ def test_a_series_ends_at_a_load():
     assert int(sp.series(CHAIN, sp.Steps(0.001), events=400, until=100.0).number) == 400
 
 
+@pytest.mark.ci
 def test_how_far_fronts_have_come_hardly_depends_on_the_step():
     """At loads from 3.5 to 6 u_s, in steps of 0.05 to 1 u_s, within 3 λc of the adiabatic series; over that range it doubles."""
     loads = np.arange(4.0, 6.5, 1)
@@ -158,6 +161,7 @@ def test_how_far_fronts_have_come_hardly_depends_on_the_step():
     assert sp.series(CHAIN, sp.Steps(1.0), events=400, until=100.0).reach(50.0) == np.inf
 
 
+@pytest.mark.ci
 def test_the_protocol_decides_what_the_precursors_look_like():
     """C13. Adiabatically events renucleate at the stress peak, and the second pulse breaks 3 contacts at U = 3.90; in steps of
     0.5 u_s every event breaks some 20 to 40 contacts at first."""
@@ -189,6 +193,7 @@ def test_an_event_spans_whatever_pulls_the_edge(stop):
     np.testing.assert_allclose(pulled.length, direct.length, rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
     def run(height):
         return sp.series(sp.chain(sp.Slider(height, 0.03, 0.3), sites=40), events=6, stop_when_spanning=False)

@@ -97,6 +97,7 @@ def test_derivatives_against_differences(mode):
     np.testing.assert_allclose(mode(length)(at), around, rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_a_simulation_with_strong_damping_stops_there():
     """With inertia, and contacts that repin when their slip rate vanishes: far from both ends of what claim C15 compares."""
     slider = sp.Slider(25.0, 0.03, 0.3)

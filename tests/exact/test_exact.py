@@ -275,6 +275,7 @@ NEAR_POLES = [(1, 2.0), (3, 12.0), (9, 25.0)]
 """n and H/λc."""
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("n", "height", "bent"), [(1, 2.0, False), *(pytest.param(*x, True, marks=pytest.mark.slow) for x in NEAR_POLES)]
 )
@@ -295,6 +296,7 @@ def test_resonances_are_not_seen(n, height, bent):
         assert abs(float((mp.mpf(float(bend)) - two) * x[1] ** 2)) < 1e-10
 
 
+@pytest.mark.ci
 def test_choice_of_resonance_does_not_change_the_sum():
     # shifts the nearest n by moving through the boundary between two choices: no jump
     H = np.linspace(8.0, 30.0, 4001)
@@ -326,6 +328,7 @@ def test_plain_table_tells_where_the_rows_it_keeps_suffice():
         np.testing.assert_allclose(every, -1, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_table_of_a_slider_does_not_depend_on_its_neighbours():
     """Bit for bit, also where a neighbour needs more rows."""
     table = jax.jit(lambda x: series_of(x[:3], "plain"))
@@ -377,6 +380,7 @@ def test_ceiling_of_the_length_is_the_whole_count():
         assert counted(m, *x[3:]) == n, (x, length)
 
 
+@pytest.mark.ci
 def test_real_crossing_beside_the_straight_lines_of_the_recursion():
     sliders = random_sliders(2000, 60)
     sliders[:, 0] = 2 * (sliders[:, 0] / 2) ** 0.5  # up to 450: the recursion takes as long as the front
@@ -432,6 +436,7 @@ def test_falling_thresholds_that_one_contact_alone_is_below():
     np.testing.assert_array_equal(found[1], stopping.argmin(1) + 1)
 
 
+@pytest.mark.ci
 def test_no_crossing_is_leapt_over_and_no_dip_between_contacts_taken():
     """Beyond the run-away prestress, each beside the whole contacts of the recursion."""
     rows = [
@@ -500,6 +505,7 @@ def test_bulk_leaves_falling_thresholds_to_the_careful_search(prestressed):
     np.testing.assert_allclose(length[:2], expected[:2], rtol=1e-11)
 
 
+@pytest.mark.ci
 def test_differentiation_agrees_in_every_mode():
     def f(x):
         return exact_length(sp.Slider(x[0], x[1], x[2]), sp.Interface(x[3], x[4]))
@@ -562,6 +568,7 @@ def test_refused_and_undefined_values():
     assert np.isnan(length_along_axes(jnp.asarray([-3.0, 0.03, 0.3]), 1)[1]).all()
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("float32")
 def test_single_precision():
     sliders = random_sliders(40, 51)

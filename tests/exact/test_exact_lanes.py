@@ -126,6 +126,7 @@ def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(
     np.testing.assert_array_equal(status[followed & ~stopped], Outcome.RUN_AWAY)
 
 
+@pytest.mark.ci
 def test_gradient_against_differences():
     lanes = random_lanes(24, 64)
     lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], 0
@@ -146,6 +147,7 @@ def test_gradient_against_differences():
     assert np.max(error[:4, arrested]) < 1e-7
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("numbers", [3, pytest.param(5, marks=pytest.mark.slow)])  # which takes a minute to compile
 def test_hessian_against_differences_of_the_gradient(numbers):
     """In the numbers of the slider alone, or in those of the interface too."""

@@ -44,6 +44,7 @@ def test_onset_of_the_limit():
     assert stresses[-1] == pytest.approx(1.4714, abs=1e-4)
 
 
+@pytest.mark.ci
 def test_onset_tends_to_the_limit_for_every_poisson_ratio_and_prestress():
     height = np.array([1e4, 1e6, 1e8])
     for poisson, prestress in ((0.3, 0.0), (0.0, 0.0), (0.5, 0.0), (0.3, 0.4)):
@@ -70,6 +71,7 @@ def test_recursion_and_closed_form_have_one_onset(height):
     assert scanned.status.values.tolist() == scanned.exact_status.values.tolist() == expected
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("height", "sites"),
     [
@@ -96,6 +98,7 @@ def test_the_cascade_has_the_same_onset(height, sites):
     assert above.length >= arrests(slider_of(onset * (1 + CLOSE), height)).length - 1e-6
 
 
+@pytest.mark.ci
 def test_statuses_and_edge_stress_of_random_sliders():
     """On relaxed and prestressed interfaces; a front that breaks contact 0 alone arrests in the one record, is none in the other."""
     rng = np.random.default_rng(5)

@@ -108,6 +108,7 @@ def test_one_sided_derivative_at_a_kink():
     assert abs(slope(at) - slope(at - eps)) > 1e-5
 
 
+@pytest.mark.ci
 def test_finite_chain_has_derivatives_too():
     theta = np.array([25.0, 0.03, 0.3])
 
@@ -123,6 +124,7 @@ def test_finite_chain_has_derivatives_too():
         assert abs(got[i] / expected - 1) < 1e-8
 
 
+@pytest.mark.ci
 def test_float32_gradient(float32):
     theta = np.array([25.0, 0.01, 0.3])
     single = jax.grad(length)(jnp.asarray(theta, jnp.float32))

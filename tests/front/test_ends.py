@@ -63,6 +63,7 @@ def test_a_machine_of_infinite_stiffness_imposes_the_displacement():
     assert lengths[0] == pytest.approx(float(sp.precursor_lengths(FIG2)), rel=1e-14)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ["free", pytest.param("clamped", marks=pytest.mark.slow)])
 def test_bulk_lengths_on_prestressed_interfaces_with_gradients(right):
     """The loop over lanes against the general recursion, beyond run-away too, where an end decides what becomes of the front."""
@@ -102,6 +103,7 @@ def test_the_machine_stays_while_the_front_runs():
     assert int(event.extent[0]) == int(front.contacts_broken)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", [pytest.param("free", marks=pytest.mark.slow), "clamped"])
 def test_derivatives_in_the_number_of_sites_and_the_machine(right):
     """Against central differences, by the traced length and in bulk; both are smooth between whole counts."""
@@ -121,6 +123,7 @@ def test_derivatives_in_the_number_of_sites_and_the_machine(right):
     np.testing.assert_allclose(jax.tree.leaves((found.slider, found.ends)), slope, rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_the_formulas_hold_between_whole_numbers_of_sites():
     """At whole N they are the chain's, and in between the length is continuous while the front stops well before the end."""
     sites = np.linspace(70, 74, 401)

@@ -167,6 +167,7 @@ def test_that_reference_break_by_break():
         assert abs(one / other - 1) < 1e-15
 
 
+@pytest.mark.ci
 def test_float32(float32):
     """Single precision keeps its dtype and its stated error, and says once where that error is large."""
     sliders = random_sliders(64, seed=5)
@@ -183,6 +184,7 @@ def test_float32(float32):
     assert abs(float(tall) / float(exact) - 1) < 1e-3
 
 
+@pytest.mark.ci
 def test_a_million_breaks_leave_the_digits():
     """Of multiplying by r as it is rounded, instead of taking 1 − r away, 5e-11 would be left of the stress and 1e-4 of ℓ."""
     slider = Slider(1e6, 1e-6, 0.3)
@@ -196,6 +198,7 @@ def test_a_million_breaks_leave_the_digits():
     )
 
 
+@pytest.mark.ci
 def test_float32_on_soft_interfaces(float32):
     """The stress exceeds its threshold by as little as b: 0 was returned for the first, 4.08 λc long."""
     rng = np.random.default_rng(70)

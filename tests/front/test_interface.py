@@ -116,6 +116,7 @@ def test_lengths_under_prestress():
     assert list(np.ceil(lengths)) == [30, 34, 42, 56, 71, 107, 204, np.inf]
 
 
+@pytest.mark.ci
 def test_runaway_threshold_to_a_millionth():
     """φ_c = (1 + G_00)/2, with G_00 from a dense endless chain: finite just below, endless at and above."""
     sites, middle = 801, 400
@@ -165,6 +166,7 @@ def test_derivatives():
         assert np.allclose(mode(length)(at), expected, rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_reverse_derivatives_with_respect_to_a_profile():
     """Against differences; sites ahead of the front have none; both modes give the same."""
     rng = np.random.default_rng(8)
@@ -201,6 +203,7 @@ def test_profile_that_nothing_stops():
     assert np.isfinite(held), "rising thresholds hold it"
 
 
+@pytest.mark.ci
 def test_single_precision(float32):
     """float32 in, float32 out: a relative error below 1e-4 at a prestress far from φ_c, delays included."""
     lengths = [
@@ -214,6 +217,7 @@ def test_single_precision(float32):
         assert abs(length - exact) < 1e-4 * exact
 
 
+@pytest.mark.ci
 def test_batches_do_not_depend_on_company():
     rng = np.random.default_rng(2)
     sliders = Slider(rng.uniform(5, 40, 50), 10 ** rng.uniform(-3, -1, 50), 0.3)
@@ -268,6 +272,7 @@ def test_a_delay_may_be_a_whole_number_of_numpy():
     assert precursor_length(FIG2, given) == precursor_length(FIG2, Interface(repin_delay=2))
 
 
+@pytest.mark.ci
 def test_sensitivity_takes_any_interface_that_repins_at_once():
     rising = sp.sensitivity(FIG2, Interface(0.1, 0.002), sites=60)
     given = sp.sensitivity(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1), sites=60)

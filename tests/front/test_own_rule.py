@@ -75,6 +75,7 @@ def test_every_function_uses_it(plain):
     assert event.length == pytest.approx(plain.length, abs=1e-9)
 
 
+@pytest.mark.ci
 def test_derivatives_in_its_own_numbers():
     """In the widths of a batch and in the second number they share, in reverse; against differences of the plain program."""
     h, widths = 1e-5, (0.03, 0.05)

@@ -163,6 +163,7 @@ def test_information_is_that_of_the_slope_where_little_is_unknown():
         assert found.information[j] == pytest.approx(0.5 * np.log1p((0.02 * slope / 0.3) ** 2), rel=5e-3)
 
 
+@pytest.mark.ci
 def test_a_front_that_never_stops_is_an_outcome():
     prior = normal_prior(1.0, 101)
     length = np.where(prior.theta > 0.5, np.inf, 30 + 5 * prior.theta)
@@ -202,6 +203,7 @@ def test_earlier_measurements_sharpen_a_prior():
     assert abs(known.mean - np.log(fitted.values["stiffness"])) < 0.5 * known.log_sd
 
 
+@pytest.mark.ci
 def test_knowledge_of_measurements_against_quadrature():
     """Lengths, a count with a blur and a front that ran past a length: SciPy's densities, on a grid of its own."""
     m = sp.Measurements(

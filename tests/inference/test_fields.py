@@ -74,6 +74,7 @@ def test_a_length_reads_the_threshold_at_its_arrest():
     np.testing.assert_allclose(found.at(lengths), truth, atol=2e-3)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["threshold", "prestress"])
 def test_derivatives_in_knots_and_stiffness(kind):
     rng = np.random.default_rng(3)
@@ -92,6 +93,7 @@ def test_derivatives_in_knots_and_stiffness(kind):
             )
 
 
+@pytest.mark.ci
 def test_reverse_mode_of_the_front_over_a_profile():
     """The gradient through the scan over a Profile, against differences and against `sensitivity`."""
     theta, phi, last = wave(), 0.1 + 0.02 * np.cos(X / 5), 20
@@ -219,6 +221,7 @@ def ruptures(theta, phi, heights=HEIGHTS):
     return np.array(found).T
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("theta", "phi", "apart"),
     [(wave(), 0 * X, 1e-9), (1 + 0 * X, rise(0.1), 0.02), (wave(-0.08), 0 * X, 0.25), (1 + 0 * X, rise(0.2, 15.0), 1.5)],
@@ -243,6 +246,7 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     assert (start.max() == 0) == (apart < 1e-6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["threshold", "prestress"])
 def test_fronts_are_those_of_the_model(kind):
     """Many profiles at once, and with derivatives; these hold where an event starts inside, too."""
@@ -260,6 +264,7 @@ def test_fronts_are_those_of_the_model(kind):
         np.testing.assert_allclose(at.derivative[:, j], slope, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.ci
 def test_an_event_that_starts_inside_is_recovered_and_reported():
     """A threshold that falls from the edge: lengths of real ruptures, whose first contact is not contact 0."""
     theta = wave(-0.08)

@@ -84,6 +84,7 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
     assert found.high - exact.values["areal_stiffness"] > 1.3 * (exact.values["areal_stiffness"] - found.low)
 
 
+@pytest.mark.ci
 def test_the_total_of_a_block_is_an_interval_too():
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
     result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
@@ -105,6 +106,7 @@ def test_the_total_of_a_block_is_an_interval_too():
 # --- specimens ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("shared", [True, False])
 def test_ratio_of_two_stiffnesses_is_that_of_its_profile(shared, tmp_path):
     """The deviance minimised with the ratio held, by SciPy: it rises by one at a standard error. Shared errors cancel."""
@@ -220,6 +222,7 @@ def test_no_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     assert ("For a real block the stiffness is another, depending" in unfolded(report)) == (held != 1.0)
 
 
+@pytest.mark.ci
 def test_the_report_of_a_block_says_what_it_takes_for_granted():
     m = sp.read_measurements(EXAMPLES / "pushed_block/lengths.csv")
     said = sp.fit(m).report()
@@ -237,6 +240,7 @@ def test_the_report_of_a_block_says_what_it_takes_for_granted():
     assert "a model factor of 1.1, if the lengths were measured" in sp.fit(dataclasses.replace(m, provenance=())).report()
 
 
+@pytest.mark.ci
 def test_fronts_are_longer_or_shorter_as_the_report_says():
     pushes = sp.Push(0.25), sp.Push(0.25, control="force"), sp.Push(0.4, 0.3)
     above, force, part = (float(sp.precursor_length(sp.Block(40.0, 1 / (2.6 * 40), 0.3, one), sites=256)) for one in pushes)

@@ -97,6 +97,7 @@ def table(kind="whole", noise=None, heights=(25.0, 50.0)):
     )  # fmt: skip
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["whole", "length"])
 def test_objective(kind):
     """Its gradient against differences of its value; the density that a sampler sees is the same function."""
@@ -127,6 +128,7 @@ def test_fit_to_what_the_dense_program_makes():
     assert len(sp.plot.gauges(result).axes) == 2
 
 
+@pytest.mark.ci
 def test_wrinkles_between_contacts_are_no_second_value():
     """Where the contacts were not counted D can have minima a standard error apart, in one valley; and the search converges."""
     result = sp.fit(table("length", np.random.default_rng(3), heights=(25.0,)), ["stiffness", "strength"])

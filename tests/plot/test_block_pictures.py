@@ -18,6 +18,7 @@ def found():
         return sp.first_precursor(BLOCK)
 
 
+@pytest.mark.ci
 def test_stresses_from_nucleation_to_the_end(found):
     with jax.enable_x64(True):
         first, half, last = range(3)

@@ -260,7 +260,7 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
 }
 
 
-@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.ci)])
 def test_a_newcomer_reaches_the_physics_in_few_frames(name):
     """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
     call, target, most = PATHS[name]

@@ -90,6 +90,7 @@ def test_dataset_says_what_it_is(tmp_path):
     assert all(quantity.name for quantity in PARAMETERS.values())
 
 
+@pytest.mark.ci
 def test_bits_do_not_depend_on_chunks_order_or_company():
     rng = np.random.default_rng(3)
     h, q = rng.uniform(5, 60, 700), 10 ** rng.uniform(-4, 0, 700)
@@ -206,6 +207,7 @@ def test_pictures():
     assert map_of.length.sel(height=20).plot()
 
 
+@pytest.mark.ci
 def test_pictures_mark_where_the_edge_breaks_again():
     """The dashed part of a line begins at its last point before; maps are hatched. Sweeps without a status are not marked."""
     stiffness = np.geomspace(0.01, 0.3, 12)
@@ -269,6 +271,7 @@ def test_blocks_over_the_height_of_the_push(pushes):
                 assert float(found.block_precursor_length.sel(height=h, push_height=at)) == pytest.approx(alone, rel=1e-9)
 
 
+@pytest.mark.ci
 def test_blocks_pushed_by_a_force_on_a_patch():
     found = sp.sweep(height=60.0, stiffness=4e-3, poisson=0.3, push_height=0.5, push_width=[0.1, 0.2], push_control="force",
                      outputs="block_precursor_length")  # fmt: skip
@@ -279,6 +282,7 @@ def test_blocks_pushed_by_a_force_on_a_patch():
         )
 
 
+@pytest.mark.ci
 def test_blocks_do_not_depend_on_their_company(tmp_path):
     given = {"height": [40.0, 60.0, 80.0], "stiffness": 4e-3, "poisson": 0.3, "push_height": [0.25, 0.5]}
     whole = sp.sweep(**given, outputs="block_precursor_length")

@@ -185,6 +185,7 @@ def test_continuum_fields_satisfy_their_equations(x, s):
             np.testing.assert_allclose(f(s - close, s), f(s + close, s), atol=1e-9)
 
 
+@pytest.mark.ci
 def test_lattice_converges_to_the_continuum_at_first_order():
     # λc shrinks at fixed geometry and areal stiffness: H/λc × n, k/K / n; only b and the geometry stay
     height, stiffness = 40.0, 0.004
@@ -208,6 +209,7 @@ def test_macroscopic_law():
     np.testing.assert_allclose(theory.length_eq25(sp.Slider(1e9, 1 / 2.6e9, 0.3)) / 1e9, 0.656, atol=5e-4)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("b", [0.05, 1.0, 30.0])
 def test_macroscopic_correction_is_what_remains_of_the_lattice(b):
     coefficient = theory.macroscopic_correction(b, 0.2)
@@ -291,9 +293,10 @@ OF_B = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "length_frozen" else name for name in FIG2_LENGTHS]
-)
+LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.ci, "envelope_length": pytest.mark.ci}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=LONG.get(name, ())) for name in FIG2_LENGTHS])
 def test_values_derivatives_and_batches(name):
     function = OF_B.get(name, getattr(theory, name))
     x = np.array([25.0, 0.03, 0.3])

@@ -98,6 +98,7 @@ def levels(x):
     return frozen, continuum, theory.frozen_stress(slider, at), theory.continuum_stress(slider, at)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("x", SLIDERS)
 def test_continuum_at_both_levels(x):
     frozen, continuum, frozen_stress, continuum_stress = levels(jnp.asarray(x))
@@ -123,6 +124,7 @@ def eq58_against_line(sliders):
     return max(relative(x, y) for x, y in zip(found, expected, strict=True) if not mp.isnan(y))
 
 
+@pytest.mark.ci
 def test_eq58_from_the_frozen_equation_alone():
     """Labels cra56b, cra56c, cra57a, cra57b, cra57c and cra58, at 50 digits."""
     assert eq58_against_line(random_sliders(60, 5)) < 1e-10
@@ -133,6 +135,7 @@ def test_eq58_over_two_thousand_sliders():
     assert eq58_against_line(random_sliders(2000, 6)) < 1e-10
 
 
+@pytest.mark.ci
 def test_edge_and_tail_that_eq58_is_fitted_to_are_those_of_the_integrated_stress():
     # the reference of the reference: value, slope and tail of the quadrature
     line = Line(25, 0.03, 0.3)
