@@ -318,6 +318,7 @@ def test_slow_decay_is_that_of_an_edge_load(b):
         assert -np.log(decay) * height == pytest.approx(slow, rel=tolerance)
 
 
+@pytest.mark.ci
 def test_far_from_the_edge_a_uniform_shift_is_followed():
     """R sums to one along a row."""
     found = response(at_b(5.0, 2.0, sp.Push(0.3)), 256)
@@ -629,7 +630,8 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
     assert max(found.drift, found.energy_drift) < 1e-12
 
 
-@pytest.mark.parametrize("contacts", [pytest.param(None, marks=pytest.mark.ci), 40])
+@pytest.mark.ci
+@pytest.mark.parametrize("contacts", [None, 40])
 def test_a_series_of_a_block(contacts):
     """Loads and breaks of a whole block by sparse finite elements; the first event is the first precursor."""
     block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=contacts)

@@ -68,6 +68,7 @@ def test_gradients_equal_those_of_one_front(general):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("numbers", [pytest.param(3, marks=pytest.mark.slow), 5])
 def test_arrests_equal_the_general_recursion(numbers):
     """Count, length, status and edge stress, of every way to end: given up at just so many contacts among them."""
@@ -101,6 +102,7 @@ def test_the_last_break_that_is_allowed():
         assert np.isnan(bulk.lengths(sp.Slider(25.0, 0.03, 0.3), max_contacts=most)) == (most < 26)
 
 
+@pytest.mark.ci
 def test_long_fronts_by_the_series_equal_the_recursion():
     rng = np.random.default_rng(5)
     n = 120

@@ -395,6 +395,7 @@ def test_force_at_nucleation_is_what_the_contacts_carry():
     assert displacements(FirstFront(), inputs).value[0] == pytest.approx(1 / load[0], rel=1e-9)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("young_sigma", [None, 2e8])
 def test_errors_from_the_scatter_keep_those_of_inputs(young_sigma):
     """Only the ratios of σ count; a stated error of E adds in quadrature, as k/E is what the lengths determine."""
@@ -496,6 +497,7 @@ def test_a_held_parameter_takes_nothing_else(more):
         Parameter("poisson", value=0.31, **more)
 
 
+@pytest.mark.ci
 def test_intervals_of_the_ratio_do_not_depend_on_the_order_of_parameters():
     """k/K is proportional to the areal stiffness, whether that was asked for first or last."""
     m = read_measurements(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")

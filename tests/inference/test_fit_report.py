@@ -150,6 +150,7 @@ def test_of_many_specimens_ratios_to_the_first_are_shown():
     assert sp.fit(m).stiffness_ratios == {}
 
 
+@pytest.mark.ci
 def test_an_error_that_specimens_may_share_is_named_with_its_option(tmp_path):
     """Done as it says, the error of the stiffness is larger: an error that all share does not average out."""
     apart = sp.fit(two_specimens())
@@ -315,6 +316,7 @@ def test_where_the_scatter_is_larger_than_sigma_one_stiffness_for_each_is_tried(
     assert not any("one stiffness" in step for step in sp.fit(two_specimens()).next_steps)
 
 
+@pytest.mark.ci
 def test_what_to_try_next_keeps_the_priors_of_the_fit():
     prior = sp.Parameter("model_factor", prior=(1, 0.05))
     result = sp.fit(two_specimens(), [EACH, prior])
@@ -353,6 +355,7 @@ def test_a_block_without_the_like_of_a_slider_has_a_report(monkeypatch):
     assert re.search(r"\n  the paper's slider +none fits\n", result.report())
 
 
+@pytest.mark.ci
 def test_of_many_roots_the_best_are_listed():
     """Each of three specimens has a root on either side of the peak of its length: eight points that fit."""
     m = sp.Measurements([10, 16, 25], 0.3, [8.64, 15.75, 24.82], 0.4, specimen=["a", "b", "c"])
@@ -367,6 +370,7 @@ def test_of_many_roots_the_best_are_listed():
 # --- what the report uses is what it shows ----------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv")))
 def test_the_deviance_is_that_of_the_residuals_shown(name):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
@@ -447,6 +451,7 @@ def test_effects_are_in_the_order_of_what_is_printed():
     assert not any(cell.endswith("%") for cell in cells[: len(cells) - len(percent)])
 
 
+@pytest.mark.ci
 def test_what_the_errors_come_from_is_said():
     """Of the lengths alone; of stated errors; of an offset and a model factor; of readings; of priors."""
     stated = sp.fit(two_specimens())
@@ -499,6 +504,7 @@ def test_counts_hold_or_are_off_by_contacts():
     assert re.search(r"off by [+-]\d+\.\d\d λc", odd.report())
 
 
+@pytest.mark.ci
 def test_an_end_is_as_long_as_said_where_the_contacts_have_another_size():
     """λc known to a factor only: a block that ends at 4/κ₂, where κ₂ is that of the fitted λc; as a fit of such a table."""
     table = two_specimens(young_sigma_GPa=None, correlation_length_sigma_um=100.0).drop(columns="young_sigma_GPa")
@@ -635,6 +641,7 @@ def test_no_size_of_errors_from_a_scatter_that_counts_do_not_have():
         sp.fit(m, sigma="relative")
 
 
+@pytest.mark.ci
 def test_a_narrow_pusher_is_judged_with_the_error_of_its_height():
     """As a fit of the table with the width stated, and not as if the height were exact."""
     table = {"height_cm": [1.2, 4.0], "correlation_length_um": 20, "poisson": 0.38, "young_MPa": 2400, "length_cm": [0.41, 2.1]}
