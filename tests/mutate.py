@@ -36,20 +36,20 @@ KEPT = ROOT / ".pytest_cache" / "mutation"
 TABLE = ROOT / "docs" / "tables" / "mutation.md"
 
 MODULES = {
-    "bodies/modes": "tests/test_front.py tests/test_ends.py tests/test_fields.py tests/test_derivatives.py "
+    "bodies/modes": "tests/front/test_front.py tests/front/test_ends.py tests/inference/test_fields.py tests/front/test_derivatives.py "
     "-k 'not semi-infinite-300 and not million and not hessian'",
-    "front/front": "tests/test_front.py tests/test_interface.py tests/test_bulk.py "
+    "front/front": "tests/front/test_front.py tests/front/test_interface.py tests/bulk/test_bulk.py "
     "-k '(not semi-infinite-300 and test_front) or profile_against or profile_that or soft_short or under_prestress or (test_interface and dense_chain) or sensitivity_takes or company or test_bulk'",
-    "exact/crossing": "tests/test_exact.py tests/test_exact_lanes.py "
+    "exact/crossing": "tests/exact/test_exact.py tests/exact/test_exact_lanes.py "
     "-k 'not sixty and not hessian and not resonan and not gradient and not modes and not exponents'",
-    "double_series": "tests/test_exact.py tests/test_exact_fields.py tests/test_rebreaking.py "
+    "double_series": "tests/exact/test_exact.py tests/exact/test_exact_fields.py tests/exact/test_rebreaking.py "
     "-k 'not lanes and not every_mode and (not test_rebreaking or edge_stress_of_random)'",
-    "bodies/chain": "tests/test_cascade.py tests/test_equilibrium.py "
+    "bodies/chain": "tests/events/test_cascade.py tests/bodies/test_equilibrium.py "
     "-k 'inverse or dense_matrices or lattice_modes or floating or (refus and not differentiated) or interface or slopes or driver or by_default'",
-    "bodies/equilibrium": "tests/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
-    "events/rupture": "tests/test_cascade.py tests/test_surrogate.py "
+    "bodies/equilibrium": "tests/bodies/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
+    "events/rupture": "tests/events/test_cascade.py tests/front/test_surrogate.py "
     "-k '(test_cascade and not hundred_thousand and not devices and not size_of and not surrogate) or chain_approaches or same_smooth'",
-    "inference/likelihood": "tests/test_fit_parameters.py tests/test_fit_ends.py "
+    "inference/likelihood": "tests/inference/test_fit_parameters.py tests/inference/test_fit_ends.py "
     "-k 'gradient_is or of_a_count or counts_of or traced_density or least_density or parts_of or losses'",
 }
 """Modules, and the tests that should see a change there, quick ones first."""
@@ -162,7 +162,7 @@ def draw(items: Iterator[WorkItem], count: int, seed: int, module: str) -> list[
 
 def settings(module: str, timeout: float) -> ConfigDict:
     """What Cosmic Ray is told."""
-    command = f"{sys.executable} -m pytest -q -x -n 0 -p no:cacheprovider --tb=line {MODULES[module]}"
+    command = f"{sys.executable} -m pytest -q -x -n 0 -p no:cacheprovider --tb=line -m 'not slow' {MODULES[module]}"
     return ConfigDict({"test-command": command, "timeout": timeout, "distributor": {"name": "local"}})
 
 

@@ -99,7 +99,7 @@ def index() -> dict[str, tuple[list[str], list[str]]]:
         for label, name in in_code(path):
             if f"{module}.{name}" not in computed[label]:
                 computed[label].append(f"{module}.{name}")
-    for path in sorted(TESTS.glob("test_*.py")):
+    for path in sorted(TESTS.glob("*/test_*.py"), key=lambda path: path.name):
         for label, name in in_tests(path):
             if f"{path.name}::{name}" not in tested[label]:
                 tested[label].append(f"{path.name}::{name}")

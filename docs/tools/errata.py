@@ -123,7 +123,7 @@ paper's LaTeX source. Parameters, unless stated otherwise: Fig. 2, $H/\\lambda_c
 {_rows(errata())}
 
 The Appendix also writes $\\sigma$ for Poisson's ratio and $a$ for $\\lambda_c$. None of these errors affects Eq. (25).
-`tests/test_theory.py` integrates the frozen equations (cra08–cra27) directly, without any $\\Psi$ or $A$, and finds the
+`tests/theory/test_theory.py` integrates the frozen equations (cra08–cra27) directly, without any $\\Psi$ or $A$, and finds the
 corrected forms. `printed=True` evaluates the printed forms.
 
 ## Differences of substance

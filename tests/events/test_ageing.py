@@ -1,0 +1,97 @@
+"""Ageing: crossings against a root finder, limits, and events that grow until one spans (C14)."""
+
+import jax
+import numpy as np
+import pytest
+from chains import SITES, long_series
+from oracles.dense_chain import DenseChain
+from problems import PAPER
+from scipy.optimize import brentq
+
+import slippulse_jax as sp
+from slippulse_jax.events.ageing import next_crossing
+from slippulse_jax.events.series import Adiabatic
+from slippulse_jax.status import Outcome
+
+FIG2 = sp.Slider(*PAPER.slider)
+CHAIN = sp.chain(FIG2, sites=SITES)
+
+
+@pytest.mark.parametrize("law", ["exponential", "logarithmic"])
+def test_crossings_against_a_root_finder(law):
+    rng = np.random.default_rng(1)
+    n = 200
+    ageing = sp.Ageing(0.3, 2.0, law)
+    age = rng.uniform(0, 5, n)
+    threshold, slope = rng.uniform(0.8, 1.2, n), 10 ** rng.uniform(-4, 0.5, n)
+    stress = threshold * np.asarray(ageing.strength(age)) * rng.uniform(0, 0.999, n)
+    got = np.asarray(next_crossing(ageing, stress, slope, threshold, age))
+    for i in range(n):
+        grown = (lambda a: 1 - np.exp(-a / 2)) if law == "exponential" else (lambda a: np.log2(1 + a / 2))
+
+        def gap(d, i=i, grown=grown):
+            return threshold[i] * (0.3 + 0.7 * grown(age[i] + d)) - stress[i] - slope[i] * d
+
+        far = 1.0
+        while gap(far) > 0:
+            far *= 2
+        root = brentq(gap, 0, far, xtol=1e-14, rtol=1e-14)  # concave and positive at 0: one root
+        assert abs(got[i] - root) < 1e-9 * (1 + root)
+
+
+def test_never_broken_and_unpulled_contacts():
+    ageing = sp.Ageing(0.3, 2.0)
+    got = next_crossing(ageing, np.array([0.5, 0.5]), np.array([0.1, 0.0]), np.ones(2), np.array([np.inf, 1.0]))
+    assert abs(got[0] - 5) < 1e-14
+    assert np.isinf(got[1])
+
+
+def test_infinitely_fast_ageing_is_none():
+    none, fast = long_series(CHAIN), long_series(CHAIN, ageing=sp.Ageing(0.999999, 1e-12))
+    assert np.array_equal(none.extent[1:30], fast.extent[1:30])
+    assert abs(none.load - fast.load)[:30].max() < 1e-5
+
+
+@pytest.mark.ci
+def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
+    """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
+    plain = DenseChain.uniform((10.0, 0.03, 0.3), np.ones(SITES), np.zeros(SITES), strength=lambda a: 0.5 + 0 * a)
+    chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=SITES, right="free")
+    got = jax.tree.map(np.asarray, long_series(chain, ageing=sp.Ageing(0.5, 1e12)))
+    for e in range(12):
+        assert list(got.break_site[got.break_event == e]) == plain.event()
+
+
+@pytest.mark.ci
+def test_time_and_load_are_one_clock_at_constant_velocity():
+    load = long_series(CHAIN, ageing=sp.Ageing(0.3, 3.0))
+    time = long_series(CHAIN, Adiabatic(velocity=0.5), ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    assert np.allclose(load.load[:30], time.load[:30], rtol=1e-12)
+    slower = long_series(CHAIN, Adiabatic(velocity=0.05), ageing=sp.Ageing(0.3, 6.0, clock="time"))
+    assert not np.array_equal(load.extent[:30], slower.extent[:30]), "slow loading gives contacts time to recover"
+
+
+@pytest.mark.ci
+def test_with_ageing_precursors_grow_until_one_spans():
+    """C14: thresholds reborn at 0.3 σ_s and recovering over 3 u_s of load, N = 150."""
+    got = sp.series(sp.chain(FIG2, sites=150), events=3000, ageing=sp.Ageing(0.3, 3.0))
+    assert int(got.status) == Outcome.SPANNED
+    n = int(got.number)
+    assert int(got.extent[0]) == 34
+    furthest = np.maximum.accumulate(np.asarray(got.extent)[:n])
+    assert furthest[-1] == 150
+    large = np.asarray(got.breaks)[:n] >= 20
+    assert (np.diff(np.asarray(got.extent)[:n][large][:3]) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"newborn": 0.0, "scale": 1.0}, "newborn"),
+        ({"newborn": 0.5, "scale": -1.0}, "scale"),
+        ({"newborn": 0.5, "scale": 1.0, "law": "linear"}, "law"),
+    ],
+)
+def test_errors(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        sp.Ageing(**wrong)

@@ -1,0 +1,122 @@
+"""Delayed repinning in ruptures and series: against a program that takes detached contacts out of the matrix, and the recursion."""
+
+import os
+import re
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import dense_chain
+from oracles.dense_chain import DenseChain
+
+import slippulse_jax as sp
+from slippulse_jax.bodies.modes import ENDLESS
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.interface import Interface
+from slippulse_jax.lengths import general_kernel
+from slippulse_jax.rules import HARD
+from slippulse_jax.status import Outcome
+
+FIG2 = sp.Slider(25.0, 0.03, 0.3)
+
+
+def rough(delay):
+    rng = np.random.default_rng(delay)
+    slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
+    theta, phi = rng.uniform(0.9, 1.1, 30), rng.uniform(0, 0.2, 30)
+    chain = sp.chain(sp.Slider(*slider), sites=30, right="free", threshold=theta, prestress=phi)
+    return DenseChain.uniform(slider, theta, phi, delay=delay), chain
+
+
+@pytest.mark.parametrize("delay", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 3))])
+def test_series_against_dense_program(delay):
+    plain, chain = rough(delay)
+    got = sp.series(chain, events=20, repin_delay=delay, recorded_breaks=4000, stop_when_spanning=False)
+    got = jax.tree.map(np.asarray, got)
+    assert int(got.status) == Outcome.DONE
+    start = plain.energy()
+    for e in range(20):
+        order = plain.event()
+        assert list(got.break_site[got.break_event == e]) == order, e
+        assert abs(got.load[e] - plain.load) < 1e-9
+        assert abs(got.force_after[e] - plain.push()) < 1e-9
+        assert abs(got.stored[e] - (plain.energy() - start)) < 1e-9
+    assert (np.asarray(got.breaks) > delay + 1).any(), "an event in which contacts repin while it goes on"
+    assert abs(got.state.pinning - plain.pinning).max() < 1e-9
+    assert got.drift < 1e-12
+    assert got.energy_drift < 1e-12
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("delay", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_rupture_against_dense_program(delay):
+    plain, chain = rough(delay)
+    load = 5.0
+    got = sp.rupture(chain, chain.relaxed(load), repin_delay=delay)
+    before = plain.at(load=load).energy()
+    order = plain.rupture()
+    assert list(got.order[: len(order)]) == order
+    assert int(got.breaks) == len(order) > delay + 1
+    assert abs(got.state.pinning - plain.pinning).max() < 1e-10
+    assert abs(got.energy - (before - plain.energy())) < 1e-10
+    assert got.drift < 1e-12
+
+
+@pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_first_precursor_is_that_of_the_recursion(delay):
+    expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
+    chain = sp.chain(FIG2, sites=150)
+    state, site = sp.nucleate(chain)
+    got = sp.rupture(chain, state, trigger=site, repin_delay=delay)
+    assert int(got.status) == Outcome.ARRESTED
+    assert int(got.breaks) == int(expected.contacts_broken) > 26
+    assert abs(got.length - expected.length) < 1e-9
+    first = sp.series(chain, events=1, repin_delay=delay)
+    assert int(first.breaks[0]) == int(expected.contacts_broken)
+    assert abs(first.load[0] - expected.load) < 1e-12
+
+
+LONG_DELAYS = """
+import os
+{pinned}
+import slippulse_jax as sp
+print(*(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), sp.Interface(repin_delay=n)) for n in (10, 25, 60)))
+"""
+
+
+@pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_long_delays_in_bulk_come_to_an_end(cores):
+    """Delays from 10 on waited for ever on two cores: eliminations of a batch waited for each other's threads."""
+    pinned = f"os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:{cores}])" if hasattr(os, "sched_setaffinity") else ""
+    code = LONG_DELAYS.format(pinned=pinned)
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300).stdout
+    for length, delay in zip(found.split(), (10, 25, 60), strict=True):
+        broken, excess, *_ = dense_chain.front(25.0, 0.03, 0.3, np.ones(200), np.zeros(200), delay)
+        assert float(length) == pytest.approx(broken - 1 + excess[-2] / (excess[-2] - excess[-1]), rel=1e-9)
+
+
+@pytest.mark.ci
+def test_no_elimination_of_a_batch():
+    """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
+    chain = sp.chain(FIG2, sites=30)
+    loads = jax.vmap(chain.relaxed)(jnp.array([4.0, 5.0, 6.0]))
+    rupture = jax.jit(jax.vmap(lambda state: sp.rupture(chain, state, repin_delay=3).length)).lower(loads)
+    numbers, kind = jax.tree.flatten((FIG2, Interface(repin_delay=12), HARD, ENDLESS))
+    lengths = jax.jit(general_kernel(kind, DEFAULT_MAX_CONTACTS, 1)).lower(np.tile(np.array([numbers]).T, 3))
+    for program in rupture, lengths:
+        for line in program.compile().as_text().splitlines():
+            if "custom-call(" in line and "lapack" in line:
+                assert re.search(r"= \(?f64\[\d+(,\d+)?\]", line), line
+
+
+def test_refusals():
+    chain = sp.chain(FIG2, sites=10)
+    with pytest.raises(ValueError, match="repin_delay = -1"):
+        sp.series(chain, events=1, repin_delay=-1)
+    with pytest.raises(ValueError, match="repin_delay = 1.5"):
+        sp.rupture(chain, chain.relaxed(), repin_delay=1.5)  # pyright: ignore
+    with pytest.raises(ValueError, match="smooth rule"):
+        sp.rupture(chain, chain.relaxed(), repin_delay=1, rule=sp.SmoothBreak(0.01))

@@ -1,0 +1,133 @@
+"""Derivatives of ℓ in every mode, against complex steps through an independent matrix program."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import dense_chain
+
+from slippulse_jax import Slider, precursor_length
+from slippulse_jax.lengths import arrests
+
+STEP = 1e-30
+
+
+def length(theta):
+    return precursor_length(Slider(theta[0], theta[1], theta[2]))
+
+
+def length_of_each(theta):
+    return precursor_length(Slider(*theta.T))
+
+
+def complex_step_gradient(theta, count):
+    """Exact derivative of the interpolated crossing of a front that breaks `count` contacts."""
+    gradient = np.zeros(3)
+    for i in range(3):
+        moved = theta.astype(complex)
+        moved[i] += 1j * STEP
+        load, pinning = dense_chain.responses(*moved, sites=count + 4, right="semi-infinite", reach=count + 1)
+        gradient[i] = dense_chain.crossing(dense_chain.front_stress(load, pinning, count + 1) - 1).imag / STEP
+    return gradient
+
+
+@pytest.fixture(scope="module")
+def points():
+    """200 random sliders with a domino, away from kinks."""
+    rng = np.random.default_rng(11)
+    theta = np.stack([rng.uniform(3, 60, 400), 10 ** rng.uniform(-4, 0, 400), rng.uniform(0, 0.49, 400)], axis=1)
+    ended = arrests(Slider(*theta.T))
+    fraction = ended.length - np.floor(ended.length)
+    chosen = np.nonzero((ended.length > 0) & (fraction > 1e-3) & (fraction < 1 - 1e-3))[0][:200]
+    assert len(chosen) == 200
+    return theta[chosen], ended.contacts_broken[chosen]
+
+
+@pytest.fixture(scope="module")
+def gradients(points):
+    return np.asarray(jax.vmap(jax.grad(length))(points[0]))
+
+
+@pytest.mark.ci
+def test_gradient_at_200_points(points, gradients):
+    theta, counts = points
+    for i, count in enumerate(counts):
+        expected = complex_step_gradient(theta[i], int(count))
+        worst = np.abs(gradients[i] - expected) * theta[i] / np.abs(expected * theta[i]).max()
+        assert worst.max() <= 1e-7, theta[i]
+
+
+def test_all_modes_agree(points, gradients):
+    """Forward and reverse, of a batch and of one, mapped and not, are one derivative."""
+    theta = points[0]
+    tangents = np.random.default_rng(0).normal(size=theta.shape)
+    _, along = jax.jvp(length_of_each, (theta,), (tangents,))
+    np.testing.assert_allclose(along, (gradients * tangents).sum(axis=1), rtol=1e-10)
+    value, gradient = jax.jit(jax.value_and_grad(length))(theta[0])
+    np.testing.assert_allclose(gradient, gradients[0], rtol=1e-13)
+    np.testing.assert_allclose(value, length(theta[0]), rtol=1e-13)
+    np.testing.assert_allclose(jax.jacfwd(length)(theta[0]), gradients[0], rtol=1e-13)
+
+
+@pytest.mark.ci
+def test_hessian_in_every_order_of_modes(points):
+    theta = points[0][:6]
+
+    def both(first):
+        """Second derivatives forward and in reverse over `first`, from one linearisation: hessian is forward over reverse."""
+        gradient, push = jax.linearize(jax.vmap(first), theta)
+        pull = jax.linear_transpose(push, theta)
+        every = np.broadcast_to(np.eye(3)[:, None], (3, *theta.shape))
+        return np.asarray(gradient), np.stack([push(x) for x in every], -1), np.stack([pull(x)[0] for x in every], -2)
+
+    _, forward, reverse = both(jax.jacfwd(length))
+    for other in (reverse, *both(jax.grad(length))[1:]):
+        np.testing.assert_allclose(other, forward, rtol=1e-9)
+    # and against differences of complex-step gradients, which know nothing of JAX
+    for t, hessian, count in zip(theta, forward, points[1][:6], strict=True):
+        for i in range(3):
+            step = 1e-5 * t[i] * np.eye(3)[i]
+            column = (complex_step_gradient(t + step, int(count)) - complex_step_gradient(t - step, int(count))) / (2 * step[i])
+            np.testing.assert_allclose(hessian[i], column, rtol=1e-5, atol=1e-6 * np.abs(hessian * t[i] / t).max())
+
+
+def test_one_sided_derivative_at_a_kink():
+    """Where ℓ passes a whole number the derivative is that of the longer side, as documented."""
+    theta = np.array([25.0, 0.03, 0.3])
+    low, high = 20.0, 25.0
+    for _ in range(200):  # bisect for the height at which ℓ = 25
+        middle = (low + high) / 2
+        low, high = (middle, high) if length(theta.copy() * [middle / 25, 1, 1]) < 25 else (low, middle)
+    at, eps = high, 1e-7
+
+    def slope(height):
+        return float(jax.grad(lambda h: precursor_length(Slider(h, 0.03, 0.3)))(height))
+
+    assert length(jnp.array([at, 0.03, 0.3])) >= 25
+    assert abs(slope(at) - slope(at + eps)) < 1e-6
+    assert abs(slope(at) - slope(at - eps)) > 1e-5
+
+
+@pytest.mark.ci
+def test_finite_chain_has_derivatives_too():
+    theta = np.array([25.0, 0.03, 0.3])
+
+    def finite(theta):
+        return precursor_length(Slider(theta[0], theta[1], theta[2]), right="free", sites=100)
+
+    got = jax.grad(finite)(theta)
+    for i in range(3):
+        moved = theta.astype(complex)
+        moved[i] += 1j * STEP
+        load, pinning = dense_chain.responses(*moved, sites=100, right="free", reach=29)
+        expected = dense_chain.crossing(dense_chain.front_stress(load, pinning, 29) - 1).imag / STEP
+        assert abs(got[i] / expected - 1) < 1e-8
+
+
+@pytest.mark.ci
+def test_float32_gradient(float32):
+    theta = np.array([25.0, 0.01, 0.3])
+    single = jax.grad(length)(jnp.asarray(theta, jnp.float32))
+    with jax.enable_x64(True):
+        double = jax.grad(length)(theta)
+    np.testing.assert_allclose(single, double, rtol=1e-3)

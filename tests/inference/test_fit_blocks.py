@@ -1,0 +1,437 @@
+"""Fits whose body is a block under two-dimensional elasticity, pushed at a height."""
+
+import dataclasses
+import importlib.util
+import json
+import re
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from reports import moves, section, unfolded
+
+import slippulse_jax as sp
+from slippulse_jax.cli.fit import command
+from slippulse_jax.cli.length import command as length_command
+from slippulse_jax.events.resolution import tall_length
+from slippulse_jax.inference import interpolation
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import BlockEvent
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.interpolation import block_grid, block_lengths
+from slippulse_jax.inference.record import as_request, from_request
+from slippulse_jax.status import Outcome
+from slippulse_jax.theory import block_decay_length
+
+ROOT = Path(__file__).resolve().parents[2]
+HEIGHT = np.array([300.0, 400.0, 520.0, 700.0, 900.0])
+
+
+def inputs_of(height, b, push, poisson=0.3, width=np.inf, force=0.0):
+    height, b, push = np.broadcast_arrays(height, b, push)
+    plain = Inputs.of(height, b / (2 * (1 + poisson) * height), poisson)
+    return plain.given(log_push=np.log(push), log_push_width=np.log(width) + 0 * push, push_force=force + 0 * push)
+
+
+def stiffness_at(b):
+    """k/K of contacts that have this b in the middle of the heights."""
+    return b / (2.6 * float(np.median(HEIGHT)))
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Lengths without scatter above a quarter of each height, by the cascade on ever coarser blocks, and their k/K."""
+    stiffness = stiffness_at(0.8)
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3), sites=None, event="full")) for h in HEIGHT])
+    return stiffness, sp.Measurements(
+        height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * HEIGHT
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(study):
+    return sp.fit(study[1])
+
+
+# --- lengths ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("b", "push"), [(0.1, 0.25), (1.0, 0.5), (8.0, 0.25)])
+def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
+    """Against every contact of the block, as many as it has."""
+    block = sp.Block(350.0, b / (2.6 * 350), 0.3, sp.Push(push))
+    found, off = map(float, tall_length(block, None, "full"))
+    assert found == pytest.approx(float(sp.precursor_length(block, sites=1024, event="full")), abs=max(off, 0.002 * found))
+    assert off < 0.02 * found
+
+
+@pytest.mark.ci
+def test_derivatives_of_a_tall_block_at_a_fixed_order_of_breaks():
+    def length(height, stiffness):
+        return sp.precursor_length(sp.Block(height, stiffness, 0.3, sp.Push(0.3)))
+
+    at, step = (800.0, 1 / (2.6 * 800)), 1e-6
+    found = jax.grad(length, (0, 1))(*at)
+    for i in (0, 1):
+        up, down = (float(length(*(x * (1 + side * step * (i == j)) for j, x in enumerate(at)))) for side in (1, -1))
+        assert float(found[i]) == pytest.approx((up - down) / (2 * step * at[i]), rel=1e-5)
+
+
+def test_a_length_varies_as_the_inverse_of_the_number_of_contacts():
+    """What the extrapolation rests on: halving the contacts' size twice halves the change."""
+    lengths = [float(sp.precursor_length(sp.Block(h, 1 / (2.6 * h), 0.3), sites=256)) / h for h in (50.0, 100.0, 200.0)]
+    assert (lengths[1] - lengths[0]) / (lengths[2] - lengths[1]) == pytest.approx(2, rel=0.15)
+
+
+@pytest.mark.ci
+def test_lengths_of_a_fit_are_those_of_the_cascade():
+    rng = np.random.default_rng(3)
+    height, b = rng.uniform(250, 3000, 6), np.exp(rng.uniform(np.log(0.05), np.log(3), 6))
+    push = rng.uniform(0.25, 0.5, 6)
+    found, off = block_lengths(inputs_of(height, b, push))
+    for i in range(6):
+        block = sp.Block(height[i], b[i] / (2.6 * height[i]), 0.3, sp.Push(push[i]))
+        assert found[i] == pytest.approx(float(tall_length(block, None, "full")[0]), rel=0.005)
+    assert np.all(off < 0.01 * found)
+
+
+@pytest.mark.ci
+def test_nodes_of_the_package_are_what_it_computes():
+    grid = block_grid()
+    rng = np.random.default_rng(5)
+    packaged = [node for node in grid.known if node[0] == 1 and node[1] > -10]
+    single = (1, -30, 4, 0, 2, 1, 1)  # whose event is a single break inside
+    assert grid.known[single][0] == pytest.approx(8 / 200)
+    for node in (single, *(packaged[i] for i in rng.integers(len(packaged), size=3))):
+        np.testing.assert_allclose(grid.known[node], grid.compute(np.array([node]) * grid.spacing)[0], rtol=1e-5, atol=1e-6)
+
+
+def test_soft_blocks_have_no_precursor():
+    """Below b = 0.01 or so the neighbour of the first contact stays below its threshold, however fine the contacts."""
+    found, _ = block_lengths(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
+    assert np.all(found < 0.01 * np.array([400, 4000]))
+    for height in (400.0, 4000.0):
+        lengths = [
+            float(sp.precursor_length(sp.Block(height, b / (2.6 * height), 0.3), sites=1024, event="full"))
+            for b in (0.0117, 0.0134)
+        ]
+        assert lengths[1] > 3 * lengths[0]
+
+
+def at_prestress(height, b, push, prestress):
+    return sp.Block(height, b / (2.6 * height), 0.3, sp.Push(push)), sp.Interface(prestress)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    ("b", "push", "prestress", "known"),
+    # every contact of a block of H/λc = 5000; of 3000; the limit by 240 and 480
+    [(10.0, 0.1, 0.4, 1.1969), (1.0, 0.1, 0.55, 1.606), (1.0, 0.1, 0.53, 1.07)],
+)
+def test_prestressed_tall_blocks_have_the_length_of_every_contact(b, push, prestress, known):
+    """Known values followed every contact, up to 8192."""
+    found, off = tall_length(*at_prestress(5000.0, b, push, prestress), "full")
+    assert float(found) / 5000 == pytest.approx(known, rel=0.025)
+    assert float(off) < 0.03 * float(found)
+
+
+@pytest.mark.parametrize(("b", "prestress"), [(10.0, 0.5), (10.0, 0.53), (10.0, 0.6), (10.0, 0.8), (1.0, 0.56)])
+def test_tall_blocks_whose_event_does_not_stop_are_refused(b, prestress):
+    """Coarser contacts would stop it: after 2.1, 2.9, 3.9, 0 and 1.4 heights."""
+    with pytest.raises(ValueError, match=r"the event of Block\(height=5000.* farther than can be followed; .* may never stop"):
+        sp.precursor_length(*at_prestress(5000.0, b, 0.1, prestress))
+
+
+def test_a_tall_block_on_falling_thresholds_is_refused():
+    """Its length was NaN."""
+    block, _ = at_prestress(5000.0, 1.0, 0.1, 0.0)
+    with pytest.raises(ValueError, match="reaches beyond 16 heights, farther .* falling thresholds"):
+        sp.precursor_length(block, sp.Interface(0.0, -1e-4))
+
+
+@pytest.mark.parametrize(("height", "b", "prestress"), [(30.0, 10.0, 0.6), (20.0, 10.0, 0.7), (120.0, 1.0, 0.56)])
+def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
+    """By contacts of their own; the taller, the sooner."""
+    block, interface = at_prestress(height, b, 0.1, prestress)
+    with pytest.raises(ValueError, match="reaches beyond 4096 contacts, farther than can be followed"):
+        sp.precursor_length(block, interface)
+    with pytest.raises(ValueError, match="farther than can be followed"):
+        tall_length(block, interface, "full")
+
+
+def test_events_that_do_not_stop_are_inf_in_bulk():
+    interface = {"poisson": 0.3, "push_height": 0.1, "prestress": [0.3, 0.6]}
+    found = sp.sweep(height=[30.0, 5000.0], stiffness=0.1, **interface, outputs="block_precursor_length")
+    assert np.isinf(found.block_precursor_length.sel(prestress=0.6)).all()
+    assert np.isfinite(found.block_precursor_length.sel(prestress=0.3)).all()
+
+
+def test_a_fit_of_lengths_where_no_event_stops():
+    m = sp.Measurements(
+        height=[30.0, 40.0], poisson=0.3, length=[20.0, 30.0], length_sigma=0.5, push_height=[3.0, 4.0], prestress=0.8
+    )
+    with pytest.raises(ValueError, match="the front never stops anywhere in the range searched"):
+        sp.fit(m, bounds=(0.02, 0.03))
+    inputs = inputs_of([30.0, 40.0], 2.0, 0.1)._replace(prestress=np.array([0.8, 0.8]))
+    assert np.isinf(block_lengths(inputs)[0]).all()
+    assert (BlockEvent().status(inputs) == Outcome.RUN_AWAY).all()
+
+
+@pytest.mark.parametrize(("b", "decay"), [(0.1, 5.193), (0.3, 3.105), (1, 1.896), (3, 1.373), (10, 1.140), (1e9, 1.027)])
+def test_decay_of_an_edge_load(b, decay):
+    """Values of a separate program."""
+    assert float(block_decay_length(b, 0.3)) == pytest.approx(decay, abs=6e-4)
+
+
+# --- fits ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted):
+    stiffness, m = study
+    assert fitted.parameters.front.body == "block"
+    assert fitted.identifiability is Identifiability.IDENTIFIED
+    assert fitted.values["stiffness"] == pytest.approx(stiffness, rel=0.02)
+    (piece,) = fitted.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high
+    slider = sp.fit(m, body="slider")
+    moved = np.exp(moves(fitted)["slider"]["stiffness"])
+    assert moved == pytest.approx(slider.values["stiffness"] / fitted.values["stiffness"], rel=1e-6)
+    report = fitted.report()
+    assert "block under two-dimensional elasticity" in unfolded(report)
+    rows = section(report, "What else would move it")
+    (row,) = [row for row in rows if row.startswith("  the paper's slider")]
+    assert float(row.split()[-2]) == pytest.approx(
+        100 * (slider.values["stiffness"] / fitted.values["stiffness"] - 1), abs=0.06
+    )
+    assert any(row.startswith("  height of the push larger by 5 %") for row in rows)
+
+
+@pytest.mark.ci
+def test_where_the_side_is_pushed_decides(study):
+    """The same lengths, pushed higher up, are those of a much softer interface; the slider does not know."""
+    stiffness, m = study
+    higher = sp.fit(dataclasses.replace(m, push_height=0.5 * HEIGHT))
+    assert higher.values["stiffness"] < 0.2 * stiffness
+    slider = sp.fit(m, body="slider")
+    assert "slider" not in moves(slider)
+    moved = np.exp(moves(higher)["slider"]["stiffness"])
+    assert slider.values["stiffness"] == pytest.approx(higher.values["stiffness"] * moved, rel=1e-6)
+
+
+def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
+    _, m = study
+    found = sp.fit(dataclasses.replace(m, push_height_sigma=0.02 * m.push_height))
+    assert len([name for name in found.inputs if name.startswith("push_height")]) == len(HEIGHT)
+    assert found.stderrs["stiffness"] > fitted.stderrs["stiffness"]
+    assert moves(fitted)["push_height"]["stiffness"] < 0  # a higher push makes longer fronts, so the interface must be softer
+
+
+def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
+    _, m = study
+    table = tmp_path / "lengths.csv"
+    rows = [f"{h * 0.05:.9g},50,0.3,3.0,{x * 0.05:.9g},{s * 0.05:.9g},{h * 0.0125:.9g},displacement" for h, x, s in
+            zip(m.height, m.length, m.sigma, strict=True)]  # fmt: skip
+    head = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm,push_height_mm,push_control"
+    table.write_text("\n".join([head, *rows]))
+    found = CliRunner().invoke(command, [str(table), "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["model"]["body"] == "block"
+    assert "body" not in content["request"]  # it was not asked for
+    assert "slider" in {one["name"] for one in content["changes"]}
+    again = sp.fit(sp.read_measurements(table), **from_request(content["request"]))
+    assert again.values["areal_stiffness"] == pytest.approx(content["values"]["areal_stiffness"], rel=1e-12)
+    assert as_request(again.request) == content["request"]
+    slider = CliRunner().invoke(command, [str(table), "--body", "slider", "--verbose"])
+    assert "semi-infinite slider" in slider.stdout
+
+
+def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
+    """Two blocks far below the longest lengths, each with a modulus of its own: the curvature is that of the interpolation."""
+    height, sigma = np.repeat([2400.0, 6000], 4), np.repeat([40.0, 150], 4)
+    known = {"correlation_length": 1e-5, "young": 3.3e9, "young_sigma": 2e8, "specimen": ("A",) * 4 + ("B",) * 4}
+    push = {"push_height": height / 4, "length": [1420.0, 1440, 1410, 1380, 4780, 4700, 4860, 5040], "length_sigma": sigma}
+    result = sp.fit(sp.Measurements(height=height, poisson=0.37, **known, **push))
+    assert (result.fitted.length < 0.9 * result.attainable).all()
+    assert result.identifiability is Identifiability.IDENTIFIED
+
+
+@pytest.mark.ci
+def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
+    """Of the height of the push, beside an offset and a model factor."""
+    height = np.array([1500.0, 2500, 4000, 6000])
+    known = {"correlation_length": 1e-5, "young": 3.3e9, "length_sigma": [50.0, 50, 60, 80], "provenance": ("measured",) * 4}
+    m = sp.Measurements(height=height, poisson=0.37, length=[800.0, 1630, 3120, 5200], push_height=height / 4, **known)
+    result = sp.fit(m)
+    moved = np.log(sp.fit(dataclasses.replace(m, push_height=1.05 * m.push_height)).values["areal_stiffness"])
+    moved -= np.log(result.values["areal_stiffness"])
+    assert moves(result)["push_height"]["areal_stiffness"] == pytest.approx(moved, abs=0.002)
+    assert abs(moved) > 0.05
+
+
+@pytest.mark.ci
+def test_what_follows_a_fit_of_a_block(study, fitted):
+    """Refits and designs are of blocks; samples by NUTS and cracks are not, and say so."""
+    compared = sp.pulse_or_crack(study[1], simulations=20)
+    assert compared.pulse.parameters.front.body == compared.crack.parameters.front.body == "slider"
+    drawn = fitted.bootstrap(20)
+    relative = fitted.stderrs["stiffness"] / fitted.values["stiffness"]
+    assert float(np.std(drawn.theta[:, 0])) == pytest.approx(relative, rel=0.6)
+    assert sp.plot.fit(fitted).axes
+    known = sp.Knowledge.from_fit(fitted)
+    assert known.log_sd == pytest.approx(relative, rel=0.05)
+    with pytest.raises(ValueError, match="from measurements of a block, the candidates are sliders"):
+        sp.design(known, height=400, sigma=5.0)
+    with pytest.raises(ValueError, match="needs a length that can be traced"):
+        fitted.posterior()
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({"push_height": 1.2 * HEIGHT}, {}, r"measurement 0, column push_height: 360 λc: not below the height of the block"),
+        ({"push_width": 2 * HEIGHT}, {}, r"column push_width: 600 λc: wider than the block is high"),
+        ({"push_width": 0.8 * HEIGHT}, {}, r"column push_width: 240 λc: reaches beyond the side of the block"),
+        ({"push_height": 0 * HEIGHT}, {}, r"column push_height: 0 λc: the push must lie above the interface"),
+        ({"push_control": ("speed",) * 5}, {}, r"column push_control: 'speed': one of displacement, force"),
+        ({"push_height": None, "push_width": 9.0}, {}, r"push_width is given without push_height"),
+        ({"push_height": None}, {"body": "block"}, r"needs the height of the push: give push_height"),
+        ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
+        ({"block_length": 9 * HEIGHT}, {}, r"block_length beside push_height: a fit of a block takes one without an end"),
+        ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
+        ({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'"),
+        ({}, {"body": "brick"}, r"body = 'brick': one of slider, block"),
+    ],
+)  # fmt: skip
+def test_refusals(study, changes, options, message):
+    with pytest.raises(ValueError, match=message):
+        sp.fit(dataclasses.replace(study[1], **changes), **options)
+
+
+def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
+    length = sp.exact_lengths(sp.Slider(HEIGHT, stiffness_at(0.6), 0.3))
+    m = sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length)
+    found = sp.fit(m)
+    (high, middle, low) = np.exp(next(one for one in found.changes if one.name == "block").moves["stiffness"])
+    block = sp.fit(dataclasses.replace(m, push_height=0.25 * HEIGHT))
+    ratio = block.values["stiffness"] / found.values["stiffness"]
+    assert middle == pytest.approx(ratio, rel=0.1)
+    assert high < 0.3
+    assert np.isnan(low)
+    ratios = [high, middle]
+    rows = section(found.report(), "What else would move it")
+    (row,) = [
+        row for row in rows if row.startswith("  a real block, pushed from 0.5, 0.25, 0.1 H up (column push_height fits one)")
+    ]
+    assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none fits")
+    factor = f"{ratios[0]:.2g} to {ratios[1]:.2g} times this, or none fits, depending on where its side is pushed."
+    assert f"For a real block the stiffness is {factor}" in unfolded(found.report())
+    assert {"block", "push_width"} & moves(block).keys() == {"push_width"}  # no longer by where it is pushed
+
+
+@pytest.mark.ci
+def test_the_command_has_lengths_of_blocks():
+    given = ["--height", "60", "--stiffness", "0.006", "--poisson", "0.3", "--push-height", "0.5"]
+    found = CliRunner().invoke(length_command, [*given, "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["length"] == pytest.approx(float(sp.precursor_length(sp.Block(60.0, 0.006, 0.3, sp.Push(0.5)))), rel=1e-12)
+    assert content["length_of_slider"] == pytest.approx(float(sp.exact_length(sp.Slider(60.0, 0.006, 0.3))), rel=1e-12)
+    text = CliRunner().invoke(length_command, [*given, "--push-width", "0.1"]).stdout
+    assert "pushed over 0.1 H about 0.5 H, displacement held" in text
+    for more, message in [(["--sites", "30"], "half-infinite"), (["--push-width", "1.4"], "must lie in (0, 1)")]:
+        refused = CliRunner().invoke(length_command, [*given, *more])
+        assert refused.exit_code == 2
+        assert message in refused.output
+
+
+def test_lengths_by_finite_elements_that_share_nothing_with_the_package():
+    """The program of `fit_examples/pushed_block`: other elements, another mesh, twelve heights with a free end."""
+    spec = importlib.util.spec_from_file_location("make_data", ROOT / "fit_examples/pushed_block/make_data.py")
+    assert spec is not None
+    assert spec.loader is not None
+    program = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(program)
+    program.FOLLOWED, program.LONG = 64, 8
+    push, response = program.responses(30.0, 1e-2, 9.0)
+    np.testing.assert_allclose(response, response.T, atol=1e-13)
+    found = float(sp.precursor_length(sp.Block(30.0, 1e-2, 0.3, sp.Push(0.3))))
+    assert found == pytest.approx(program.precursor(push, response), rel=1e-2)  # the coarser mesh is ours
+
+
+def test_counts_and_run_throughs_of_blocks(study):
+    stiffness, m = study
+    whole = dataclasses.replace(m, length=np.ceil(m.length), length_sigma=0 * m.length, kind=("whole",) * 5)
+    counted = sp.fit(whole)
+    (piece,) = counted.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high < 1.03 * piece.low
+    past = dataclasses.replace(m, length=[*m.length[:4], 0.5 * m.length[4]], kind=("length",) * 4 + ("at_least",),
+                               length_sigma=[*m.sigma[:4], 0])  # fmt: skip
+    assert sp.fit(past).values["stiffness"] == pytest.approx(stiffness, rel=0.02)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("control", ["displacement", "force"])
+def test_a_push_on_a_patch_is_fitted_as_one(control):
+    """A force that is held lets a contact inside break first, and its lengths say little of the stiffness."""
+    height, stiffness = np.array([300.0, 520.0]), 0.8 / (2.6 * 400)
+    push = sp.Push(0.25, 0.1, control)
+    length = np.array([float(sp.precursor_length(sp.Block(h, stiffness, 0.3, push), event="full")) for h in height])
+    m = sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * height,
+                        push_width=0.1 * height, push_control=(control,) * 2)  # fmt: skip
+    found = sp.fit(m, bounds=(stiffness / 1.5, stiffness * 1.5))
+    assert found.fitted.length[0] == pytest.approx(length[0], rel=0.01)
+    if control == "displacement":
+        assert found.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
+        assert found.identifiability is Identifiability.IDENTIFIED
+    else:
+        assert found.identifiability is not Identifiability.IDENTIFIED
+
+
+def test_one_block_pushed_at_several_heights_is_drawn_against_them():
+    block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
+    length = np.array([float(sp.precursor_length(one, event="full")) for one in block])
+    m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=[100, 140, 200])
+    lengths, stiffness, residuals = sp.plot.fit(sp.fit(m)).axes
+    assert residuals.get_xlabel() == r"height of the push, $h/\lambda_c$"
+    assert sum("best fit" in text.get_text() for text in lengths.get_legend().get_texts()) == 1
+    assert [text.get_text() for text in stiffness.get_legend().get_texts()][:3] == [
+        rf"$h/\lambda_c$ = {h}" for h in (100, 140, 200)
+    ]
+
+
+def test_a_block_that_ends_is_refused_by_the_names_of_its_columns():
+    """No other body is recommended: the slider would give another stiffness."""
+    table = pd.read_csv(ROOT / "fit_examples/pmma_block/lengths.csv").assign(block_length_mm=500.0, push_height_mm=5.0)
+    with pytest.raises(ValueError, match="block_length_mm beside push_height_mm") as refused:
+        sp.fit(table)
+    assert "slider" not in str(refused.value)
+    assert "leave it out" in str(refused.value)
+
+
+# --- progress -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_long_computations_are_announced_once(slow, capsys, monkeypatch):
+    """On a stderr that is no terminal, where a bar would not be seen; quick ones are not."""
+    if slow:
+        monkeypatch.setattr(interpolation, "LONG", 0.05)
+
+    def compute(place):
+        time.sleep(0.03)
+        return place
+
+    place = np.arange(6 * interpolation.AT_ONCE, dtype=float)[:, None]
+    grid = interpolation.Grid([1.0], compute)
+    np.testing.assert_array_equal(grid(place), place)
+    grid(place)  # known by now
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert bool(re.fullmatch(rf"following {len(place)} events of blocks, which takes about \d+ s more\n", err)) == slow
+    assert bool(err) == slow

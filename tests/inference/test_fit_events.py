@@ -1,0 +1,135 @@
+"""Fits whose model is the whole event, where contacts break again before the front stops."""
+
+import dataclasses
+import json
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.figure import Figure
+from reports import unfolded
+
+import slippulse_jax as sp
+from slippulse_jax import plot
+from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.fronts import FRONTS
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.interpolation import whole_over_front
+from slippulse_jax.inference.likelihood import log_density
+from slippulse_jax.inference.record import as_request, from_request
+from slippulse_jax.plot.labels import AGAIN
+
+HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+
+
+def study(b, error=0.01):
+    """Lengths of whole events without scatter; b of the geometric mean of the heights."""
+    stiffness = b / (2.6 * np.exp(np.log(HEIGHT).mean()))
+    length = sp.precursor_lengths(sp.Slider(HEIGHT, stiffness, 0.3), event="full")
+    return stiffness, sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=error * length)
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("b", [6.5, pytest.param(20.0, marks=pytest.mark.slow)])
+def test_fits_of_whole_events_recover_the_stiffness(b):
+    """Taken as fronts they give three quarters of it and less, and say so."""
+    stiffness, m = study(b)
+    whole, front = sp.fit(m, event="full"), sp.fit(m)
+    assert whole.identifiability is Identifiability.IDENTIFIED
+    assert whole.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
+    assert abs(whole.values["stiffness"] - stiffness) < whole.stderrs["stiffness"]
+    assert front.identifiability is Identifiability.REBREAKS
+    assert "\n  H larger by 1 % " in front.report(), "a value that the event may change is still one that inputs move"
+    assert front.values["stiffness"] < 0.75 * stiffness
+    assert front.values["stiffness"] < whole.intervals["stiffness"][0.95][0].low
+    assert "length of the whole event" in whole.report(verbose=True)
+    assert "of the first front alone" in front.report()
+    assert "of the first front alone" not in whole.report()
+    assert "with uniform thresholds and whole events." in unfolded(whole.report())
+    assert re.search(r"\n  thresholds that scatter by 5 % between contacts .* × 2.5 to 5\n", whole.report())
+    for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
+        assert AGAIN in legend(draw(front, ax=Figure().subplots()))
+        assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
+
+
+def test_the_model_of_a_fit_against_the_cascade():
+    """Within a thousandth up to b = 10, a few per cent at most beyond; and the front itself below the onset."""
+    rng = np.random.default_rng(8)
+    b = np.exp(rng.uniform(0, np.log(50), 60))
+    height, poisson = np.exp(rng.uniform(np.log(15), np.log(60), 60)), rng.uniform(0.2, 0.4, 60)
+    stiffness = b / (2 * (1 + poisson) * height)
+    inputs = Inputs.of(height, stiffness, poisson)
+    found = FRONTS["slider", "full"].predict(inputs, ("log_stiffness",))
+    off = found.value / sp.precursor_lengths(sp.Slider(height, stiffness, poisson), event="full") - 1
+    assert np.sqrt(np.mean(off[b < 10] ** 2)) < 2e-3
+    assert np.sqrt(np.mean(off[b > 10] ** 2)) < 0.01
+    assert np.abs(off).max() < 0.03
+    front = FRONTS["slider", "domino"].predict(inputs, ("log_stiffness",))
+    early = b < 2.4
+    np.testing.assert_array_equal(found.value[early], front.value[early])
+    np.testing.assert_array_equal(found.slopes["log_stiffness"][early], front.slopes["log_stiffness"][early])
+
+
+@pytest.mark.ci
+def test_the_model_of_a_fit_is_continuous_and_takes_a_prestress():
+    b = np.geomspace(2.5, 60, 2001)
+    lanes = np.stack([0 * b + 40, b / (2.6 * 40), 0 * b + 0.3, 0 * b, 0 * b])
+    assert np.abs(np.diff(whole_over_front(lanes))).max() < 2e-3
+    lane = np.array([[40.0], [0.2], [0.3], [0.13], [0.0]])
+    slider, interface = sp.Slider(40.0, 0.2, 0.3), sp.Interface(prestress=0.13)
+    whole, front = (sp.precursor_lengths(slider, interface, event=event) for event in ("full", "domino"))
+    np.testing.assert_allclose(whole_over_front(lane), whole / front, rtol=0.01)
+
+
+def test_small_errors_get_the_steps_of_the_length_added():
+    _, m = study(20.0, error=1e-3)
+    result = sp.fit(m, event="full")
+    assert result.between_contacts is not None
+    assert (result.between_contacts > m.sigma).any()
+    assert any("steps where the order of its breaks changes" in note for note in result.notes)
+
+
+def test_counts_of_whole_events_have_the_error_of_the_model():
+    """An interpolated length cannot hold a count to a few per cent of a contact."""
+    stiffness, m = study(20.0)
+    counted = sp.Measurements(height=HEIGHT, poisson=0.3, length=np.ceil(m.length), kind=("whole",) * len(HEIGHT))
+    result = sp.fit(counted, event="full")
+    assert result.identifiability is not Identifiability.EQUAL
+    assert (result.between_contacts > 0.05).any()
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.low < stiffness < piece.high
+
+
+def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
+    _, m = study(6.5)
+    rows = zip(m.height, m.length, m.sigma, strict=True)
+    table = tmp_path / "lengths.csv"
+    table.write_text("height,poisson,length,length_sigma\n" + "".join(f"{h:.6g},0.3,{x:.9g},{s:.9g}\n" for h, x, s in rows))
+    found = CliRunner().invoke(command, [str(table), "--event", "full", "--intervals", "profile", "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["request"]["event"] == "full"
+    assert from_request(content["request"])["event"] == "full"
+    again = sp.fit(sp.read_measurements(table), **from_request(content["request"]))
+    assert again.values["stiffness"] == pytest.approx(content["values"]["stiffness"], rel=1e-12)
+    assert as_request(again.request) == content["request"]
+
+
+def test_what_a_fit_of_whole_events_does_not_take():
+    _, m = study(6.5)
+    with pytest.raises(ValueError, match=r"event = 'whole': one of domino, full, crack"):
+        sp.fit(m, event="whole")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"gauges, block_length and machine_stiffness need the model of one front"):
+        sp.fit(dataclasses.replace(m, block_length=20 * m.height), event="full")
+    result = sp.fit(m, event="full", intervals="profile")
+    with pytest.raises(ValueError, match=r"a posterior needs a length that can be traced"):
+        result.posterior()
+    with pytest.raises(ValueError, match=r"cannot be traced"):
+        log_density(result.theta, result.problem)

@@ -1,0 +1,149 @@
+"""The posterior: the traced density is the objective of the fit; NUTS, profile and bootstrap agree on a well-posed study (slow).
+
+The traced length takes a minute to compile inside the sampler. The slow test uses it, and it has a test of its own; elsewhere
+the lengths that a fit works with stand in for it.
+"""
+
+import json
+import sys
+import warnings
+from functools import partial, partialmethod
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.fit import FitResult
+from slippulse_jax.inference.fronts import STIFFEST, FirstFront
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.likelihood import log_density, make_problem
+from slippulse_jax.inference.parameters import parameter_set
+
+DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
+
+
+def outside(self, inputs, relaxed):
+    """The length from the batches that a fit works with, called from within a compiled function."""
+    del relaxed
+
+    def length(inputs):
+        return self.lengths(inputs.map(np.atleast_1d))[0]
+
+    return jax.pure_callback(length, jax.ShapeDtypeStruct((), inputs.poisson.dtype), inputs, vmap_method="sequential")
+
+
+def tabulated(m):
+    """The length of measurements of which the stiffness alone is fitted, from a table of it."""
+    log_height, first = np.unique(np.log(m.height), return_index=True)
+    log_stiffness = np.linspace(np.log(FirstFront().softest(m).min()), np.log(STIFFEST), 6001)
+    every = Inputs.of(m.height[first][:, None], np.exp(log_stiffness), m.poisson[first][:, None])
+    table = FirstFront().lengths(every.ravel()).reshape(every.poisson.shape)
+
+    def length(self, inputs, relaxed):
+        row = jnp.argmin(jnp.abs(log_height - inputs.log_height))
+        return jnp.interp(inputs.log_stiffness, log_stiffness, jnp.asarray(table)[row])
+
+    return length
+
+
+@pytest.mark.parametrize("loss", ["normal", "student"])
+def test_density_is_the_objective(loss, monkeypatch):
+    """At random points, with counts, censoring and a prior."""
+    monkeypatch.setattr(FirstFront, "traced", outside)
+    m = Measurements(
+        height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
+    )  # fmt: skip
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
+    problem = make_problem(m, q, loss, m.sigma)
+    theta = np.random.default_rng(0).uniform([-7, 0.2], [-4, 0.4], (4, 2))
+    density = jax.jit(jax.vmap(partial(log_density, problem=problem)))(theta)
+    np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
+
+
+@pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_traced_length_is_that_of_the_fit(relaxed):
+    inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)
+    assert float(FirstFront().traced(inputs, relaxed)) == pytest.approx(FirstFront().lengths(inputs.ravel())[0], rel=1e-11)
+
+
+@pytest.mark.ci
+def test_command_line(monkeypatch):
+    """`slippulse fit --posterior`: four chains whose interval is that of the profile, in the report and as JSON."""
+    monkeypatch.setattr(FirstFront, "traced", tabulated(read_measurements(DATA)))
+    monkeypatch.setattr(FitResult, "posterior", partialmethod(FitResult.posterior, warmup=100))
+    done = CliRunner().invoke(command, [DATA, "--posterior", "150", "--seed", "3", "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    drawn, name = found["posterior"], "areal_stiffness"
+    assert (drawn["chains"], drawn["samples"], drawn["seed"]) == (4, 150, 3)
+    assert drawn["rhat"][name] < 1.05
+    assert drawn["ess"][name] > 100
+    assert drawn["divergences"] == 0
+    # a mean of 100 independent samples: a tenth of a standard error
+    assert abs(drawn["mean"][name] - found["values"][name]) < 0.5 * found["stderr"][name]
+    assert drawn["stderr"][name] == pytest.approx(found["stderr"][name], rel=0.2)
+
+
+@pytest.mark.ci
+def test_arviz_takes_the_posterior(monkeypatch):
+    """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
+    az = import_arviz()
+    result = fit(DATA)
+    monkeypatch.setattr(FirstFront, "traced", tabulated(result.measurements))
+    drawn = result.posterior(samples=60, warmup=60, chains=2, progress=False)
+    tree = drawn.to_arviz()
+    table = az.summary(tree)
+    assert list(table.index) == ["areal_stiffness"]
+    summary = drawn.to_dict()
+    assert table["mean"].iloc[0] == pytest.approx(summary["mean"]["areal_stiffness"], rel=1e-3)
+    assert table["r_hat"].iloc[0] == pytest.approx(summary["rhat"]["areal_stiffness"], abs=0.01)
+    assert table["ess_bulk"].iloc[0] == pytest.approx(summary["ess"]["areal_stiffness"], abs=1)
+    assert tree["posterior"]["areal_stiffness"].attrs["units"] == "Pa/m"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Matplotlib's about ArviZ
+        az.plot_trace(tree)
+    assert drawn.theta.shape == (2, 60, 1)
+    np.testing.assert_allclose(np.exp(drawn.theta).ravel(), drawn.of("areal_stiffness"))
+    refits = result.bootstrap(5)
+    assert refits.theta.shape == (5, 1)
+    assert az.summary(refits.to_arviz(), kind="stats")["mean"].iloc[0] == pytest.approx(refits.values.mean(), rel=1e-3)
+
+
+def import_arviz():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of its own next version
+        import arviz
+    return arviz
+
+
+def test_missing_sampler_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numpyro", None)
+    done = CliRunner().invoke(command, [DATA, "--posterior", "10"])
+    assert done.exit_code == 2
+    assert "pip install 'slippulse_jax[bayes]'" in done.output
+
+
+@pytest.mark.slow  # the sampler takes minutes to compile
+def test_posterior_profile_and_bootstrap_agree():
+    height = np.array([15.0, 20, 25, 30, 40, 50])
+    length = FirstFront().lengths(Inputs.of(height, 0.004, 0.3))
+    rng = np.random.default_rng(1)
+    m = Measurements(
+        height=height, poisson=0.3, length=length * (1 + 0.01 * rng.standard_normal(6)), length_sigma=0.01 * length
+    )
+    result = fit(m)
+    drawn = result.posterior(samples=1000, warmup=500)
+    assert drawn.converged, drawn
+    profile = result.intervals["stiffness"][0.95][0]
+    width = profile.high - profile.low
+    for found in (drawn, result.bootstrap(2000)):
+        low, high = found.interval("stiffness")
+        # ends of a 95 % interval from 1000 independent samples: 0.09 standard errors, a quarter of a tenth of its width
+        assert abs(low - profile.low) < 0.08 * width
+        assert abs(high - profile.high) < 0.08 * width
+        assert found.stderr("stiffness") == pytest.approx(result.stderrs["stiffness"], rel=0.1)

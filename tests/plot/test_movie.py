@@ -1,0 +1,66 @@
+"""The animation shows every break of the front, once, and stops where the front does."""
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import slippulse_jax as sp
+from slippulse_jax.precursor import FirstPrecursor
+
+
+@pytest.fixture(scope="module")
+def front():
+    return sp.first_precursor(sp.Slider(10.0, 0.03, 0.3))
+
+
+@pytest.mark.ci
+def test_gif_has_a_frame_for_every_break(front, tmp_path):
+    path = tmp_path / "front.gif"
+    movie = sp.plot.animate(front, path, fps=10, hold=1.0)
+    with Image.open(path) as gif:
+        durations = []
+        for frame in range(gif.n_frames):
+            gif.seek(frame)
+            durations.append(gif.info["duration"])
+    # frames that do not differ are one, shown for longer
+    assert len(durations) == int(front.contacts_broken) + 1
+    assert sum(durations) == pytest.approx(1000 * ((int(front.contacts_broken) + 1) / 10 + 1.0))
+    assert path.stat().st_size < 1_000_000
+    assert list(tmp_path.iterdir()) == [path]
+    above, below = movie._fig.axes
+    stress = below.lines[2].get_ydata()
+    np.testing.assert_allclose(stress, front.arrest.stress[: len(stress)], atol=1e-12)
+    assert "10 contacts broken: it stops" in below.texts[0].get_text()
+    assert "u_s" in above.get_ylabel()
+
+
+@pytest.mark.ci
+def test_html_and_notebooks(front, tmp_path):
+    movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)
+    page = (tmp_path / "front.html").read_text(encoding="utf-8")
+    assert page.startswith("<!doctype html>")
+    assert page.count("data:image/png") >= 11
+    assert "data:image/png" in movie._repr_html_()
+
+
+def test_refusals(front, tmp_path):
+    with pytest.raises(ValueError, match=r"front\.avi: an animation is written as \.gif"):
+        sp.plot.animate(front, tmp_path / "front.avi")
+    run_away = sp.first_precursor(
+        sp.Slider(10.0, 0.03, 0.3), interface=sp.Interface(prestress=0.9), recorded_sites=20, max_contacts=20
+    )
+    with pytest.raises(ValueError, match="did not stop"):
+        sp.plot.animate(run_away)
+    with pytest.raises(ValueError, match="fps = 0"):
+        sp.plot.animate(front, fps=0)
+    batch = FirstPrecursor(**{**vars(front), "contacts_broken": jnp.array([1, 2])})
+    with pytest.raises(ValueError, match="not a batch"):
+        sp.plot.animate(batch)
+    if not mpl.animation.FFMpegWriter.isAvailable():
+        with pytest.raises(RuntimeError, match="ffmpeg"):
+            sp.plot.animate(front, tmp_path / "front.mp4")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,283 @@
+"""Promises of the project as a whole: layers, README, examples, what importing does."""
+
+import ast
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import documented
+import nbformat
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from nbclient import NotebookClient
+
+import slippulse_jax
+import slippulse_jax as sp
+from slippulse_jax.cli.fit import command as fit_command
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = Path(slippulse_jax.__file__).parent
+
+# imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
+LAYERS = {
+    "shown": -1, "files": -1, "bulk": -1, "units": 0, "derivatives": 0, "domains": 0, "status": 0, "double_series": 0,
+    "slider": 1, "rules": 1, "interface": 1, "block": 2,
+    "bodies": 3, "theory": 3,
+    "front": 4, "exact": 5, "events": 5,
+    "lengths": 6, "precursor": 7,
+    "inference": 8, "sweeps": 8,
+    "plot": 9, "paper": 10,
+    "cli": 11,
+}  # fmt: skip
+
+
+def imports(path):
+    """Modules of the package that a file imports, anywhere in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = (
+            [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else [a.name for a in node.names]
+            if isinstance(node, ast.Import)
+            else []
+        )
+        yield from (name for name in names if name and name.startswith("slippulse_jax."))
+
+
+def test_imports_run_downward():
+    seen = 0
+    for path in PACKAGE.rglob("*.py"):
+        layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if layer == "__init__":
+            continue
+        assert layer in LAYERS, f"{layer} has no place in the layers: give it one"
+        for name in imports(path):
+            other = name.split(".")[1]
+            seen += 1
+            assert other == layer or LAYERS[other] < LAYERS[layer], f"{path.name} imports {name}"
+    assert seen > 20
+
+
+def test_matrices_are_eliminated_one_by_one():
+    """jaxlib's elimination of a batch can wait for its own threads for ever: what uses it keeps `vmap` out, as these two do."""
+    used = {
+        path.stem for path in PACKAGE.rglob("*.py") if re.search(r"jnp\.linalg|jax\.scipy\.linalg", path.read_text("utf-8"))
+    }
+    assert used == {"waveguide"}  # by sequential_vmap
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_benchmarks_import_what_there_is(path):
+    """Some import rivals that only the extra `bench` installs, so that the names are looked up instead."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("slippulse_jax"):
+            for one in node.names:
+                if not hasattr(importlib.import_module(node.module), one.name):
+                    importlib.import_module(f"{node.module}.{one.name}")
+
+
+def test_importing_changes_nothing():
+    """Importing the package starts no JAX and flips no flag; every public name is there."""
+    code = (
+        "import sys, slippulse_jax as sp\n"
+        "assert 'jax' not in sys.modules\n"
+        "import jax\n"
+        "before = dict(jax.config.values)\n"
+        "for name in sp.__all__: getattr(sp, name)\n"
+        "assert before == dict(jax.config.values)\n"
+        "assert set(sp.__all__) <= set(dir(sp))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_public_names_live_where_the_stub_says():
+    """What type checkers read in ``__init__.pyi`` is what users get, about thirty names, and `dir` lists them."""
+    for statement in ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8")).body:
+        for name in statement.names if isinstance(statement, ast.ImportFrom) else []:
+            assert name.asname == name.name, "a stub re-exports a name imported as itself"
+            home = importlib.import_module(statement.module)
+            assert getattr(slippulse_jax, name.name) is getattr(home, name.name)
+    assert 30 <= len(slippulse_jax.__all__) <= 40
+    assert dir(slippulse_jax) == sorted(slippulse_jax.__all__)
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'precurser_length'"):
+        slippulse_jax.precurser_length  # noqa: B018
+
+
+def test_readme_examples_run(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    blocks = documented.blocks(ROOT / "README.md", "python")
+    assert blocks
+    for _, block in blocks:
+        scope = {}
+        documented.run_python(block, "README.md", scope)
+        assert int(scope["front"].contacts_broken) == 26
+        assert scope["scan"].shape == (3, 3)
+        assert scope["scan"][1, 2] == pytest.approx(25.7898, abs=1e-4)
+    assert "│ Identified. From 6 lengths of lengths.csv" in capsys.readouterr().out
+
+
+def test_readme_commands_are_the_ones_ci_runs():
+    def command(number):
+        return subprocess.run(
+            [sys.executable, ".ci/readme_command.py", str(number)], capture_output=True, text=True, cwd=ROOT, check=True
+        ).stdout  # fmt: skip
+
+    assert "slippulse fit" in command(1)
+    assert "pytest" in command(2)
+
+
+def test_readme_table_is_read(tmp_path):
+    """The table in README is one that the package takes, and the command beside it is one there is."""
+    ((_, table),) = documented.blocks(ROOT / "README.md", "csv")
+    (tmp_path / "my_lengths.csv").write_text(table, encoding="utf-8")
+    assert slippulse_jax.read_measurements(tmp_path / "my_lengths.csv").length.shape == (2,)
+
+
+def test_readme_links_lead_somewhere():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if not link.startswith("http")]
+    assert links
+    for link in links:
+        page, _, section = link.partition("#")
+        assert (ROOT / page).exists(), link
+        headings = re.findall(r"^#+ (.+)$", (ROOT / page).read_text(encoding="utf-8"), flags=re.M) if section else []
+        assert not section or section in [heading.lower().replace(" ", "-") for heading in headings], link
+
+
+EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_fit_example_runs_and_recovers(name, tmp_path, monkeypatch):
+    """What its README says to run: main() fits the data and checks what it recovers, and the command line takes them too."""
+    shutil.copytree(ROOT / "fit_examples", tmp_path / "fit_examples", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.chdir(tmp_path / "fit_examples" / name)
+    shutil.copy("lengths.csv", "my_lengths.csv")
+    ((_, commands),) = documented.blocks("README.md", "sh")
+    assert "python fit.py\n" in commands
+    documented.run_shell(commands)
+
+
+def test_there_are_examples():
+    assert len(EXAMPLES) >= 8
+    listed = (ROOT / "fit_examples" / "README.md").read_text(encoding="utf-8")
+    assert all(f"({name}/README.md)" in listed for name in EXAMPLES)
+
+
+NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
+@pytest.fixture(scope="module")
+def client():
+    """A client of one kernel for all notebooks: what one of them has imported and compiled the next need not."""
+    client = NotebookClient(
+        nbformat.v4.new_notebook(),
+        timeout=300,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(ROOT / "notebooks")}},
+    )
+    with client.setup_kernel():
+        yield client
+
+
+AS_NEW = "%reset -f\nimport jax, matplotlib\njax.config.update('jax_enable_x64', False)\nmatplotlib.rcdefaults()\n%reset -f"
+"""A cell that undoes what notebooks set."""
+
+
+@pytest.mark.ci
+@pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_runs_and_is_committed_with_its_output(name, client):
+    path = ROOT / "notebooks" / name
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code), "commit notebooks executed"
+    assert not any(output.get("name") == "stderr" for cell in code for output in cell.outputs), "commit them without warnings"
+    assert any("image/png" in output.get("data", {}) for cell in code for output in cell.outputs), "commit them with pictures"
+    assert path.stat().st_size < 300_000
+    notebook.cells.append(nbformat.v4.new_code_cell(AS_NEW))
+    client.nb = notebook
+    client.reset_execution_trackers()
+    for number, cell in enumerate(notebook.cells):
+        client.execute_cell(cell, number)
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+def test_release_is_one_everywhere():
+    """Version, change log and citation agree; the workflow tries the Python versions that the metadata name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text("utf-8")
+    latest, date = re.search(r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), flags=re.M).groups()
+    assert re.search(r"^version: (\S+)$", citation, flags=re.M)[1] == latest == project["version"]
+    assert re.search(r'^date-released: "(.*)"$', citation, flags=re.M)[1] == date
+    tried = re.search(r"python: \[(.*)\]", (ROOT / ".github/workflows/test.yml").read_text("utf-8"))[1]
+    named = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
+    assert re.findall(r"3\.\d+", tried) == named
+    assert project["requires-python"] == f">={named[0]}"
+
+
+def test_readme_quotes_the_report():
+    """The text below the first command is how its output begins, up to …"""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    quoted = re.search(r"```text\n(.*?)```", text, flags=re.S)[1].splitlines()
+    said = CliRunner().invoke(fit_command, [str(ROOT / "fit_examples/pmma_block/lengths.csv")]).stdout.splitlines()
+    quoted = quoted[:-1] if quoted[-1].strip() == "…" else quoted
+    assert len(quoted) > 5
+    assert quoted == said[: len(quoted)]
+
+
+def test_quantities_are_computed_where_the_table_says():
+    """CONTRIBUTING's table: one row per quantity, modules that exist, and independent programs that exist."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.split("## Where each quantity is computed")[1].split("\n## ")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 15
+    quantities = [row[0] for row in rows]
+    assert len(set(quantities)) == len(quantities)
+    for quantity, by, checked in rows:
+        for name in re.findall(r"`([\w.]+)`", by):
+            assert importlib.util.find_spec(f"slippulse_jax.{name}"), (quantity, name)
+        for name in re.findall(r"`(\w+)\.?[\w.]*`", checked):
+            assert [*(ROOT / "tests").rglob(f"{name}.py")] or name in ("DenseChain", "Chain"), (quantity, name)
+
+
+PATHS = {  # a call, the function whose body holds the line, and the most frames of the package from the one to the other
+    "precursor_length": (lambda: sp.precursor_length(sp.Slider(np.full(3, 25.0), 0.03, 0.3)), "overloaded_length", 7),
+    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "_burst", 10),
+}
+
+
+@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.ci)])
+def test_a_newcomer_reaches_the_physics_in_few_frames(name):
+    """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
+    call, target, most = PATHS[name]
+    depths = []
+
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code.co_name == target and frame.f_globals["__name__"].startswith("slippulse_jax"):
+            above = 0
+            while frame is not None:
+                above += frame.f_globals.get("__name__", "").startswith("slippulse_jax") and frame.f_code.co_name[0] != "<"
+                frame = frame.f_back
+            depths.append(above)
+
+    sys.setprofile(watch)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    assert depths, "traced before: the test must be the first to ask for these shapes"
+    assert max(depths) <= most
