@@ -62,6 +62,19 @@ def test_the_commands_json_is_that_of_save(tmp_path):
     assert json.loads(saved.read_text()) == json.loads(path.read_text())
 
 
+def test_a_fit_of_version_0_2_is_read():
+    """With the numbers, verdicts and words of a fit of its table today; what would move it is found anew."""
+    loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
+    again = sp.fit(loaded.measurements, **loaded.request)
+    assert loaded.values == pytest.approx(again.values, rel=1e-9)
+    assert loaded.stderrs == pytest.approx(again.stderrs, rel=1e-6)
+    for level, pieces in again.intervals["stiffness"].items():
+        np.testing.assert_allclose(loaded.intervals["stiffness"][level], pieces, rtol=1e-6)
+    assert loaded.verdicts == again.verdicts
+    np.testing.assert_allclose(loaded.residuals, again.residuals, rtol=1e-6, atol=1e-9)
+    assert loaded.report() == again.report()
+
+
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "fit.json"
     with pytest.raises(FileNotFoundError):
