@@ -105,6 +105,7 @@ def whole(block, contacts, reach=None):
     return found
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("push", EACH)
 def test_response_is_that_of_a_long_block(push):
     """The long block ends at 40 H, where nothing of the push is left."""

@@ -103,6 +103,7 @@ def check(worst, longest, again, beyond, chains):
         assert worst[name] < 1e-10, name
 
 
+@pytest.mark.ci
 def test_a_sample_of_random_chains_breaks_as_the_dense_program_does():
     check(*compare(seed=1, shapes=SAMPLED_SITES, per_shape=42), chains=42 * len(SAMPLED_SITES))
 
@@ -166,6 +167,7 @@ def test_error_over_a_hundred_thousand_breaks():
     assert found.drift < 100 * np.finfo(float).eps * largest
 
 
+@pytest.mark.ci
 def test_a_rupture_goes_on_where_it_was_given_up():
     """Stopping after n breaks and going on from that state is the same rupture: nothing is remembered but the state."""
     c = chain(FIG2, sites=100, right="free")

@@ -491,6 +491,7 @@ def test_newton_starts_near_the_crossing_of_tall_sliders():
     np.testing.assert_allclose(start[2:], fronts(*theta.T)[0][2:], rtol=0.01)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("prestressed", [False, True])
 def test_bulk_leaves_falling_thresholds_to_the_careful_search(prestressed):
     """Without a prestress all, under one those whose table does not hold from the edge on; a front that arrests is told either way."""

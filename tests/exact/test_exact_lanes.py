@@ -184,6 +184,7 @@ def test_second_derivatives_in_the_slider_alone_are_part_of_all():
     np.testing.assert_allclose(alone.hessian / largest, all_of_them.hessian[:, :3, :3] / largest, atol=1e-8)
 
 
+@pytest.mark.ci
 def test_shapes_and_refusals():
     found = sp.exact_lengths(sp.Slider(np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03]), 0.3), derivatives=1)
     assert found.length.shape == (2, 3)

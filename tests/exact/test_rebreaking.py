@@ -53,6 +53,7 @@ def test_onset_tends_to_the_limit_for_every_poisson_ratio_and_prestress():
         assert 0 < beyond[-1] < 7e-4
 
 
+@pytest.mark.ci
 def test_onsets_of_the_documentation():
     onset = sp.rebreaking_onset([5, 10, 25, 100, 1e3, 1e4, 1e5], 0.3)
     np.testing.assert_allclose(onset, [np.inf, 8.458, 4.883, 3.752, 3.267, 3.142, 3.104], atol=6e-4)

@@ -314,6 +314,7 @@ def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
     assert (int(record.status), int(record.contacts_broken)) == (Outcome.RUN_AWAY, 20)
 
 
+@pytest.mark.ci
 def test_long_delays_in_bulk_end():
     """Once such a program waited for its own threads for ever: in a process of its own, under a time limit."""
     code = (

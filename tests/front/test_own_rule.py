@@ -61,6 +61,7 @@ def plain():
 RULE = EvenBreak(width=0.03, lean=0.5)
 
 
+@pytest.mark.ci
 def test_every_function_uses_it(plain):
     default = sp.precursor_lengths(FIG2, rule=sp.SmoothBreak(width=0.03))
     assert abs(default - plain.length) > 0.1, "or a rule that is not used would not be seen"

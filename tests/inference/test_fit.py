@@ -149,6 +149,7 @@ def test_hopeless_sigma_allows_every_stiffness():
     assert result.to_dict()["intervals"]["stiffness"]["0.95"][0]["open_low"] is True
 
 
+@pytest.mark.ci
 def test_information_too_small_to_invert_is_none():
     """Fronts that ran far past where they were seen last: 1/information overflows, or is a million ranges."""
     for sigma in (0.05, 0.3, 2.0):

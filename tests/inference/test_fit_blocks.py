@@ -154,6 +154,7 @@ def test_a_tall_block_on_falling_thresholds_is_refused():
         sp.precursor_length(block, sp.Interface(0.0, -1e-4))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("height", "b", "prestress"), [(30.0, 10.0, 0.6), (20.0, 10.0, 0.7), (120.0, 1.0, 0.56)])
 def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
     """By contacts of their own; the taller, the sooner."""
@@ -164,6 +165,7 @@ def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
         tall_length(block, interface, "full")
 
 
+@pytest.mark.ci
 def test_events_that_do_not_stop_are_inf_in_bulk():
     interface = {"poisson": 0.3, "push_height": 0.1, "prestress": [0.3, 0.6]}
     found = sp.sweep(height=[30.0, 5000.0], stiffness=0.1, **interface, outputs="block_precursor_length")

@@ -8,7 +8,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax.status import Outcome
 
-EXAMPLES = Path(__file__).parents[1] / "fit_examples"
+EXAMPLES = Path(__file__).parents[2] / "fit_examples"
 MEASURED, OTHERS = np.array([20.0, 40.0, 80.0]), np.array([12.0, 30.0, 55.0, 140.0])
 FACTOR, OFFSET = 1.2, 0.7
 

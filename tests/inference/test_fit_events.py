@@ -59,6 +59,7 @@ def test_fits_of_whole_events_recover_the_stiffness(b):
         assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
 
 
+@pytest.mark.ci
 def test_the_model_of_a_fit_against_the_cascade():
     """Within a thousandth up to b = 10, a few per cent at most beyond; and the front itself below the onset."""
     rng = np.random.default_rng(8)

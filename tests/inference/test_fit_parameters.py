@@ -98,6 +98,7 @@ def test_gradient_is_that_of_the_value(loss):
         )
 
 
+@pytest.mark.ci
 def test_least_density_between_limits():
     """The density itself where the limits coincide, and below it for all that lies between them."""
     rng = np.random.default_rng(4)
@@ -165,6 +166,7 @@ def test_slopes_are_those_of_the_exact_length(prestressed):
         assert (np.abs(found[name] - slope[:, column]) / scale).max() < 1e-8
 
 
+@pytest.mark.ci
 def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
     rng = np.random.default_rng(3)
     inputs = Inputs(rng.uniform(2, 6, 20), rng.uniform(-7, -3, 20), np.full(20, 0.5), np.zeros(20), np.full(20, 1e-4))
@@ -311,6 +313,7 @@ def test_one_outlier():
     assert off["student"] < 0.02
 
 
+@pytest.mark.ci
 def test_uncertain_inputs_widen_the_error_as_propagation_says():
     """One λc and ν, each with its own error, shared by all lengths: var = var(ℓ) + Σ (∂ ln k/∂input)² var(input)."""
     length = model(HEIGHTS * 100, 6e-5)

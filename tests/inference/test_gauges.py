@@ -66,6 +66,7 @@ def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
     np.testing.assert_allclose(stresses(FirstFront(), inputs).value, np.interp(places, np.arange(120), stress), atol=1e-12)
 
 
+@pytest.mark.ci
 def test_a_front_without_a_count_stops_at_its_length():
     """At ℓ* + δ; beyond the contacts looked at in the first batch too; nowhere where it never stops."""
     inputs = at_gauges([2000.0, 20.0], [1e-3, 0.02], [0.0, 0.99], [1500.0, 1.6], 0.4, 0.0)

@@ -35,6 +35,7 @@ def test_stresses_from_nucleation_to_the_end(found):
     assert np.abs(shear[:, :, -1]).max() < 0.1 * np.abs(shear).max()
 
 
+@pytest.mark.ci
 def test_pictures(found, tmp_path):
     with jax.enable_x64(True):
         for breaks in (0, None):

@@ -46,6 +46,7 @@ def test_gradients_are_those_of_the_length():
         )
 
 
+@pytest.mark.ci
 def test_interface_parameters_are_axes_too():
     phi, delay = np.array([0.0, 0.3, 0.54]), np.array([0, 2])
     found = sp.sweep(
@@ -117,6 +118,7 @@ def test_lazy_dataset_is_the_same_once_computed(points, chunk):
     xr.testing.assert_identical(sp.sweep(**one, lazy=True).compute(), sp.sweep(**one))
 
 
+@pytest.mark.ci
 def test_every_output_can_be_chosen_and_every_set_names_outputs():
     """A function of several outputs computes exactly those that name it in the table."""
     given = {"height": 60.0, "stiffness": 4e-3, "poisson": 0.3, "width": 0.5, "push_height": 0.5}
@@ -256,6 +258,7 @@ def test_an_interface_that_does_not_fit_is_refused(given, error, message):
         sp.sweep(height=10.0, stiffness=0.03, poisson=0.3, **given)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("pushes", [[0.25, 0.7], pytest.param([0.3, 0.5], marks=pytest.mark.slow)])
 def test_blocks_over_the_height_of_the_push(pushes):
     """Short blocks contact by contact, tall ones from coarser contacts, one whose event passes the first contacts looked at."""
