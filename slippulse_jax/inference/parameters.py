@@ -16,7 +16,7 @@ from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Front, WholeEvent, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
-from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 SCALES = ("length", "displacement", "force", "slip", "stress", "position")
@@ -406,8 +406,7 @@ class _Builder:
     def add_uncertain(self, name: str, sigma: np.ndarray) -> None:
         """Add a θ with a prior per true value that rows share: same specimen, same stated value and error."""
         stated = self.stated[name]
-        if stated is None:
-            raise MeasurementError(f"{self.m.source}: {name}_sigma is given without {name}")
+        assert stated is not None  # `Measurements` refuses an error without its value
         specimen = self.m.specimen or ("",) * len(self.m)
         in_m = self.m.correlation_length if name in HEIGHTS and self.m.correlation_length is not None else 1.0
         keys = list(zip(specimen, stated * in_m, sigma * in_m, strict=True))
