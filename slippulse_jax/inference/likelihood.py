@@ -555,7 +555,7 @@ def _observations(
         inputs=inputs.take(first),
         rows=own.ravel(),
         scale=q.scales[observable][rows],
-        offset=q.offset if observable == "length" else none,
+        offset=q.scales["offset"] if observable == "length" else none,
     )
 
 
@@ -570,7 +570,7 @@ def _readings(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Ob
     unit = q.scales["position"][rows]
     inputs = q.inputs.take(rows).given(
         log_position=Linear(place - unit.base, -unit.slope),  # x/λc shrinks as λc grows
-        beyond=q.beyond[rows],
+        beyond=q.scales["beyond"][rows],
         counted=Linear(counted, np.zeros_like(unit.slope)),
     )
     sigma = getattr(gauges, f"{name}_sigma")[there]

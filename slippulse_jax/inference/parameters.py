@@ -19,7 +19,9 @@ from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
-SCALES = ("length", "displacement", "force", "slip", "stress", "position")
+SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
+"""ln(unit of measurement per unit of the model) of each observable; what is added to a length, in λc; and the contacts broken
+beyond ℓ* when gauges were read."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
@@ -146,9 +148,7 @@ class ParameterSet:
     free: tuple[Free, ...]
     held: dict[str, float]  # by name, in their units
     inputs: Inputs  # a `Linear` each
-    scales: dict[str, Linear]  # ln(unit of measurement per unit of the model), for each of SCALES
-    offset: Linear  # added to a length, in λc
-    beyond: Linear  # contacts broken beyond ℓ* when gauges were read
+    scales: dict[str, Linear]  # what else θ acts on, by the names of `SCALES`
     front: Front  # the model of a length
     wanted: tuple[Parameter, ...]  # of which it was made, with those that measuring adds
 
@@ -209,7 +209,7 @@ class Kind(NamedTuple):
     symbol: str
     unit: tuple[str, str]  # for lengths in λc, and in SI
     log: bool
-    acts: dict[str, float]  # what a unit of θ adds to each of the inputs, `SCALES` and "offset"
+    acts: dict[str, float]  # what a unit of θ adds to each of the inputs and `SCALES`
     bounds: tuple[float, float] | None = None  # searched by default
     factor: float | None = None  # of one that measurements may state: up to which multiple of it is searched, if no bounds are
     limits: tuple[float, float] = (-np.inf, np.inf)  # of a range that follows from a prior
@@ -274,25 +274,36 @@ def parameter_set(
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front_of(m, event, body), _validated(m, wanted)
     front.check(m, {one.name for one in chosen})
-    builder = _Builder(m, front)
-    for parameter in chosen:
+    log_lc = np.zeros(len(m)) if m.correlation_length is None else np.log(m.correlation_length)
+    log_young = np.zeros(len(m)) if m.young is None else np.log(m.young)
+    stated = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
+    inputs = dict(zip(COMMON, stated, strict=True)) | front.stated(m)
+    base = inputs | {name: log_lc if name == "force" else np.zeros(len(m)) for name in SCALES}
+    free: list[Free] = []
+    slopes: list[dict[str, np.ndarray]] = []
+    held: dict[str, float] = {}
+    for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front, chosen), *_arrests(m)):
+        name = parameter.name
+        reference, acts = _reference(m, name), _acts(m, name, rows)
         if parameter.value is not None:
-            builder.hold(parameter)
+            held[name] = parameter.value
+            shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
         else:
-            for label, rows in _groups(m, parameter):
-                builder.add(parameter, label, rows)
-    fitted = {parameter.name for parameter in chosen}
-    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if front.body == "block" else [])):
-        sigma = getattr(m, f"{name}_sigma")
-        if sigma is None or not np.nan_to_num(sigma).any():
-            continue
-        if name in fitted:
-            raise ValueError(
-                f"{name} is to be fitted, and the measurements state its error: give it a prior there, or leave it out here"
-            )
-        builder.add_uncertain(name, sigma)
-    builder.add_arrests()
-    return builder.build(wanted)
+            free.append(_free(m, front, parameter, label, rows, float(reference[rows][0])))
+            slopes.append(acts)
+            # a height is fitted as one factor on all of its rows, and shown as the height of the first
+            shift = np.where(rows, -reference[rows][0], 0.0) if name in HEIGHTS else -reference
+        base |= {target: base[target] + size * shift for target, size in acts.items() if target in base}
+
+    def linear(target: str) -> Linear:
+        columns = [acts.get(target, np.zeros(len(m))) for acts in slopes]
+        return Linear(base[target], np.stack(columns, axis=-1).astype(float))
+
+    maps = Inputs(*map(linear, COMMON), more={name: linear(name) for name in inputs if name not in COMMON})
+    q = ParameterSet(tuple(free), held, maps, {name: linear(name) for name in SCALES}, front, wanted)
+    _check_domain(m, q)
+    _check_reached(m, q)
+    return q
 
 
 def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, size_known: bool) -> list[Parameter]:
@@ -312,152 +323,84 @@ def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, si
     return [*wanted, *(Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items() if name not in named)]
 
 
-def _groups(m: Measurements, parameter: Parameter) -> list[tuple[str, np.ndarray]]:
-    """Label and rows of each value that the parameter takes."""
-    name = parameter.name
-    specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
-    groups = [(f"{name}[{one}]", np.array([s == one for s in m.specimen])) for one in specimens]
+def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Parameter, str, np.ndarray]]:
+    """Label and rows of each value that the requested parameters take."""
+    every = np.ones(len(m), dtype=bool)
     measured = np.array([one == "measured" for one in m.provenance], dtype=bool)
-    shared = parameter.nuisance and name in OF_MEASURING and measured.any()
-    groups = groups or [(name, measured if shared else np.ones(len(m), dtype=bool))]
-    if PARAMETERS[name].factor and name not in HEIGHTS and getattr(m, name) is not None:
-        for label, rows in groups:
-            if np.ptp(getattr(m, name)[rows]) > 0:
+    for parameter in chosen:
+        name = parameter.name
+        specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
+        shared = parameter.nuisance and name in OF_MEASURING and measured.any()
+        groups = {f"{name}[{one}]": np.array([s == one for s in m.specimen]) for one in specimens}
+        groups = groups or {name: measured if shared else every}
+        for label, rows in groups.items():
+            stated = getattr(m, name, None) if PARAMETERS[name].factor and name not in HEIGHTS else None
+            if parameter.value is None and stated is not None and np.ptp(stated[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
-    return groups
+            yield parameter, label, rows
 
 
-class _Builder:
-    """Collects base and slope of every linear map."""
+def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """What a unit of θ adds to each input and scale of every measurement."""
+    acts = {target: size * rows for target, size in PARAMETERS[name].acts.items()}
+    if name == "offset" and m.correlation_length is not None:
+        acts["offset"] = rows / m.correlation_length
+    return acts
 
-    def __init__(self, m: Measurements, front: Front) -> None:
-        self.m, self.front = m, front
-        n = len(m)
-        self.stated = {
-            "height": m.height,
-            "correlation_length": m.correlation_length,
-            "young": m.young,
-            "poisson": m.poisson,
-            "prestress": m.or_zero("prestress"),
-            "threshold_slope": m.or_zero("threshold_slope"),
-            "push_height": m.push_height,
-        }
-        log_lc = np.zeros(n) if m.correlation_length is None else np.log(m.correlation_length)
-        log_young = np.zeros(n) if m.young is None else np.log(m.young)
-        own = front.stated(m)
-        self.inputs = (*COMMON, *own)
-        self.base = {name: np.zeros(n) for name in (*self.inputs, *SCALES, "offset", "beyond")} | {
-            "log_height": np.log(m.height),
-            "log_stiffness": log_lc - log_young,
-            **{name: np.array(self.stated[name]) for name in ("poisson", "prestress", "threshold_slope")},
-            "force": log_lc.copy(),
-            **own,
-        }
-        self.free: list[Free] = []
-        self.slopes: list[dict[str, np.ndarray]] = []
-        self.held: dict[str, float] = {}
 
-    def _acts(self, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """What a unit of θ adds to each map, for every measurement."""
-        acts = {target: size * rows for target, size in PARAMETERS[name].acts.items() if target in self.base}
-        if name == "offset" and self.m.correlation_length is not None:
-            acts["offset"] = rows / self.m.correlation_length
-        return acts
+def _reference(m: Measurements, name: str) -> np.ndarray:
+    """θ at which a parameter adds nothing to any row: the value stated with the measurements."""
+    column = m.or_zero(name) if name in ("prestress", "threshold_slope") else getattr(m, name, None)
+    if column is None:
+        return np.zeros(len(m))
+    if name in HEIGHTS and m.correlation_length is not None:
+        column = column * m.correlation_length
+    return np.log(column) if PARAMETERS[name].log else column
 
-    def _reference(self, name: str) -> np.ndarray:
-        """θ at which the parameter adds nothing to any row: the value stated with the measurements."""
-        column = self.stated.get(name)
-        if column is None:
-            return np.zeros(len(self.m))
-        if name in HEIGHTS and self.m.correlation_length is not None:
-            column = column * self.m.correlation_length
-        return np.log(column) if PARAMETERS[name].log else column
 
-    def _shift(self, name: str, rows: np.ndarray, theta: float | np.ndarray) -> None:
-        for target, size in self._acts(name, rows).items():
-            self.base[target] = self.base[target] + size * theta
+def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows: np.ndarray, reference: float) -> Free:
+    """The θ of a parameter: its range and its prior."""
+    kind = PARAMETERS[parameter.name]
+    low, high = parameter.bounds or _default_bounds(m, front, parameter, rows, reference)
+    mean, sigma = parameter.prior or (1.0, np.inf)
+    if kind.log:
+        low, high, mean, sigma = np.log(low), np.log(high), np.log(mean), sigma / mean
+    numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.correlation_length is not None]
+    return Free(label, parameter.name, kind.symbol, unit, kind.log, *numbers, parameter.nuisance)
 
-    def hold(self, parameter: Parameter) -> None:
-        """Hold a parameter at its value."""
-        name = parameter.name
-        assert parameter.value is not None
-        theta = np.log(parameter.value) if PARAMETERS[name].log else parameter.value
-        rows = np.ones(len(self.m), dtype=bool)
-        self._shift(name, rows, theta - self._reference(name))
-        self.held[name] = parameter.value
 
-    def add(self, parameter: Parameter, label: str, rows: np.ndarray) -> None:
-        """Add a parameter to θ."""
-        name = parameter.name
-        kind = PARAMETERS[name]
-        reference = self._reference(name)[rows]
-        # a height is fitted as one factor on all of its rows, and shown as the height of the first
-        self._shift(name, rows, np.where(rows, -reference[0], 0.0) if name in HEIGHTS else -self._reference(name))
-        low, high = parameter.bounds or _default_bounds(self, parameter, rows, float(reference[0]))
-        prior_mean, prior_sigma = parameter.prior or (1.0, np.inf)
-        if kind.log:
-            low, high = np.log(low), np.log(high)
-            prior_mean, prior_sigma = np.log(prior_mean), prior_sigma / prior_mean
-        unit = kind.unit[self.m.correlation_length is not None]
-        limits = float(low), float(high)
-        self.free.append(Free(label, name, kind.symbol, unit, kind.log, *limits, prior_mean, prior_sigma, parameter.nuisance))
-        self.slopes.append(self._acts(name, rows))
-
-    def add_uncertain(self, name: str, sigma: np.ndarray) -> None:
-        """Add a θ with a prior per true value that rows share: same specimen, same stated value and error."""
-        stated = self.stated[name]
-        assert stated is not None  # `Measurements` refuses an error without its value
-        specimen = self.m.specimen or ("",) * len(self.m)
-        in_m = self.m.correlation_length if name in HEIGHTS and self.m.correlation_length is not None else 1.0
-        keys = list(zip(specimen, stated * in_m, sigma * in_m, strict=True))
+def _uncertain(m: Measurements, front: Front, chosen: Sequence[Parameter]) -> Iterator[tuple[Parameter, str, np.ndarray]]:
+    """A parameter with a prior per true value of an input that rows share: same specimen, same stated value and error."""
+    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if front.body == "block" else [])):
+        sigma = getattr(m, f"{name}_sigma")
+        if sigma is None or not np.nan_to_num(sigma).any():
+            continue
+        if any(one.name == name for one in chosen):
+            raise ValueError(
+                f"{name} is to be fitted, and the measurements state its error: give it a prior there, or leave it out here"
+            )
+        in_m = m.correlation_length if name in HEIGHTS and m.correlation_length is not None else 1.0
+        keys = list(zip(m.specimen or ("",) * len(m), getattr(m, name) * in_m, sigma * in_m, strict=True))
         for key in dict.fromkeys(keys):
-            _, value, error = key
+            specimen, value, error = key
             if error > 0:
-                rows = np.array([one == key for one in keys])
+                label = f"{name}[{specimen + ', ' if specimen else ''}{value:.6g}]"
                 prior = float(value), float(error)
-                self.add(Parameter(name, prior=prior, nuisance=True), _input_label(name, key), rows)
-
-    def add_arrests(self) -> None:
-        """Add a θ per precursor whose gauges were read and whose contacts were not counted."""
-        if self.m.gauges is None:
-            return
-        for i in dict.fromkeys(self.m.gauges.row):
-            if self.m.kind[i] != "whole":
-                rows = np.arange(len(self.m)) == i
-                label = f"arrest[{self.m.label[i] if self.m.label else i}]"
-                self.add(Parameter("arrest", prior=ARREST, nuisance=True), label, rows)
-
-    def build(self, wanted: tuple[Parameter, ...]) -> ParameterSet:
-        """Finish the map; check its limits against the domain of the model."""
-        n = len(self.m)
-
-        def linear(target: str) -> Linear:
-            slopes = [slope.get(target, np.zeros(n)) for slope in self.slopes]
-            return Linear(self.base[target], np.stack(slopes, axis=-1).astype(float))
-
-        result = ParameterSet(
-            free=tuple(self.free),
-            held=self.held,
-            inputs=Inputs(*map(linear, COMMON), more={name: linear(name) for name in self.inputs if name not in COMMON}),
-            scales={scale: linear(scale) for scale in SCALES},
-            offset=linear("offset"),
-            beyond=linear("beyond"),
-            front=self.front,
-            wanted=wanted,
-        )
-        _check_domain(self.m, result)
-        _check_reached(self, result)
-        return result
+                yield Parameter(name, prior=prior, nuisance=True), label, np.array([one == key for one in keys])
 
 
-def _input_label(name: str, key: tuple[str, float, float]) -> str:
-    specimen, value, _ = key
-    return f"{name}[{specimen + ', ' if specimen else ''}{value:.6g}]"
+def _arrests(m: Measurements) -> Iterator[tuple[Parameter, str, np.ndarray]]:
+    """A parameter per precursor whose gauges were read and whose contacts were not counted."""
+    for i in () if m.gauges is None else dict.fromkeys(m.gauges.row):
+        if m.kind[i] != "whole":
+            label = f"arrest[{m.label[i] if m.label else i}]"
+            yield Parameter("arrest", prior=ARREST, nuisance=True), label, np.arange(len(m)) == i
 
 
-def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, reference: float) -> tuple[float, float]:
+def _default_bounds(
+    m: Measurements, front: Front, parameter: Parameter, rows: np.ndarray, reference: float
+) -> tuple[float, float]:
     """Default range of the search, in the unit of the parameter."""
-    m = builder.m
     name, longest = parameter.name, float(m.length[rows].max())
     if parameter.prior is not None:
         mean, sigma = parameter.prior
@@ -468,7 +411,6 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
-        front = builder.front
         lowest, highest = front.softest(m)[rows] / per_unit, front.stiffest(m)[rows] / per_unit
         # for blocks, the range in which all have a precursor and b is not too large for any
         all_of = front.body == "block" and lowest.max() < highest.min()
@@ -487,12 +429,12 @@ def _default_bounds(builder: _Builder, parameter: Parameter, rows: np.ndarray, r
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
-def _check_reached(builder: _Builder, q: ParameterSet) -> None:
+def _check_reached(m: Measurements, q: ParameterSet) -> None:
     """Refuse bounds, a prior or a value of the stiffness at which no domino starts: probably in another unit.
 
     That is, where no measurement is of more than the contact at the edge, whatever the other parameters searched.
     """
-    m, name, is_block = builder.m, stiffness_name(builder.m), q.front.body == "block"
+    name, is_block = stiffness_name(m), q.front.body == "block"
     one = next(one for one in q.wanted if one.name in ("stiffness", name))
     key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
     if key is None or m.length.min() <= 1:
@@ -509,7 +451,7 @@ def _check_reached(builder: _Builder, q: ParameterSet) -> None:
         at = rows._replace(log_stiffness=from_ + share * (to - from_))
         if (front.lengths(at) > 1).any():
             return
-    lowest, highest = _default_bounds(builder, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
+    lowest, highest = _default_bounds(m, q.front, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
     lowest *= 1 if is_block else 100  # the default range of sliders begins where none starts
     in_si, numbers = m.correlation_length is not None, np.atleast_1d(getattr(one, key))
     unit, ratio = PARAMETERS[name].unit[in_si], numbers[0] / ratio_per_unit(m).max()
@@ -651,7 +593,7 @@ def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray,
     The other parameters stay as in `theta`.
     """
     longest, where = attainable_of(parameters, theta, parameters.inputs)
-    return longest * np.exp(parameters.scales["length"](theta)) + parameters.offset(theta), where
+    return longest * np.exp(parameters.scales["length"](theta)) + parameters.scales["offset"](theta), where
 
 
 def attainable_of(parameters: ParameterSet, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:

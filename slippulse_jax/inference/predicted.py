@@ -92,7 +92,8 @@ def curve(
 
     inputs = q.inputs.map(mean)
     inputs.get(INPUTS[along]).base[:] += np.log(heights) - np.log(at[rows]).mean()
-    return LengthCurve(fitted, fitted.theta if theta is None else theta, inputs, mean(q.scales["length"]), mean(q.offset))
+    scale, offset = (mean(q.scales[name]) for name in ("length", "offset"))
+    return LengthCurve(fitted, fitted.theta if theta is None else theta, inputs, scale, offset)
 
 
 def abscissa(fitted: Fitted) -> Along:

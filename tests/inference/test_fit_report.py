@@ -625,7 +625,7 @@ def test_errors_of_measuring_are_those_of_what_was_measured():
     provenance = ["measured", "measured", "", "", "", ""]
     result = sp.fit(lengths(provenance=provenance))
     q = result.parameters
-    assert q.offset.slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]
+    assert q.scales["offset"].slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]
     assert q.scales["length"].slope[:, q.index("model_factor")].tolist() == [1, 1, 0, 0, 0, 0]
 
 
