@@ -42,8 +42,7 @@ from slippulse_jax.inference.parameters import (
     with_errors_of_measuring,
 )
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
-from slippulse_jax.inference.scatter import Scatter, scatter_about
-from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, search
+from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, scaled_to_scatter, search
 from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import Direction, directions, judge
 
@@ -322,18 +321,18 @@ def fit(
     between = None if scaled or counts else _between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, loss, np.hypot(errors, between))
-    scatter, (held, at_odds) = None, counts or ([], None)
+    held, at_odds = counts or ([], None)
     if held:
         found = _of_counts(problem, held)
     else:
         with _progress(problem) as shown:
             if scaled:
-                problem, scatter, found = _explore_scaled(shown, measurements, method, max_steps, seed)
+                problem, found = _explore_scaled(shown, measurements, method, max_steps, seed)
             else:
                 found = _explore(shown, method, max_steps, seed)
     best, deviance, names = found.theta, found.deviance, parameters.names
     asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
-    limits = {level: deviance + rise_of(level, dof=scatter and scatter.dof) for level in LEVELS}
+    limits = {level: deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
     pieces = {j: allowed(problem, j, found.curves[j], limits) for j in asked}
     if counts is not None:
         pieces = {0: dict.fromkeys(LEVELS, held)}
@@ -354,9 +353,9 @@ def fit(
         curves={names[j]: found.curves[j] for j in asked},
         intervals={},
         verdicts={},
-        scatter=scatter and scatter.factor,
-        scatter_dof=scatter and scatter.dof,
-        closest=scatter and scatter.closest,
+        scatter=found.scatter,
+        scatter_dof=found.scatter_dof,
+        closest=found.closest,
         testable_dof=None if scaled else problem.testable(best),
         # counts at odds are named; the search of such a misfit need not converge
         unconverged=[] if counts else [message for value, message in found.unconverged if value <= limits[LEVELS[-1]]],
@@ -469,17 +468,16 @@ def _of_counts(problem: Problem, held: list[Interval]) -> Found:
     return Found(roots, middle[0], float(value.min()), [], None, {0: profile(problem, 0, roots, middle)})
 
 
-def _explore_scaled(
-    problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int
-) -> tuple[Problem, Scatter, Found]:
+def _explore_scaled(problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
     """Search with σ scaled to the scatter about the best fit known."""
     theta, rounds = first_look(problem, seed), 0
     while True:
-        scatter = scatter_about(problem, theta, of_lengths=m.length_sigma is None)
-        found = _explore(scatter.problem, method, max_steps, seed)
+        scaled, near = scaled_to_scatter(problem, theta, of_lengths=m.length_sigma is None)
+        found = _explore(scaled, method, max_steps, seed)
         rounds += 1
-        if found.deviance >= scatter.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
-            return dataclasses.replace(scatter.problem, tick=None), scatter, found
+        if found.deviance >= near.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
+            sizes = {name: getattr(near, name) for name in ("scatter", "scatter_dof", "closest")}
+            return dataclasses.replace(scaled, tick=None), found._replace(**sizes)
         theta = found.theta
 
 

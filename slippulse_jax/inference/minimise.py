@@ -5,7 +5,9 @@ A fit is thousands of small minimisations: starts, nodes of profiles, replicates
 per step.
 """
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,10 @@ ADAM_STEPS = 20  # of optax.adam for each one allowed
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
+Objective = Callable[[np.ndarray, np.ndarray, int], Evaluation]
+"""Function to minimise: of points (B, p), the replicate of each (B,), and the order of the derivatives wanted."""
+
+
 class Convergence(Status):
     """How the minimisation from one start ended."""
 
@@ -32,27 +38,6 @@ class Convergence(Status):
     FLAT = 1, "flat: no measurement responds here"
     NOT_CONVERGED = 2, "did not converge within the allowed steps"
     NO_LENGTH = 3, "started where the front never stops, which these measurements exclude"
-
-
-class Objective(Protocol):
-    """Function to minimise: of points (B, p) and replicates (B,), with derivatives to `order`."""
-
-    def __call__(self, theta: np.ndarray, lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
-        """Value, and gradient and metric from order 1, the whole second derivative at order 2."""
-        ...
-
-
-class Starts(NamedTuple):
-    """Objective, starting points and box of a minimisation."""
-
-    objective: Objective
-    theta: np.ndarray  # (B, p)
-    low: np.ndarray  # (B, p)
-    high: np.ndarray  # (B, p)
-    held: np.ndarray  # (p,), fixed coordinates
-    lane: np.ndarray  # (B,), replicate of each
-    tolerance: float
-    method: Method
 
 
 class Descents(NamedTuple):
@@ -81,7 +66,7 @@ def minimise(
     Parameters
     ----------
     objective : callable
-        As `Objective`.
+        Of points, replicates and the order of derivatives, as a `Problem`.
     start : array, shape (B, p)
     low, high : array, shape (p,) or (B, p)
         The box, of all or of each. A minimum may lie on its sides.
@@ -102,16 +87,24 @@ def minimise(
     held = np.zeros(start.shape[1], dtype=bool) if held is None else held
     lane = np.zeros(len(start), dtype=int) if lane is None else lane
     if held.all():
-        value = objective(start, lane).value
+        value = objective(start, lane, 0).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Descents(start, value, ends, np.zeros(len(start), dtype=int))
-    given = Starts(objective, start, low, high, held, lane, tolerance, method)
-    return _levenberg_marquardt(given, max_steps) if method == "lm" else _by_optax(given, max_steps)
+    by = _levenberg_marquardt if method == "lm" else partial(_by_optax, method)
+    return by(objective, start, low, high, held, lane, tolerance, max_steps)
 
 
-def _levenberg_marquardt(given: Starts, max_steps: int) -> Descents:
+def _levenberg_marquardt(
+    objective: Objective,
+    theta: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    held: np.ndarray,
+    lane: np.ndarray,
+    tolerance: float,
+    max_steps: int,
+) -> Descents:
     """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
-    objective, theta, low, high, _, lane, *_ = given
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
@@ -122,14 +115,14 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Descents:
         if count == GAUSS_NEWTON_STEPS and len(work):
             metric[work] = _positive(_second(objective(theta[work], lane[work], 2)), metric[work])
         g, m = gradient[work], metric[work]
-        stuck = _stuck(given, work, theta[work], g)
+        stuck = held | _pushed_out(theta[work], low[work], high[work], g)
         g, m = _without(g, m, stuck)
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
         flat = np.all((diagonal == 0) | stuck, axis=1) & ~np.any(g, axis=1)
         scale = np.maximum(1, np.abs(value[work]))
         left = _decrement(g, m, size[work])
-        done = flat | (left <= given.tolerance * scale)
+        done = flat | (left <= tolerance * scale)
         ends[work[done]] = np.where((flat & ~stuck.all(axis=1))[done], Convergence.FLAT, Convergence.CONVERGED)
         work, g, m, left, scale = (x[~done] for x in (work, g, m, left, scale))
         if not len(work) or count == max_steps:
@@ -157,7 +150,7 @@ def _levenberg_marquardt(given: Starts, max_steps: int) -> Descents:
         own = tried.metric[accept] if order == 1 else _positive(_second(tried)[accept], tried.metric[accept])
         metric[moved] = own
         steps[work] += 1
-        kink = ~accept & (square <= given.tolerance * scale) & (left <= KINK * scale)
+        kink = ~accept & (square <= tolerance * scale) & (left <= KINK * scale)
         ends[work[kink]] = Convergence.CONVERGED
         work = work[~kink]
     return Descents(theta, value, ends, steps)
@@ -176,15 +169,9 @@ def _second(at: Evaluation) -> np.ndarray:
     return at.curvature
 
 
-def _stuck(given: Starts, lanes: np.ndarray | slice, theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Coordinates of some lanes that are held, or pushed against a side of the box."""
-    return given.held | (theta <= given.low[lanes]) & (gradient > 0) | (theta >= given.high[lanes]) & (gradient < 0)
-
-
-def _unit(given: Starts, metric: np.ndarray) -> np.ndarray:
-    """Scale of each coordinate: its standard error, or a sixtieth of the box where the value is constant."""
-    diagonal = np.einsum("bpp->bp", metric)
-    return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (given.high - given.low) / 60)
+def _pushed_out(theta: np.ndarray, low: np.ndarray, high: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Coordinates pushed against a side of the box."""
+    return (theta <= low) & (gradient > 0) | (theta >= high) & (gradient < 0)
 
 
 def _without(g: np.ndarray, m: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -219,7 +206,17 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.einsum("bpk,bk,bqk->bpq", vectors, upward, vectors) * unit[:, :, None] * unit[:, None, :]
 
 
-def _by_optax(given: Starts, max_steps: int) -> Descents:
+def _by_optax(
+    method: Method,
+    objective: Objective,
+    theta: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    held: np.ndarray,
+    lane: np.ndarray,
+    tolerance: float,
+    max_steps: int,
+) -> Descents:
     """Take steps of an optax optimiser, vmapped over the lanes, clipped to the box and halved until they lower the value.
 
     In units of the first metric. A step that leads uphill, since it was clipped or remembers negative curvature, becomes one
@@ -228,18 +225,19 @@ def _by_optax(given: Starts, max_steps: int) -> Descents:
     import jax
     import optax
 
-    objective, theta, low, high, _, lane, tolerance, method = given
     rounds = max_steps * (ADAM_STEPS if method == "adam" else 1)
     shorter = optax.cosine_decay_schedule(1.0, rounds) if method == "adam" else optax.constant_schedule(1.0)
     optimiser = {"lbfgs": optax.scale_by_lbfgs(10), "adam": optax.scale_by_adam()}[method]
     value, gradient, metric = _first_order(objective, theta, lane)
-    unit = _unit(given, metric)
+    # each coordinate in its standard errors, or a sixtieth of the box where the value is constant
+    diagonal = np.einsum("bpp->bp", metric)
+    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (high - low) / 60)
     steps, lost = np.zeros(len(theta), dtype=int), np.zeros(len(theta), dtype=bool)  # whether the last step did not gain
     work = np.nonzero(np.isfinite(value))[0]
     with jax.enable_x64(True):
         state, update = jax.vmap(optimiser.init)(theta / unit), jax.jit(jax.vmap(optimiser.update))
         for count in range(rounds):
-            stuck = _stuck(given, slice(None), theta, gradient)
+            stuck = held | _pushed_out(theta, low, high, gradient)
             g, m = _without(gradient, metric, stuck)
             left = _decrement(g[work], m[work], np.einsum("bpp->bp", m[work]))
             work = work[left > tolerance * np.maximum(1, np.abs(value[work]))]
@@ -268,7 +266,7 @@ def _by_optax(given: Starts, max_steps: int) -> Descents:
     at = objective(theta, lane, 2)
     assert at.gradient is not None
     assert at.metric is not None
-    stuck = _stuck(given, slice(None), theta, at.gradient)
+    stuck = held | _pushed_out(theta, low, high, at.gradient)
     g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
     flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
     ends = np.select(

@@ -15,7 +15,7 @@ import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import Evaluation, Problem
+from slippulse_jax.inference.likelihood import EXPECTED, Evaluation, Problem, terms
 from slippulse_jax.inference.minimise import Convergence, Method, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
 from slippulse_jax.status import Outcome
@@ -50,6 +50,10 @@ RISEN = 1e-9
 BESIDE = 0.03
 """Distance in θ of two more starts on either side of a cell, with a single parameter."""
 
+UNMEASURABLE = 1e-4
+"""Relative scatter of the lengths below which it is not an error of measurement."""
+TURNS, SETTLED = 100, 1e-10
+"""Largest number of alternations between fit and scale, and the relative change of the scale at which they end."""
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
@@ -133,6 +137,9 @@ class Found(NamedTuple):
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
     cells: Cells | None  # None with more than `SCANNED` parameters
     curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
+    scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
+    scatter_dof: float | None = None  # degrees of freedom left over by that
+    closest: float | None = None  # relative distance of the lengths from the fit, where it is too small to be scatter
 
 
 def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
@@ -193,6 +200,61 @@ def first_look(problem: Problem, seed: int) -> np.ndarray:
         starts = middle[np.argsort(value, kind="stable")[:POLISHED]]
     ends = minimise(problem, starts, q.low, q.high, max_steps=20)
     return ends.theta[np.argmin(ends.value)]
+
+
+def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> tuple[Problem, Found]:
+    """Scale σ to the scatter of the data about the fit that is nearest to θ, where only the ratios of σ are known.
+
+    The deviance of the data is then what it should be, on average, of as many of them as the fit does not use up. Errors of
+    inputs keep the size that is stated for them: a parameter that its prior determines uses up none of the data.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the σ stated.
+    theta : array, shape (p,)
+    of_lengths : bool
+        Scale the errors of lengths alone, instead of those of all data.
+
+    Returns
+    -------
+    problem : Problem
+        With σ of that size.
+    found : Found
+        The fit, and the size of σ.
+    """
+    q, factor, turns = problem.parameters, 1.0, 0
+    widest = float(np.max(problem.lengths.sigma / problem.lengths.value[0]))
+    while True:
+        sized = problem.with_sigma(factor, of_lengths=of_lengths)
+        end = minimise(sized, theta[None], q.low, q.high)
+        theta = end.theta[0]
+        found = Found([], theta, 2 * float(end.value[0]), [], None)
+        deviance, dof = _left_over(sized, theta, of_lengths)
+        change = np.sqrt(deviance / dof / EXPECTED[problem.loss]) if dof > 1e-6 else 0.0
+        turns += 1
+        # a front that never stops has no fit
+        if not np.isfinite(deviance) or abs(change - 1) < SETTLED or turns == TURNS:
+            return sized, found._replace(scatter=factor, scatter_dof=dof)
+        if factor * change * widest < UNMEASURABLE:
+            least = UNMEASURABLE / widest
+            sized = problem.with_sigma(least, of_lengths=of_lengths)
+            total = 2 * float(minimise(sized, theta[None], q.low, q.high).value[0])
+            found = found._replace(deviance=total, scatter=least, scatter_dof=dof)
+            return sized, found._replace(closest=factor * change * widest)
+        factor *= float(change)
+
+
+def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
+    """Deviance of the data whose σ are scaled, and their degrees of freedom."""
+    scaled, deviance = problem.observed[: 1 if of_lengths else None], 0.0
+    for data in scaled:
+        mu = problem.predict(theta, data.observable)
+        deviance += 2 * float(terms(mu, data, np.zeros(1, int), problem.loss).value.sum())
+    jacobian = problem.information(theta)[1] * (problem.parameters.high - problem.parameters.low)
+    own = jacobian[: sum(len(data.rows) for data in scaled)]  # the lengths come first, priors last
+    used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
+    return deviance, len(own) - float(used)
 
 
 def scan(problem: Problem) -> Cells:
