@@ -300,7 +300,7 @@ def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str,
     m, q = fitted.measurements, fitted.parameters
     if shares_errors(fitted):
         return [], {}
-    ratio, moves, known = fitted.fitted.length / m.height, {}, []
+    ratio, moves, known = fitted.fitted / m.height, {}, []
     for name in stiff:
         rows = q.rows_of(q.index(name))
         i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])

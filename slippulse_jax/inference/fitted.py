@@ -65,14 +65,6 @@ def gravest(verdicts: dict[str, Verdict]) -> str:
     return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
 
 
-class AtBest(NamedTuple):
-    """The model at the best fit, one entry per measurement."""
-
-    length: np.ndarray  # as it would be measured, with the fitted model factor and offset, in stated λc
-    contacts_broken: np.ndarray  # of the front itself, without these; −1 where it never stops
-    status: np.ndarray  # `Outcome`
-
-
 class Further(NamedTuple):
     """One further observable at the best fit, one entry per datum; in SI."""
 
@@ -240,13 +232,24 @@ class Fitted:
         return found
 
     @functools.cached_property
-    def fitted(self) -> AtBest:
-        """The model at the best fit: length, whole contacts, and whether the edge contact would break again."""
-        q = self.parameters
-        inputs = q.inputs_at(self.theta)
-        front = q.front.lengths(inputs)  # without model factor and offset, which belong to the measurement
-        counted = np.where(np.isfinite(front), np.maximum(np.ceil(np.where(np.isfinite(front), front, 0)), 1), -1)
-        return AtBest(self.problem.predict(self.theta)[0], counted.astype(int), q.front.status(inputs))
+    def fitted(self) -> np.ndarray:
+        """Lengths of the best fit as they would be measured, with the fitted model factor and offset, in stated λc; (n,)."""
+        return self.problem.predict(self.theta)[0]
+
+    @functools.cached_property
+    def contacts_broken(self) -> np.ndarray:
+        """Whole contacts that each front breaks, without model factor and offset, which belong to the measurement.
+
+        −1 where it never stops; shape (n,).
+        """
+        front = self.parameters.front.lengths(self.parameters.inputs_at(self.theta))
+        stops = np.isfinite(front)
+        return np.where(stops, np.maximum(np.ceil(np.where(stops, front, 0)), 1), -1).astype(int)
+
+    @functools.cached_property
+    def front_status(self) -> np.ndarray:
+        """`Outcome` of each front at the best fit, shape (n,)."""
+        return self.parameters.front.status(self.parameters.inputs_at(self.theta))
 
     @functools.cached_property
     def regime(self) -> Regime:
@@ -292,7 +295,7 @@ class Fitted:
     def residuals(self) -> np.ndarray:
         """(fitted − measured)/σ of the lengths, shape (n,); for counts and fronts without arrest what lies outside, else 0."""
         m = self.measurements
-        off = self.fitted.length - m.length
+        off = self.fitted - m.length
         kind = np.array(m.kind)
         off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
         off = np.where(kind == "at_least", np.minimum(off, 0), off)

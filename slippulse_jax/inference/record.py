@@ -109,7 +109,7 @@ def to_dict(fitted: Fitted, changes: list[Change], next_steps: list[str], **more
 
     The record itself, by the fields of `Fitted`, after what follows from it.
     """
-    q, at = fitted.parameters, fitted.fitted
+    q = fitted.parameters
     units = {one.label: one.unit for one in q.free}
     follows = {
         "schema": SCHEMA,
@@ -129,10 +129,10 @@ def to_dict(fitted: Fitted, changes: list[Change], next_steps: list[str], **more
         "dof": fitted.dof,
         "p_value": fitted.p_value,
         "sigma": fitted.sigma,
-        "fitted": at.length,
+        "fitted": fitted.fitted,
         "residuals": fitted.residuals,
-        "contacts_broken": at.contacts_broken,
-        "front_status": [Outcome(int(one)).name.lower() for one in at.status],
+        "contacts_broken": fitted.contacts_broken,
+        "front_status": [Outcome(int(one)).name.lower() for one in fitted.front_status],
         "further": [encode(one) for one in fitted.further],
         "regime": {
             "b": fitted.regime.b,
@@ -241,13 +241,13 @@ def to_dataframe(fitted: Fitted) -> "pd.DataFrame":
         "push_height": m.push_height,
         "length": m.length,
         "length_sigma": fitted.sigma,
-        "length_fitted": fitted.fitted.length,
+        "length_fitted": fitted.fitted,
         "length_attainable": fitted.attainable,
     }
     return pd.DataFrame(
         {name: list(column) for name, column in text.items() if column}
         | {name + unit: x * scale for name, x in lengths.items() if x is not None}
-        | {"residual": fitted.residuals, "outcome": [Outcome(int(status)).name.lower() for status in fitted.fitted.status]}
+        | {"residual": fitted.residuals, "outcome": [Outcome(int(status)).name.lower() for status in fitted.front_status]}
     )
 
 

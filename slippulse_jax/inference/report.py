@@ -720,7 +720,7 @@ def _details(result: Fitted, changes: Sequence[Change]) -> list[str]:
     scale, unit = m.unit
     rows += ["  broken contacts, and the longest length attainable at any stiffness searched:"]
     for i in range(len(m)):
-        broken = result.fitted.contacts_broken[i]
+        broken = result.contacts_broken[i]
         rows.append(f"    {m.number(i)}: {broken if broken > 0 else 'all'}, {result.attainable[i] * scale[i]:.5g} {unit}")
     return rows
 

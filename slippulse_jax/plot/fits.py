@@ -301,7 +301,7 @@ def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
 
 def _draw_fitted(result: "FitResult", ax: "Axes", along: Any, visible: float) -> None:
     """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
-    m, groups, fitted = result.measurements, on_one_curve(result), result.fitted.length
+    m, groups, fitted = result.measurements, on_one_curve(result), result.fitted
     x, scale = _apart(result, along), m.unit[0]
     for number, rows in enumerate(groups):
         curve = result.curve(rows, getattr(m, along)[rows], along=along).length
@@ -423,7 +423,7 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     c = colours(ax)
     m, sigma = result.measurements, result.sigma
     along = abscissa(result) if along_height else "length"
-    x = _apart(result, along) if along_height else result.fitted.length * m.unit[0]
+    x = _apart(result, along) if along_height else result.fitted * m.unit[0]
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     limit = np.array(m.kind) == "at_least"
@@ -604,7 +604,7 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
     scale, label = GAUGE_UNITS[name]
     there = readings.there(name)
     (errors,) = (one.sigma for one in result.further if one.observable == name)
-    m, values, length = result.measurements, getattr(readings, name), result.fitted.length
+    m, values, length = result.measurements, getattr(readings, name), result.fitted
     assert m.correlation_length is not None  # gauges need it
     for color, row in zip(itertools.cycle(colours(ax).data), dict.fromkeys(readings.row[there].tolist()), strict=False):
         own = there & (readings.row == row)

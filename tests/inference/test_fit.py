@@ -313,7 +313,7 @@ def test_scatter_beyond_sigma_is_remarked_and_measured():
     assert result.p_value == pytest.approx(np.exp(-4), rel=1e-3)  # χ² of 8 for two degrees of freedom
     assert any("2 times as large" in note for note in result.notes)
     free = fit(Measurements(**data))
-    scatter = np.sqrt(((free.fitted.length - data["length"]) ** 2).sum() / 2)
+    scatter = np.sqrt(((free.fitted - data["length"]) ** 2).sum() / 2)
     assert f"σ = {scatter:.3g} λc" in free.report()
 
 

@@ -259,7 +259,7 @@ def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
     known = {"correlation_length": 1e-5, "young": 3.3e9, "young_sigma": 2e8, "specimen": ("A",) * 4 + ("B",) * 4}
     push = {"push_height": height / 4, "length": [1420.0, 1440, 1410, 1380, 4780, 4700, 4860, 5040], "length_sigma": sigma}
     result = sp.fit(sp.Measurements(height=height, poisson=0.37, **known, **push))
-    assert (result.fitted.length < 0.9 * result.attainable).all()
+    assert (result.fitted < 0.9 * result.attainable).all()
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
@@ -387,7 +387,7 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
     m = sp.Measurements(height=height, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=0.25 * height,
                         push_width=0.1 * height, push_control=(control,) * 2)  # fmt: skip
     found = sp.fit(m, bounds=(stiffness / 1.5, stiffness * 1.5))
-    assert found.fitted.length[0] == pytest.approx(length[0], rel=0.01)
+    assert found.fitted[0] == pytest.approx(length[0], rel=0.01)
     if control == "displacement":
         assert found.values["stiffness"] == pytest.approx(stiffness, rel=0.03)
         assert found.identifiability is Identifiability.IDENTIFIED

@@ -64,7 +64,7 @@ def test_a_curve_along_the_height_of_the_push_goes_through_the_fitted_lengths():
     result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
     m = result.measurements
     curve = result.curve(np.arange(len(m)), m.push_height, along="push_height")
-    np.testing.assert_allclose(curve.length, result.fitted.length, rtol=1e-9)
+    np.testing.assert_allclose(curve.length, result.fitted, rtol=1e-9)
     np.testing.assert_allclose(curve.longest, result.attainable, rtol=1e-9)
     with pytest.raises(ValueError, match="no push_height"):
         fitted().curve(0, OTHERS, along="push_height")

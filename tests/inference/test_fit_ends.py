@@ -41,7 +41,7 @@ def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     aware = sp.fit(measured(length, block_length=LENGTH, machine_stiffness=machine), intervals="profile")
     assert aware.values["stiffness"] == pytest.approx(TRUTH, rel=1e-6)
     assert aware.deviance < 1e-12
-    assert (aware.fitted.status == Outcome.ARRESTED).all()
+    assert (aware.front_status == Outcome.ARRESTED).all()
     assert "; L/H = 4" in aware.report(verbose=True)
     assert "Holds for the paper's slider with the stated end" in unfolded(aware.report())
     assert aware.to_dict()["regime"]["block_length_over_height"] == [4, 4, 4]

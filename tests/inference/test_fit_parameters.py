@@ -339,7 +339,7 @@ def test_prestress_of_either_sign_beside_a_front_that_ran_away():
     known = {"poisson": 0.3, "length_sigma": 0.1, "kind": ["length"] * 4 + ["at_least"], "prestress": phi}
     result = fit(Measurements(height=HEIGHTS, length=np.where(np.isfinite(length), length, 200.0), **known), ["stiffness"])
     assert result.values["stiffness"] == pytest.approx(0.01, rel=1e-6)
-    assert list(result.fitted.status) == [Outcome.ARRESTED] * 4 + [Outcome.RUN_AWAY]
+    assert list(result.front_status) == [Outcome.ARRESTED] * 4 + [Outcome.RUN_AWAY]
 
 
 def test_two_parameters_are_found_and_correlated():
@@ -558,9 +558,9 @@ def test_contacts_broken_are_those_of_the_front_itself():
     m = Measurements(height, 0.3, length, 0.3, provenance=("measured",) * 3)
     result = fit(m, fixed={"offset": 1.5, "model_factor": 1.15})
     front = model(height, result.values["stiffness"])
-    np.testing.assert_allclose(result.fitted.length, 1.15 * front + 1.5, rtol=1e-9)
-    assert result.fitted.contacts_broken.tolist() == np.ceil(front).astype(int).tolist()
-    assert (result.fitted.contacts_broken < result.fitted.length - 1).all()
+    np.testing.assert_allclose(result.fitted, 1.15 * front + 1.5, rtol=1e-9)
+    assert result.contacts_broken.tolist() == np.ceil(front).astype(int).tolist()
+    assert (result.contacts_broken < result.fitted - 1).all()
 
 
 @pytest.mark.parametrize("body", ["slider", "block"])

@@ -395,7 +395,7 @@ def test_sigma_is_shown_with_what_is_added_to_it():
     result = sp.fit(sp.Measurements(height, 0.3, length, 0.02))
     assert result.between_contacts is not None
     np.testing.assert_allclose(result.sigma, np.hypot(0.02, result.between_contacts), rtol=1e-12)
-    np.testing.assert_allclose(result.residuals, (result.fitted.length - length) / result.sigma, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(result.residuals, (result.fitted - length) / result.sigma, rtol=1e-6, atol=1e-9)
     said = result.report()
     shown = [float(x) for x in re.findall(r"\n .* ± (\S+) +\S+ +[+-]\d\.\d\d", said)]
     assert shown == pytest.approx(result.sigma.tolist(), rel=0.06)

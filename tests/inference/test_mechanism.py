@@ -52,7 +52,7 @@ def test_a_crack_gives_its_parameters_back():
     assert result.converged
     assert "with uniform thresholds and crack-like fronts" in unfolded(result.report())
     assert "first crack-like precursor" in result.report(verbose=True)
-    assert set(result.fitted.status) == {Outcome.ARRESTED}
+    assert set(result.front_status) == {Outcome.ARRESTED}
 
 
 @pytest.mark.ci
