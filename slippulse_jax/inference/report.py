@@ -551,7 +551,7 @@ def _table(result: Fitted) -> list[str]:
                 f"{numbers[i]} {m.specimen[i]}" if several else str(numbers[i]),
                 f"{m.height[i] * scale[i]:.6g}{push}",
                 _measured(m, i, result.sigma[i] * scale[i] * known),
-                f"{fitted.length[i] * scale[i]:.5g}",
+                f"{fitted[i] * scale[i]:.5g}",
                 _residual(result, i),
             ]
         )
