@@ -8,13 +8,13 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
-from slippulse_jax.domains import check_whole
+from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
@@ -301,13 +301,9 @@ def fit(
         "event": event,
         "body": body,
     }
-    settings = (
-        *(("loss", loss, get_args(Loss)), ("method", method, get_args(Method)), ("sigma", sigma, get_args(Sigma))),
-        ("intervals", intervals, get_args(IntervalsBy)),
-    )
-    for name, value, known in settings:
-        if value not in list(known):
-            raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
+    choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
+    for name, (value, known) in choices.items():
+        check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
