@@ -166,6 +166,7 @@ class Design:
             **{name: getattr(self, name) for name in ("never_stops", "information", "information_error", "log_stderr")},
             "told_apart": self.told_apart,
         }
+        rows = zip(*results.values(), strict=True)
         return plain(
             {
                 "knowledge": {
@@ -175,19 +176,13 @@ class Design:
                     "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
                 },
                 "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
-                "candidates": _rows(**_columns(self.candidates), **results),
-                "sequence": _rows(**_columns(self.sequence)),
+                "candidates": [
+                    one | dict(zip(results, row, strict=True)) for one, row in zip(plain(self.candidates), rows, strict=True)
+                ],
+                "sequence": self.sequence,
                 "notes": self.notes,
             }
         )
-
-
-def _columns(table: np.recarray) -> dict[str, np.ndarray]:
-    return {name: table[name] for name in table.dtype.names or ()}
-
-
-def _rows(**columns: Any) -> list[dict[str, Any]]:
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _in_words(c: Any) -> dict[str, str]:
