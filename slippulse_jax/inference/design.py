@@ -12,7 +12,7 @@ from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.fronts import FRONTS, pushed
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.knowledge import GAIN, Gain, Kind, Knowledge, draw, expected_gain, joint_gain, log_likelihoods
+from slippulse_jax.inference.knowledge import GAIN, Kind, Knowledge, expected_gain, greedy, moments
 from slippulse_jax.shown import html
 
 BIT = np.log(2)
@@ -48,11 +48,7 @@ class Design:
     @property
     def expected_length(self) -> np.ndarray:
         """Mean and standard deviation of the finite lengths of each candidate, in λc, NaN where none is; shape (c, 2)."""
-        w = self.knowledge.weight[:, None] * np.isfinite(self.length)
-        mass = np.where(w.any(axis=0), w.sum(axis=0), np.nan)
-        finite = np.where(np.isfinite(self.length), self.length, 0)
-        mean = (w * finite).sum(axis=0) / mass
-        return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
+        return np.stack(moments(self.length, self.knowledge.weight[:, None] * np.isfinite(self.length)), axis=1)
 
     @property
     def never_stops(self) -> np.ndarray:
@@ -126,14 +122,11 @@ class Design:
                 lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {log_stderr:.3g}{last}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
-    def _by_root(self, i: int) -> list[float]:
+    def _by_root(self, i: int) -> np.ndarray:
         """Length expected of a candidate under each root, in λc; inf where its front never stops."""
-        found, length = [], self.length[:, i]
-        for root in range(len(self.knowledge.roots)):
-            own = (self.knowledge.root == root) & np.isfinite(length)
-            weight = self.knowledge.weight[own]
-            found.append(float(weight @ length[own] / weight.sum()) if weight.any() else np.inf)
-        return found
+        length = self.length[:, i, None]
+        mean, _ = moments(length, self.knowledge.by_root * np.isfinite(length))
+        return np.nan_to_num(mean, nan=np.inf)
 
     def __str__(self) -> str:
         return self.report()
@@ -294,7 +287,7 @@ def design(
     error = candidates.sigma / np.nan_to_num(candidates.correlation_length, nan=1.0)
     gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, error, strict=True)]
     information, information_error, log_stderr, told_apart = np.transpose(gains)
-    sequence = _greedy(knowledge, length, error, kind, gains, experiments, seed)
+    sequence = greedy(knowledge, length, error, kind, gains, experiments, seed)
     return Design(
         knowledge=knowledge,
         candidates=candidates,
@@ -370,22 +363,3 @@ def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> 
         push = pushed(np.ones(len(c)), c.push_height, c.push_width, c.push_control)
         front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
     return front.lengths(inputs.ravel()).reshape(ratio.shape)
-
-
-def _greedy(
-    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
-) -> list[tuple[int, *Gain]]:
-    """Choose experiments one by one, each adding most to those before it; the first by what each gains alone."""
-    best = int(np.argmax([gain[0] for gain in gains]))
-    sequence, so_far = [(best, *gains[best])], 0.0
-    if experiments == 1:
-        return sequence
-    truth, noise = draw(known, experiments, seed)
-    for step in range(1, experiments):
-        so_far = so_far + log_likelihoods(truth, noise[:, step - 1], length[:, best], error[best], kind)
-        columns = zip(length.T, error, strict=True)
-        each = (so_far + log_likelihoods(truth, noise[:, step], one, sigma, kind) for one, sigma in columns)
-        gains = [joint_gain(known, truth, log_p) for log_p in each]
-        best = int(np.argmax([gain[0] for gain in gains]))
-        sequence.append((best, *gains[best]))
-    return sequence

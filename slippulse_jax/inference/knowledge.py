@@ -257,30 +257,38 @@ class Knowledge:
         )
 
     @property
-    def mean(self) -> float:
-        """Of ln(stiffness)."""
-        return float(self.weight @ self.log_stiffness)
-
-    @property
     def symbol(self) -> str:
         """Symbol of the stiffness."""
         return "k/λc²" if self.in_si else "k/K"
 
     @property
+    def mean(self) -> float:
+        """Of ln(stiffness)."""
+        return float(moments(self.log_stiffness, self.weight)[0])
+
+    @property
     def log_sd(self) -> float:
         """Standard deviation of ln(stiffness), over all roots."""
-        return float(np.sqrt(self.weight @ (self.log_stiffness - self.mean) ** 2))
+        return float(moments(self.log_stiffness, self.weight)[1])
+
+    @property
+    def by_root(self) -> np.ndarray:
+        """Weight of each sample in each of r roots, shape (m, r)."""
+        return self.weight[:, None] * (self.root[:, None] == np.arange(self.root.max() + 1))
 
     @property
     def roots(self) -> list[tuple[float, float, float]]:
         """(probability, median-like e^mean, standard deviation of ln) of each root."""
-        found = []
-        for r in range(self.root.max() + 1):
-            w = self.weight * (self.root == r)
-            mean = w @ self.log_stiffness / w.sum()
-            sd = np.sqrt(w @ (self.log_stiffness - mean) ** 2 / w.sum())
-            found.append((float(w.sum()), float(np.exp(mean)), float(sd)))
-        return found
+        mean, sd = moments(self.log_stiffness[:, None], self.by_root)
+        return list(zip(self.by_root.sum(axis=0).tolist(), np.exp(mean).tolist(), sd.tolist(), strict=True))
+
+
+def moments(x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of samples of these weights along the first axis; NaN where all weights are zero."""
+    x = np.where(weight > 0, x, 0)
+    with np.errstate(invalid="ignore"):
+        mean = (weight * x).sum(axis=0) / weight.sum(axis=0)
+        return mean, np.sqrt((weight * (x - mean) ** 2).sum(axis=0) / weight.sum(axis=0))
 
 
 def _grid(problem: Problem, nodes: int) -> np.ndarray:
@@ -343,11 +351,10 @@ def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind
     """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
     information, log_stderr, told_apart = _quadrature(known, length, sigma, kind, STEP)
     # every other sample of each root, with the probability of the root
-    root, likely = known.root, known.weight > 0
-    kept = np.sort(np.concatenate([np.flatnonzero((root == r) & likely)[::2] for r in range(root.max() + 1)]))
-    share = np.bincount(root, known.weight)[root[kept]]
-    left = np.bincount(root[kept], known.weight[kept])[root[kept]]
-    thin = Knowledge(known.log_stiffness[kept], known.weight[kept] * (share / left), root[kept])
+    kept = np.sort(np.concatenate([np.flatnonzero(own)[::2] for own in known.by_root.T]))
+    root = known.root[kept]
+    share, left = (weight.sum(axis=0)[root] for weight in (known.by_root, known.by_root[kept]))
+    thin = Knowledge(known.log_stiffness[kept], known.weight[kept] * (share / left), root)
     coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(known, length, sigma, kind, 2 * STEP)
     return information, max(abs(information - other[0]) for other in coarse), log_stderr, told_apart
 
@@ -375,8 +382,7 @@ def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np
     theta = known.log_stiffness - known.weight @ known.log_stiffness
     mean = posterior @ theta
     variance = posterior @ theta**2 - mean**2
-    by_root = posterior @ (known.root[:, None] == np.arange(known.root.max() + 1))
-    return np.sqrt(np.maximum(variance, 0)), by_root.max(axis=1) >= SURE
+    return np.sqrt(np.maximum(variance, 0)), (posterior @ (known.by_root > 0)).max(axis=1) >= SURE
 
 
 def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -412,3 +418,22 @@ def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
     means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
     sd, sure = _afterwards(known, np.exp(joint - total[:, None]))
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean())
+
+
+def greedy(
+    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
+) -> list[tuple[int, *Gain]]:
+    """Choose experiments one by one, each adding most to those before it; the first by what each gains alone."""
+    best = int(np.argmax([gain[0] for gain in gains]))
+    sequence, so_far = [(best, *gains[best])], 0.0
+    if experiments == 1:
+        return sequence
+    truth, noise = draw(known, experiments, seed)
+    for step in range(1, experiments):
+        so_far = so_far + log_likelihoods(truth, noise[:, step - 1], length[:, best], error[best], kind)
+        columns = zip(length.T, error, strict=True)
+        each = (so_far + log_likelihoods(truth, noise[:, step], one, sigma, kind) for one, sigma in columns)
+        gains = [joint_gain(known, truth, log_p) for log_p in each]
+        best = int(np.argmax([gain[0] for gain in gains]))
+        sequence.append((best, *gains[best]))
+    return sequence

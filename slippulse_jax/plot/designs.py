@@ -90,7 +90,7 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 
 def _densities(knowledge: "Knowledge") -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the density of ln(stiffness) about each root, where it is not negligible."""
-    for root in range(len(knowledge.roots)):
-        own = (knowledge.root == root) & (knowledge.weight > 1e-6 * knowledge.weight.max())
-        weights, edges = np.histogram(knowledge.log_stiffness[own], 40, weights=knowledge.weight[own])
+    for weight in knowledge.by_root.T:
+        own = weight > 1e-6 * knowledge.weight.max()
+        weights, edges = np.histogram(knowledge.log_stiffness[own], 40, weights=weight[own])
         yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)
