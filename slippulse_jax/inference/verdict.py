@@ -1,6 +1,6 @@
 """Verdicts: whether the data determine each parameter, and if not, why not and what they do determine."""
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -10,7 +10,7 @@ from slippulse_jax.inference.intervals import Interval, Intervals
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search import SLACK
-from slippulse_jax.shown import format_number
+from slippulse_jax.shown import format_number, plural
 
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
@@ -18,8 +18,6 @@ COVERED = (0.64, 0.93)
 WITHIN = 7
 """Points per piece of an interval at which to test whether a contact breaks again."""
 PLATEAU = 0.97  # of the longest attainable length, above which a length constrains stiffness little
-
-SOUND = Verdict(Identifiability.IDENTIFIED)
 
 
 def judge(
@@ -58,22 +56,17 @@ def judge(
     if at_odds is not None:
         verdict = _counted(e, profiled[LEVELS[-1]], at_odds)
     else:
-        verdict = next(filter(None, (test(e, j, profiled) for test in tests)), SOUND)
+        verdict = next(filter(None, (test(e, j, profiled) for test in tests)), Verdict(Identifiability.IDENTIFIED))
     equal = at_odds is not None and verdict.identifiability is Identifiability.EQUAL
     if equal or verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
         verdict = _breaks_again(e, j, reported[LEVELS[-1]]) or verdict
-    return verdict, _trusted(e, verdict, reported)
-
-
-def _trusted(e: Fitted, verdict: Verdict, intervals: Intervals) -> Intervals:
-    """Intervals of a parameter, without those that would measure a misfit instead of the parameter."""
+    # without intervals that would measure a misfit instead of the parameter
     if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
-        return dict.fromkeys(intervals, [])
+        return verdict, dict.fromkeys(reported, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
-        # where the data lie far above the maximum, the rise measures the misfit
         probability = float(chdtrc((e.testable_dof or 0) + 1, e.misfit))
-        return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
-    return intervals
+        return verdict, {level: pieces if probability >= 1 - level else [] for level, pieces in reported.items()}
+    return verdict, reported
 
 
 def _lost(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
@@ -97,33 +90,25 @@ def _everything_allowed(e: Fitted, j: int, profiled: Intervals) -> Verdict | Non
 
 def _only_limits(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
     """Fronts without arrest alone, all of them met: they have no best value."""
-    pieces = profiled[LEVELS[-1]]
     problem = e.problem
     bound = problem.parameters.free[j].name in STIFFNESSES and not problem.gauged and set(e.measurements.kind) == {"at_least"}
-    if not bound or len(pieces) != 1 or (problem.predict(e.theta)[0] < e.measurements.length).any():
+    if not bound or len(profiled[LEVELS[-1]]) != 1 or (problem.predict(e.theta)[0] < e.measurements.length).any():
         return None
-    if pieces[0].open_low or pieces[0].open_high:
-        return Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
-    return Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
+    equal = Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
+    return _open(e, j, profiled) or equal
 
 
 def _misfit(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    if _above_maximum(e):
+    if _above_maximum(e) or e.p_value is None or e.p_value >= IMPROBABLE:
         return None  # `_beyond_maximum` is more precise
-    if _improbable(e):
-        end = _end(e, j)
-        at = f" (the best fit lies at its {end} end)" if end else ""
-        return Verdict(
-            Identifiability.POOR_FIT,
-            f"{e.problem.named_deviance} is {format_number(e.misfit, 3)}{of_inputs_in_words(e.problem, e.theta)} for "
-            f"{degrees_of_freedom(e.problem, e.testable_dof)}: with the stated σ nothing in the range searched{at} gives these "
-            "measurements, so no uncertainty is given",
-        )
-    return None
-
-
-def _improbable(e: Fitted) -> bool:
-    return e.testable_dof is not None and float(chdtrc(e.testable_dof, e.misfit)) < IMPROBABLE
+    end = _end(e, j)
+    at = f" (the best fit lies at its {end} end)" if end else ""
+    return Verdict(
+        Identifiability.POOR_FIT,
+        f"{e.problem.named_deviance} is {format_number(e.misfit, 3)}{of_inputs_in_words(e.problem, e.theta)} for "
+        f"{degrees_of_freedom(e.problem, e.testable_dof)}: with the stated σ nothing in the range searched{at} gives these "
+        "measurements, so no uncertainty is given",
+    )
 
 
 def of_inputs_in_words(problem: Problem, theta: np.ndarray) -> str:
@@ -135,8 +120,7 @@ def of_inputs_in_words(problem: Problem, theta: np.ndarray) -> str:
 def degrees_of_freedom(problem: Problem, dof: int | None) -> str:
     """``5 degrees of freedom``; ``at most 5`` where `Problem.testable` gives a bound."""
     count = dof or 0
-    bound = "at most " * (count > problem.known - problem.p)
-    return f"{bound}{count} degree{'s' * (count != 1)} of freedom"
+    return "at most " * (count > problem.known - problem.p) + f"{plural(count, 'degree')} of freedom"
 
 
 def _no_scatter(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
@@ -150,8 +134,7 @@ def _no_scatter(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
 
 
 def _singular(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
-    bounded = any(not (piece.open_low and piece.open_high) for piece in pieces)
+    bounded = any(not (piece.open_low and piece.open_high) for piece in profiled[LEVELS[-1]])
     if e.problem.p > 1 and e.roots and e.roots[0].singular[j] and not bounded:
         return Verdict(Identifiability.UNINFORMATIVE, undetermined(e.problem, e.theta))
     return None
@@ -195,48 +178,37 @@ def _end(e: Fitted, j: int) -> str:
 def _open(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
     pieces = profiled[LEVELS[-1]]
     if any(piece.open_low or piece.open_high for piece in pieces):
-        lower = pieces[0].open_low
-        return Verdict(Identifiability.ONE_SIDED, "from above" if lower else "from below")
+        return Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
     return None
 
 
 def _not_alone(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
-    q = e.problem.parameters
+    q, joined = e.problem.parameters, len(profiled[LEVELS[-1]]) == 1
     one = q.free[j]
-    inner = [root for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
-    values = sorted({float(f"{one.value(root.theta[j]):.4g}"): None for root in inner})
-    near = max(1e-3, _wrinkle(e, j)) if len(pieces) == 1 else 1e-3
+    inner = [root.theta[j] for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
+    values = sorted({float(f"{one.value(theta):.4g}") for theta in inner})
+    near = 1e-3  # minima of one valley
+    if joined and e.problem.gauged and e.roots and not e.roots[0].singular[j]:
+        # one standard error where gauges were read, whose fields change in steps from contact to contact
+        near = max(near, float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j])))
     apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > near]
-    if len(apart) > 1:
-        joined = "; the interval joins them" if len(pieces) == 1 else ""
-        named = " and ".join(map(format_number, apart))
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named} {one.unit}".rstrip() + joined)
-    return None
-
-
-def _wrinkle(e: Fitted, j: int) -> float:
-    """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields change in
-    steps from contact to contact; zero elsewhere.
-    """
-    if not e.problem.gauged or not e.roots or e.roots[0].singular[j]:
-        return 0.0
-    return float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j]))
+    if len(apart) < 2:
+        return None
+    named = f"{' and '.join(map(format_number, apart))} {one.unit}".rstrip()
+    return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named}" + "; the interval joins them" * joined)
 
 
 def _not_normal(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
+    one, pieces = e.problem.parameters.free[j], profiled[LEVELS[0]]
     if not e.roots or e.roots[0].singular[j]:
-        one, ranges = e.problem.parameters.free[j], profiled[LEVELS[-1]]
-        if len(ranges) < 2:
+        if len(profiled[LEVELS[-1]]) < 2:
             return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {_ranges(one, ranges)}")
-    covariance = e.roots[0].covariance
-    pieces = profiled[LEVELS[0]]
+        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {_ranges(one, profiled[LEVELS[-1]])}")
     if not pieces:
         return Verdict(Identifiability.SKEWED, "the likelihood has no interval at 68 %")
-    one = np.sqrt(e.rise(LEVELS[0]) * covariance[j, j])
-    widths = [abs(end - e.theta[j]) / one for end in (pieces[0].low, pieces[-1].high)]
-    if max(widths) < 0.5 and e.problem.parameters.free[j].name in STIFFNESSES:
+    error = np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j])
+    widths = [abs(end - e.theta[j]) / error for end in (pieces[0].low, pieces[-1].high)]
+    if max(widths) < 0.5 and one.name in STIFFNESSES:
         longest = f"the measured length is almost the longest that any stiffness gives; {UNCHANGED}"
         return Verdict(Identifiability.AT_MAXIMUM, longest)
     if len(pieces) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
@@ -264,13 +236,11 @@ def _another_valley(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
     best, one = e.minima[0], e.problem.parameters.free[j]
     far = 5 * np.sqrt(best.covariance[j, j])
     for other in e.minima[1:]:
+        worse = other.deviance - e.deviance
         if other.deviance <= e.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
             value = f"{format_number(one.value(other.theta[j]))} {one.unit}".rstrip()
-            worse = other.deviance - e.deviance
-            return Verdict(
-                Identifiability.SKEWED,
-                f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals",
-            )
+            reason = f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals"
+            return Verdict(Identifiability.SKEWED, reason)
     return None
 
 
@@ -303,12 +273,10 @@ def _counted(e: Fitted, pieces: list[Interval], at_odds: list[int]) -> Verdict:
         return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives {without}")
     if len(pieces) > 1:
         return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(one, pieces)}")
-    (piece,) = pieces
-    if piece.open_low and piece.open_high:
+    if pieces[0].open_low and pieces[0].open_high:
         return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
-    if piece.open_low or piece.open_high:
-        return Verdict(Identifiability.ONE_SIDED, "from above" if piece.open_low else "from below")
-    return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
+    equal = Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
+    return _open(e, 0, {LEVELS[-1]: pieces}) or equal
 
 
 def _ranges(one: Free, pieces: list[Interval]) -> str:
@@ -316,27 +284,22 @@ def _ranges(one: Free, pieces: list[Interval]) -> str:
     return f"{' and '.join(each)} {one.unit}".rstrip()
 
 
-class Direction(NamedTuple):
-    """A combination of parameters, and the standard error with which the data and priors give it."""
-
-    text: str  # as ``young / areal_stiffness^0.98``
-    coefficients: np.ndarray  # of the logarithms (of linear parameters: over their range), (p,), length 1
-    stderr: float  # inf where nothing determines it
-
-
-def directions(problem: Problem, theta: np.ndarray) -> list[Direction]:
+def directions(problem: Problem, theta: np.ndarray) -> list[dict[str, Any]]:
     """Combinations of the parameters by how well they are determined, best first: singular vectors of the scaled Jacobian.
 
-    Every positive parameter counts by its logarithm, every other over the range searched for it. Two parameters that only ever
-    act together have one direction with a finite error, and one without.
+    Each with the `combination` in words, as ``young / areal_stiffness^0.98``, the `stderr` with which data and priors give it,
+    inf where nothing does, and its `coefficients`, a vector of length 1. Every positive parameter counts by its logarithm,
+    every other over the range searched for it. Two parameters that only ever act together have one direction with a finite
+    error, and one without.
     """
     q = problem.parameters
     unit = np.array([1.0 if one.log else one.high - one.low for one in q.free])
     _, jacobian = problem.information(theta)
     _, values, vectors = np.linalg.svd(jacobian * unit, full_matrices=False)
     nothing = values <= 1e-7 * max(values.max(), 1e-300)
-    stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values))
-    return [Direction(_in_words(vector, q), vector, float(error)) for vector, error in zip(vectors, stderr, strict=True)]
+    stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values)).tolist()
+    found = zip(vectors, stderr, strict=True)
+    return [{"combination": _in_words(vector, q), "stderr": error, "coefficients": vector} for vector, error in found]
 
 
 def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
@@ -357,9 +320,8 @@ def undetermined(problem: Problem, theta: np.ndarray) -> str:
         return ""
     found = directions(problem, theta)
     reach = max((one.high - one.low) if one.log else 1.0 for one in problem.parameters.free)
-    open_ones = [one for one in found if one.stderr > reach / 4]
-    if not open_ones:
+    known, lost = ([one["combination"] for one in found if (one["stderr"] > reach / 4) == left] for left in (False, True))
+    if not lost:
         return ""
-    known = [one.text for one in found if one.stderr <= reach / 4]
     told = f"only {', '.join(known)} is determined" if known else "no combination is determined"
-    return f"{told}; the data do not determine {', '.join(one.text for one in open_ones)}"
+    return f"{told}; the data do not determine {', '.join(lost)}"

@@ -12,7 +12,7 @@ from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import profile_2d
 from slippulse_jax.inference.predicted import abscissa, alike, on_one_curve
-from slippulse_jax.inference.report import TIED, folded, sentences, value_in_words, value_with_error
+from slippulse_jax.inference.report import TIED, folded, sentences, shown_with
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
@@ -29,6 +29,7 @@ from slippulse_jax.plot.style import (
     letter_panels,
     new_figure,
 )
+from slippulse_jax.shown import value_with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,7 +126,8 @@ def _title(result: "FitResult") -> Iterator[str]:
     one_of = {one.label: one for one in result.parameters.free}
     names = [name for name in result.names if not _is_constant(one_of[name])] or result.names
     given = [name for name in names if name in result.given]
-    yield from (value_in_words(result, name, result.changes) for name in given[:MOST_VALUES])
+    shown = shown_with(result, result.changes)
+    yield from (shown[name].in_words(result) for name in given[:MOST_VALUES])
     if len(given) > MOST_VALUES:
         yield f"… and {len(given) - MOST_VALUES} more"
     constants = ", ".join(text.replace(" ", TIED) for text in _constants(result))
