@@ -6,7 +6,7 @@ found by fitting again, near the best fit, with one thing changed for all measur
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,13 +82,16 @@ def changes(fitted: Fitted) -> list[Change]:
     if not fitted.given:
         return []
     every = [*_of_inputs(fitted), *_of_ends(fitted), *_of_bodies(fitted)]
-    return sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
+    found = sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
+    if fitted.parameters.front.body == "block":
+        force = ", or a pusher of which the force is held" * (not fitted.measurements.push_control)
+        what = f"an end of the block, a machine that gives way{force}"
+        found.append(Change("drive", what, dict.fromkeys(fitted.given, (math.nan,)), otherwise="not computed"))
+    return found
 
 
 def _size(change: Change, fitted: Fitted) -> float:
-    """Size of the largest move, in the order in which a report has them: per cent, then factors; −1 where none is computed."""
-    if change.otherwise == "not computed":
-        return -1.0 if change.name == "drive" else math.inf
+    """Size of the largest move, in the order in which a report has them: none known, factors, then per cent."""
     sizes = [0.0]
     for name, moves in change.moves.items():
         if any(map(math.isnan, moves)):
@@ -158,9 +161,25 @@ def _refitted(fitted: Fitted, m: Measurements, *held: Parameter) -> tuple[np.nda
     if m.correlation_length is not None and own is not None:
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
     other = parameter_set(m, [*q.wanted, *held], q.front.event, q.front.body)
-    problem = make_problem(m, other, fitted.problem.loss, sigma)
-    found = minimise(problem, fitted.theta[None], other.low, other.high)
-    return found.theta[0], 2 * float(found.value[0])
+    return _least(fitted, m, other, sigma, fitted.theta[None])
+
+
+def _least(
+    fitted: Fitted, m: Measurements, q: ParameterSet, sigma: np.ndarray, starts: np.ndarray, **options: Any
+) -> tuple[np.ndarray, float]:
+    """θ of least deviance from some starts, for other measurements or parameters, and that deviance."""
+    found = minimise(make_problem(m, q, fitted.problem.loss, sigma), starts, q.low, q.high, **options)
+    best = int(np.argmin(found.value))
+    return found.theta[best], 2 * float(found.value[best])
+
+
+def _starts(fitted: Fitted, q: ParameterSet) -> np.ndarray:
+    """Start at the best fit and all over the range of the stiffness: a misfit may have driven it far away."""
+    known = dict(zip(fitted.parameters.names, fitted.theta, strict=True))
+    start = np.array([known.get(one.label, known.get(one.name, 0.0)) for one in q.free])
+    stiff = np.array([one.name in STIFFNESSES for one in q.free])
+    spread = q.low + (q.high - q.low) * np.linspace(0, 1, STARTS + 2)[1:-1, None]
+    return np.vstack([start, np.where(stiff, spread, start)])
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
@@ -196,15 +215,13 @@ def _of_ends(fitted: Fitted) -> Iterator[Change]:
     """An end of the block, a machine that gives way and a model factor, as far as the table states none.
 
     Ends and machines for lengths of first fronts only: gauges take long to compute again, and whole events are for blocks
-    without end. Moves are NaN where such a block would be run through.
+    without end.
     """
     m, at, q = fitted.measurements, fitted.regime, fitted.parameters
+    young = 1.0 if m.young is None else m.young
     supposed = {
         "block_length": ("a block that ends at 4/κ₂", END * np.maximum(at.slow_decay_length, m.length / 4)),
-        "machine_stiffness": (
-            "a machine ten times as stiff as the block",
-            STIFF * at.edge_stiffness * (1.0 if m.young is None else m.young),
-        ),
+        "machine_stiffness": ("a machine ten times as stiff as the block", STIFF * at.edge_stiffness * young),
     }
     for name, (what, size) in supposed.items() if q.front.event == "domino" and m.gauges is None else ():
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
@@ -216,10 +233,6 @@ def _of_ends(fitted: Fitted) -> Iterator[Change]:
         what = f"a model factor of {factor:g}, if the lengths were measured (provenance = measured fits it)"
         moves = _moves(fitted, m, Parameter("model_factor", value=factor))
         yield Change("model_factor", what, moves, otherwise="run through")
-    if q.front.body == "block":
-        force = ", or a pusher of which the force is held" * (not m.push_control)
-        none = dict.fromkeys(fitted.given, (np.nan,))
-        yield Change("drive", f"an end of the block, a machine that gives way{force}", none, otherwise="not computed")
 
 
 def _of_bodies(fitted: Fitted) -> Iterator[Change]:
@@ -245,27 +258,10 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
     if q.front.body == "block":
         wanted = [one for one in q.wanted if one.name != "push_height"]
         other = parameter_set(m, wanted, "domino", "slider")
-        theta, deviance = _anew(fitted, m, other, fitted.sigma)
+        theta, deviance = _least(fitted, m, other, fitted.sigma, _starts(fitted, other))
         theta = np.full(len(theta), np.nan) if _rejected(fitted, deviance) else theta
         moves = {name: (float(theta[other.index(name)] - fitted.theta[q.index(name)]),) for name in stiff}
         yield Change("slider", "the paper's slider", moves)
-
-
-def _anew(fitted: Fitted, m: Measurements, q: ParameterSet, sigma: np.ndarray) -> tuple[np.ndarray, float]:
-    """θ of least deviance for another body, from starts all over the range of the stiffness, and that deviance."""
-    problem = make_problem(m, q, fitted.problem.loss, sigma)
-    known = dict(zip(fitted.parameters.names, fitted.theta, strict=True))
-    start = np.clip([known.get(one.label, 0.0) for one in q.free], q.low, q.high)
-    ends = minimise(problem, _starts(q, start), q.low, q.high)
-    best = int(np.argmin(ends.value))
-    return ends.theta[best], 2 * float(ends.value[best])
-
-
-def _starts(q: ParameterSet, start: np.ndarray) -> np.ndarray:
-    """Start at a point and all over the range of the stiffness: a misfit may have driven it far away."""
-    stiff = np.array([one.name in STIFFNESSES for one in q.free])
-    spread = q.low + (q.high - q.low) * np.linspace(0, 1, STARTS + 2)[1:-1, None]
-    return np.vstack([start, np.where(stiff, spread, start)])
 
 
 def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str, tuple[float, ...]]]:
@@ -308,7 +304,7 @@ def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
     for width in (None, NARROW * changed["height"]):
         other = dataclasses.replace(m, **changed, push_width=width)
         every = parameter_set(other, wanted, q.front.event, q.front.body)
-        theta, deviance = _anew(fitted, other, every, fitted.sigma * taller)
+        theta, deviance = _least(fitted, other, every, fitted.sigma * taller, _starts(fitted, every))
         found.append({one.label: float(t) for one, t in zip(every.free, theta, strict=True) if one.name in STIFFNESSES})
     wide, narrow = found
     return {name: (math.nan if _rejected(fitted, deviance) else narrow[name] - wide[name],) for name in wide}
@@ -318,8 +314,8 @@ def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
 
 
 def of_inputs(moved: Sequence[Change]) -> list[Change]:
-    """The usual errors of inputs among changes."""
-    return [one for one in moved if one.opposite]
+    """The usual errors of inputs among changes, in the order of `USUAL`."""
+    return sorted((one for one in moved if one.opposite), key=lambda one: USUAL.index(one.name))
 
 
 def total(fitted: Fitted, name: str, moved: Sequence[Change]) -> float | None:
@@ -374,12 +370,12 @@ def next_steps(fitted: Fitted) -> list[str]:
     p_value = fitted.p_value if fitted.problem.plain else None
     if fitted.given and len(fitted.given) == len(fitted.names):
         scattered = p_value is not None and p_value < SCATTERED
-        return [*(text for _, text in sorted(_richer(fitted) if scattered else [])), *_shared(fitted)]
+        return [*_offered(fitted, _richer(fitted) if scattered else ()), *_shared(fitted)]
     at_maximum = fitted.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and fitted.identifiability is not Identifiability.POOR_FIT:
         return []
     rejected = p_value is not None and p_value < IMPROBABLE
-    steps = [text for _, text in sorted([*_richer(fitted), *_outliers(fitted)])] if rejected else []
+    steps = _offered(fitted, [*_richer(fitted), *_outliers(fitted)]) if rejected else []
     if at_maximum:
         steps.append(
             "check the units of heights and lengths, and that the height is the effective one, of the line where the load acts"
@@ -424,8 +420,8 @@ def _trend(fitted: Fitted) -> str:
     return f"the fitted lengths are too {low} on low blocks and too {tall} on tall ones" * bool(np.abs(correlation) >= 0.8)
 
 
-def _richer(fitted: Fitted) -> Iterator[tuple[float, str]]:
-    """χ² per degree of freedom and a suggestion, for each additional freedom that helps."""
+def _richer(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
+    """Try one stiffness for each specimen, and a prestress: the least deviance, the additional freedoms, and how to fit it."""
     m, wanted = fitted.measurements, list(fitted.parameters.wanted)
     shared = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
     if shared is not None and len(set(m.specimen)) > 1:
@@ -435,11 +431,11 @@ def _richer(fitted: Fitted) -> Iterator[tuple[float, str]]:
         one_sign = all(len(one) == 1 for one in signs)
         pattern = "the residuals of each specimen have one sign: " if one_sign else "the specimens may differ: "
         option = m.option("--each-specimen stiffness", _as_argument(each))
-        yield from _helps(fitted, each, f"{pattern}try one stiffness for each: {option}")
+        yield *_with(fitted, each), f"{pattern}try one stiffness for each: {option}"
     if fitted.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
         trend, more = _trend(fitted), [*wanted, Parameter("prestress")]
         option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
-        yield from _helps(fitted, more, f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}")
+        yield *_with(fitted, more), f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}"
 
 
 def _asked(wanted: Sequence[Parameter]) -> list[Parameter]:
@@ -460,19 +456,16 @@ def _in_python(one: Parameter) -> str:
     return f'sp.Parameter("{one.name}", {", ".join(more)})' if more else f'"{one.name}"'
 
 
-def _helps(fitted: Fitted, wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
-    """Give the suggestion if a fit of these parameters is so much better."""
-    old = fitted.parameters
-    q = parameter_set(fitted.measurements, wanted, old.front.event, old.front.body)
-    problem = make_problem(fitted.measurements, q, fitted.problem.loss, fitted.sigma)
-    values = dict(zip(old.names, fitted.theta, strict=True))
-    start = np.array([values.get(one.label, values.get(one.label.partition("[")[0], 0.0)) for one in q.free])
-    deviance = 2 * float(minimise(problem, _starts(q, start), q.low, q.high, max_steps=MOST_STEPS).value.min())
-    yield from _offered(fitted, deviance, fitted.problem.p - problem.p, text)
+def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
+    """Least deviance of a fit of these parameters, and how many more they are."""
+    m, front = fitted.measurements, fitted.parameters.front
+    q = parameter_set(m, wanted, front.event, front.body)
+    _, deviance = _least(fitted, m, q, fitted.sigma, _starts(fitted, q), max_steps=MOST_STEPS)
+    return deviance, len(q.free) - fitted.problem.p
 
 
-def _outliers(fitted: Fitted) -> Iterator[tuple[float, str]]:
-    """Point out a measurement without which the others agree, if there is one."""
+def _outliers(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
+    """Try to leave one measurement out, that without which the deviance is least; as `_richer`."""
     m, problem, q = fitted.measurements, fitted.problem, fitted.parameters
     if len(m) < 4:
         return
@@ -481,21 +474,22 @@ def _outliers(fitted: Fitted) -> Iterator[tuple[float, str]]:
     weights = {data.observable: (data.measurement != suspects[:, None]).astype(float) for data in problem.observed}
     values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
     without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
-    starts = _starts(q, fitted.theta)
+    starts = _starts(fitted, q)
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
     less = m.option("--loss student", 'loss="student"')
     text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: {less}"
-    yield from _offered(fitted, 2 * float(value[best]), -1, text)
+    yield 2 * float(value[best]), 1, text
 
 
-def _offered(fitted: Fitted, deviance: float, more_dof: int, text: str) -> Iterator[tuple[float, str]]:
-    """Give the suggestion with its χ², if that is accepted or much lower."""
-    dof = (fitted.testable_dof or 0) + more_dof
-    if dof < 1:
-        return
-    rejected = (fitted.p_value or 0.0) < IMPROBABLE
-    accepted = chdtrc(dof, deviance) >= (IMPROBABLE if rejected else SCATTERED)
-    if accepted or deviance / dof < MUCH * fitted.deviance / (fitted.testable_dof or 1):
-        yield deviance / dof, f"{text} (chi-squared {format_number(deviance, 3)} for {plural(dof, 'degree')} of freedom)"
+def _offered(fitted: Fitted, tried: Iterable[tuple[float, int, str]]) -> list[str]:
+    """Suggestions with their χ², if that is accepted or much lower per degree of freedom; the best first."""
+    least = IMPROBABLE if (fitted.p_value or 0.0) < IMPROBABLE else SCATTERED
+    most, found = MUCH * fitted.deviance / (fitted.testable_dof or 1), []
+    for deviance, more, text in tried:
+        dof = (fitted.testable_dof or 0) - more
+        if dof > 0 and (chdtrc(dof, deviance) >= least or deviance / dof < most):
+            of = f"(chi-squared {format_number(deviance, 3)} for {plural(dof, 'degree')} of freedom)"
+            found.append((deviance / dof, f"{text} {of}"))
+    return [text for _, text in sorted(found)]
