@@ -38,6 +38,7 @@ def two_specimens():
         (sp.Measurements(height=[20, 40], poisson=0.3, length=[15, 60], kind=("whole", "at_least")), {}),
         (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
         (sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}),
+        (two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}),
     ],
 )  # fmt: skip
 def test_a_loaded_fit_is_the_one_saved(tmp_path, table, options):
