@@ -44,7 +44,7 @@ from slippulse_jax.inference.parameters import (
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, scaled_to_scatter, search
 from slippulse_jax.inference.tables import measurements_of
-from slippulse_jax.inference.verdict import Direction, directions, judge
+from slippulse_jax.inference.verdict import directions, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,8 +78,8 @@ class FitResult(Fitted):
         return {name: total(self, name, self.changes) for name in self.names}
 
     @functools.cached_property
-    def directions(self) -> list[Direction]:
-        """Combinations of the parameters by how well they are determined."""
+    def directions(self) -> list[dict[str, Any]]:
+        """Combinations of the parameters by how well they are determined: `combination`, `stderr` and `coefficients`."""
         return directions(self.problem, self.theta)
 
     def curve(
@@ -165,9 +165,7 @@ class FitResult(Fitted):
         """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
         more = {
             "stderr_with_inputs": self.stderrs_with_inputs,
-            "directions": [
-                {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in self.directions
-            ],
+            "directions": self.directions,
             "notes": self.notes,
         }
         return record.to_dict(self, self.changes, self.next_steps, **more)
