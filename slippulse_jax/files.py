@@ -55,11 +55,13 @@ def shortened(message: str) -> str:
 
 
 def plain(content: Any) -> Any:
-    """Convert arrays and tuples to lists, and numbers that are not finite to None, as JSON needs."""
+    """Convert to what JSON takes: arrays and tuples to lists, record arrays to rows, numbers that are not finite to None."""
     if isinstance(content, dict):
         return {name: plain(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):
         return [plain(value) for value in content]
+    if names := getattr(getattr(content, "dtype", None), "names", None):
+        return [plain(dict(zip(names, row, strict=True))) for row in content.tolist()]
     if hasattr(content, "tolist"):  # an array, or a NumPy scalar
         return plain(content.tolist())
     return None if isinstance(content, float) and not math.isfinite(content) else content

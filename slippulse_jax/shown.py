@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 SHOWN = 6
 """Largest size of an array shown in full; larger ones are shown by size and range."""
@@ -48,6 +49,69 @@ def format_number(value: float, digits: int = 4) -> str:
     exponent = exponent_of(value)
     text = f"{float(f'{value / 10.0**exponent:.{digits}g}'):g}"
     return f"{text}e{exponent}" if exponent else text
+
+
+def value_with_error(value: float, error: float | None, above: float | None = None) -> str:
+    """``(1.955 ± 0.032)e10``, or ``(9.2 -1.9 +2.5)e10`` with another error `above`: the smaller error to two digits.
+
+    The other numbers are written to the same place; without an error the value is, to four digits.
+    """
+    if error is None or not 0 < error < np.inf:
+        return format_number(value)
+    exponent = exponent_of(value)
+    numbers = [x / 10.0**exponent for x in (value, error, error if above is None else above)]
+    digits = 1 - int(np.floor(np.log10(min(numbers[1:]))))
+    digits = digits if above is None else max(0, digits)
+    middle, down, up = (f"{round(x, digits):.{max(0, digits)}f}" for x in numbers)
+    text = f"{middle} ± {down}" if down == up else f"{middle} -{down} +{up}"
+    return f"({text})e{exponent}" if exponent else text
+
+
+def interval(piece: Any, near: float | None = None, width: float = 0.0) -> str:
+    """Format an `Interval`, ``(1.92 to 1.99)e10``, with the power of ten of the value `near`, and open ends in words.
+
+    To two digits of half of `width`, by default its own, as of a standard error, and to six digits in all at most.
+    """
+    low, high, open_low, open_high = piece
+    if open_low or open_high:
+        return (
+            "unbounded"
+            if open_low and open_high
+            else f"below {format_number(high)}"
+            if open_low
+            else f"above {format_number(low)}"
+        )
+    exponent = exponent_of(low if near is None else near)
+    if not -3 <= _power(max(abs(low), abs(high))) - exponent <= 3:  # far from the value, as at the second root
+        exponent, width = exponent_of(high), 0.0
+    low, high = low / 10.0**exponent, high / 10.0**exponent
+    digits = 1 - _power((width / 10.0**exponent or high - low) / 2)
+    digits = min(max(digits, 0), max(0, 5 - _power(max(abs(low), abs(high)))))
+    if low and not round(low, digits):
+        return " to ".join(format_number(end, 3) for end in piece[:2])
+    style = ".6g" if round(low, digits) == round(high, digits) else f".{digits}f"
+    text = f"{low:{style}} to {high:{style}}"
+    return f"({text})e{exponent}" if exponent else text
+
+
+def _power(x: float) -> int:
+    """Power of ten of the first digit."""
+    return int(np.floor(np.log10(max(x, 1e-300))))
+
+
+def ends(x: ArrayLike, digits: int = 2) -> str:
+    """``0.42 to 1.3``, the smallest and the largest number, or the one there is."""
+    return " to ".join(dict.fromkeys(format_number(float(end), digits) for end in (np.nanmin(x), np.nanmax(x))))
+
+
+def plural(count: int, noun: str) -> str:
+    """``1 length``, ``2 lengths``."""
+    return f"{count} {noun}" + "s" * (count != 1)
+
+
+def listed(texts: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return ", ".join(texts[:-1]) + " and " * (len(texts) > 1) + texts[-1]
 
 
 def in_a_line(made: Any, *names: str) -> str:

@@ -6,13 +6,13 @@ found by fitting again, near the best fit, with one thing changed for all measur
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.columns import IN_LC
+from slippulse_jax.inference.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.interpolation import packaged_b
@@ -21,6 +21,7 @@ from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import (
+    HEIGHTS,
     MODEL_ERROR,
     OF_MEASURING,
     STIFFNESSES,
@@ -28,31 +29,10 @@ from slippulse_jax.inference.parameters import (
     ParameterSet,
     parameter_set,
 )
-from slippulse_jax.shown import format_number
+from slippulse_jax.shown import format_number, plural
 
-
-class Usual(NamedTuple):
-    """An input whose error is rarely stated."""
-
-    symbol: str
-    error: float  # usual error: of ν itself, else of the logarithm; negative where it is taken smaller
-    in_words: str
-    both: bool = False  # whether it is taken both ways: no body of other proportions is needed
-    of_a_specimen: bool = False  # measured separately on each specimen
-
-
-USUAL = {
-    "height": Usual("H", float(np.log1p(0.01)), "larger by 1 %", of_a_specimen=True),
-    "length": Usual("every length", float(np.log1p(0.01)), "larger by 1 %", both=True),
-    "young": Usual("E", float(np.log1p(0.05)), "larger by 5 %", both=True),
-    "poisson": Usual("ν", -0.02, "smaller by 0.02"),
-    "correlation_length": Usual("λc", -float(np.log(2)), "smaller by a factor 2"),
-    "push_height": Usual("height of the push", float(np.log1p(0.05)), "larger by 5 %", both=True, of_a_specimen=True),
-}
-"""By column: a gauge's reading, the scale of a camera, tables of a material. λc is rarely known to better than a factor 2.
-
-Heights are taken larger, ν and λc smaller, so that H/λc does not fall below one."""
-
+USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height")
+"""Columns with a usual error, in the order in which a paper states them."""
 SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
 END, STIFF = 4.0, 10.0
@@ -102,13 +82,16 @@ def changes(fitted: Fitted) -> list[Change]:
     if not fitted.given:
         return []
     every = [*_of_inputs(fitted), *_of_ends(fitted), *_of_bodies(fitted)]
-    return sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
+    found = sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
+    if fitted.parameters.front.body == "block":
+        force = ", or a pusher of which the force is held" * (not fitted.measurements.push_control)
+        what = f"an end of the block, a machine that gives way{force}"
+        found.append(Change("drive", what, dict.fromkeys(fitted.given, (math.nan,)), otherwise="not computed"))
+    return found
 
 
 def _size(change: Change, fitted: Fitted) -> float:
-    """Size of the largest move, in the order in which a report has them: per cent, then factors; −1 where none is computed."""
-    if change.otherwise == "not computed":
-        return -1.0 if change.name == "drive" else math.inf
+    """Size of the largest move, in the order in which a report has them: none known, factors, then per cent."""
     sizes = [0.0]
     for name, moves in change.moves.items():
         if any(map(math.isnan, moves)):
@@ -129,19 +112,20 @@ def _of_inputs(fitted: Fitted) -> Iterator[Change]:
     m, q = fitted.measurements, fitted.parameters
     beside = {one.name for one in q.free}
     beside |= {"length"} if "model_factor" in beside else set()  # which contains a scale of all lengths
-    for name, usual in USUAL.items():
+    for name in USUAL:
         if name in beside or not _taken_as_exact(m, name) or (name == "push_height" and q.front.body == "slider"):
             continue
-        moves = _moves(fitted, *_refitted(fitted, _moved(m, name, usual.error), name, usual.error), rejected=True)
-        opposite = {one: -by for one, by in moves.items()}
+        what, error, *other = COLUMNS[name].usual
+        moves = _moves(fitted, _moved(m, name, error), rejected=True)
+        opposite = {one: -by for one, (by,) in moves.items()}
         if np.isnan(list(moves.values())).any():
-            allowed = _allowed(fitted, name, usual.error)
+            allowed = _allowed(fitted, name, error)
             opposite = {one: -float(allowed[q.index(one)]) for one in moves}
-        elif usual.both:
-            other = _moves(fitted, *_refitted(fitted, _moved(m, name, -usual.error), name, -usual.error), rejected=True)
-            opposite = {one: opposite[one] if np.isnan(by) else by for one, by in other.items()}
+        elif other:
+            back = _moves(fitted, _moved(m, name, *other), rejected=True)
+            opposite = {one: opposite[one] if np.isnan(by) else by for one, (by,) in back.items()}
         counted = " (counts stay as they are)" * (name == "correlation_length" and m.in_si and "whole" in m.kind)
-        yield Change(name, f"{usual.symbol} {usual.in_words}{counted}", {one: (by,) for one, by in moves.items()}, opposite)
+        yield Change(name, what + counted, moves, opposite)
 
 
 def _allowed(fitted: Fitted, name: str, error: float) -> np.ndarray:
@@ -150,33 +134,52 @@ def _allowed(fitted: Fitted, name: str, error: float) -> np.ndarray:
     To first order, from refits with the input moved a little either way: as the deviance rises by (step/σ)², the data know the
     input to σ, beside what is usual.
     """
-    steps = SMALL * error * np.array([-1.0, 1.0])
-    (low, below), (high, above) = (_refitted(fitted, _moved(fitted.measurements, name, by), name, by) for by in steps)
+    steps = (-SMALL * error, SMALL * error)
+    (low, below), (high, above) = (_refitted(fitted, _moved(fitted.measurements, name, by)) for by in steps)
     rise = max(below + above - 2 * fitted.deviance, 0.0) / 2 / SMALL**2
     return (high - low) / 2 / SMALL / np.sqrt(1 + rise)
 
 
-def _moves(fitted: Fitted, theta: np.ndarray, deviance: float, *, rejected: bool = False) -> dict[str, float]:
-    """Moves of the parameters that have a value to θ; NaN where its fit is run through or, if that counts, `rejected`."""
-    lost = not np.isfinite(deviance) or (rejected and _improbable(fitted, deviance))
+def _moves(fitted: Fitted, m: Measurements, *held: Parameter, rejected: bool = False) -> dict[str, tuple[float]]:
+    """Moves of the parameters that have a value; NaN where the block is run through or, if that counts, the fit `rejected`."""
+    theta, deviance = _refitted(fitted, m, *held)
+    lost = _rejected(fitted, deviance) if rejected else not np.isfinite(deviance)
     moved = np.full(len(theta), np.nan) if lost else theta - fitted.theta
-    return {one: float(moved[fitted.parameters.index(one)]) for one in fitted.given}
+    return {one: (float(moved[fitted.parameters.index(one)]),) for one in fitted.given}
 
 
-def _improbable(fitted: Fitted, deviance: float) -> bool:
+def _rejected(fitted: Fitted, deviance: float) -> bool:
+    """Whether nothing fits, or so badly that model and σ do not describe the data."""
     dof = fitted.testable_dof
-    return dof is not None and bool(chdtrc(dof, deviance - fitted.problem.perfect) < IMPROBABLE)
+    improbable = dof is not None and chdtrc(dof, deviance - fitted.problem.perfect) < IMPROBABLE
+    return bool(improbable or not np.isfinite(deviance))
 
 
-def _refitted(fitted: Fitted, m: Measurements, name: str = "", by: float = 0.0, *held: Parameter) -> tuple[np.ndarray, float]:
+def _refitted(fitted: Fitted, m: Measurements, *held: Parameter) -> tuple[np.ndarray, float]:
     """θ of least deviance near the best fit, for other measurements or with more parameters held, and that deviance."""
-    sigma, q = fitted.sigma, fitted.parameters
-    if name == "correlation_length":
-        sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * np.exp(-by))
+    sigma, q, own = fitted.sigma, fitted.parameters, fitted.measurements.correlation_length
+    if m.correlation_length is not None and own is not None:
+        sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
     other = parameter_set(m, [*q.wanted, *held], q.front.event, q.front.body)
-    problem = make_problem(m, other, fitted.problem.loss, sigma)
-    found = minimise(problem, fitted.theta[None], other.low, other.high)
-    return found.theta[0], 2 * float(found.value[0])
+    return _least(fitted, m, other, sigma, fitted.theta[None])
+
+
+def _least(
+    fitted: Fitted, m: Measurements, q: ParameterSet, sigma: np.ndarray, starts: np.ndarray, **options: Any
+) -> tuple[np.ndarray, float]:
+    """θ of least deviance from some starts, for other measurements or parameters, and that deviance."""
+    found = minimise(make_problem(m, q, fitted.problem.loss, sigma), starts, q.low, q.high, **options)
+    best = int(np.argmin(found.value))
+    return found.theta[best], 2 * float(found.value[best])
+
+
+def _starts(fitted: Fitted, q: ParameterSet) -> np.ndarray:
+    """Start at the best fit and all over the range of the stiffness: a misfit may have driven it far away."""
+    known = dict(zip(fitted.parameters.names, fitted.theta, strict=True))
+    start = np.array([known.get(one.label, known.get(one.name, 0.0)) for one in q.free])
+    stiff = np.array([one.name in STIFFNESSES for one in q.free])
+    spread = q.low + (q.high - q.low) * np.linspace(0, 1, STARTS + 2)[1:-1, None]
+    return np.vstack([start, np.where(stiff, spread, start)])
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
@@ -192,16 +195,12 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
     if name == "poisson":
         return dataclasses.replace(m, poisson=m.poisson + by)
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
-    if name == "length":
-        return dataclasses.replace(m, length=np.where(counted, m.length, m.length * factor))
-    moved = dataclasses.replace(m, **{name: getattr(m, name) * factor})
-    if name != "correlation_length":
-        return moved
-    shorter = _in_larger_units(m, factor)
-    for column in ("length", "length_sigma"):
-        if column in shorter:
-            shorter[column] = np.where(counted, getattr(m, column), shorter[column])
-    return dataclasses.replace(moved, **shorter)
+    changed = {name: getattr(m, name) * factor}
+    if name == "correlation_length":
+        changed |= _in_larger_units(m, factor)
+    for column in {"length", "length_sigma"} & {*changed}:
+        changed[column] = np.where(counted, getattr(m, column), changed[column])
+    return dataclasses.replace(m, **changed)
 
 
 def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
@@ -216,31 +215,24 @@ def _of_ends(fitted: Fitted) -> Iterator[Change]:
     """An end of the block, a machine that gives way and a model factor, as far as the table states none.
 
     Ends and machines for lengths of first fronts only: gauges take long to compute again, and whole events are for blocks
-    without end. Moves are NaN where such a block would be run through.
+    without end.
     """
     m, at, q = fitted.measurements, fitted.regime, fitted.parameters
+    young = 1.0 if m.young is None else m.young
     supposed = {
         "block_length": ("a block that ends at 4/κ₂", END * np.maximum(at.slow_decay_length, m.length / 4)),
-        "machine_stiffness": (
-            "a machine ten times as stiff as the block",
-            STIFF * at.edge_stiffness * (1.0 if m.young is None else m.young),
-        ),
+        "machine_stiffness": ("a machine ten times as stiff as the block", STIFF * at.edge_stiffness * young),
     }
     for name, (what, size) in supposed.items() if q.front.event == "domino" and m.gauges is None else ():
         if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
             continue
-        moves = _moves(fitted, *_refitted(fitted, dataclasses.replace(m, **{name: size})))
-        yield Change(name, what, {one: (by,) for one, by in moves.items()}, otherwise="run through")
+        yield Change(name, what, _moves(fitted, dataclasses.replace(m, **{name: size})), otherwise="run through")
     scaled = {one.name for one in q.free} | {*q.held}
     if _taken_as_exact(m, "length") and not any(m.provenance) and "model_factor" not in scaled:
         factor = 1 + MODEL_ERROR
         what = f"a model factor of {factor:g}, if the lengths were measured (provenance = measured fits it)"
-        moves = _moves(fitted, *_refitted(fitted, m, "", 0.0, Parameter("model_factor", value=factor)))
-        yield Change("model_factor", what, {one: (by,) for one, by in moves.items()}, otherwise="run through")
-    if q.front.body == "block":
-        force = ", or a pusher of which the force is held" * (not m.push_control)
-        none = dict.fromkeys(fitted.given, (np.nan,))
-        yield Change("drive", f"an end of the block, a machine that gives way{force}", none, otherwise="not computed")
+        moves = _moves(fitted, m, Parameter("model_factor", value=factor))
+        yield Change("model_factor", what, moves, otherwise="run through")
 
 
 def _of_bodies(fitted: Fitted) -> Iterator[Change]:
@@ -249,17 +241,16 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
     stiff, unit = [name for name in fitted.given if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
     if not stiff:
         return
-    if width_is_unstated(fitted):
+    relaxed = not m.or_zero("prestress").any() and "prestress" not in q.names
+    if q.front.body == "block" and relaxed and m.push_width is None:  # fitted as if pushed all over the side above the push
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
-        yield Change("push_width", what, {name: (by,) for name, by in _narrower(fitted).items() if name in stiff})
-    if push_is_unstated(fitted):
+        yield Change("push_width", what, {name: by for name, by in _narrower(fitted).items() if name in stiff})
+    if q.front.body == "slider" and relaxed and m.push_height is None and q.front.event == "domino":
         at, moves = _real_blocks(fitted, stiff)
-        if moves:
-            what = f"a real block, pushed from {', '.join(at)} H up (column push_height{unit} fits one)"
-            yield Change("block", what, moves)
-        else:
-            none = dict.fromkeys(stiff, (np.nan,))
-            yield Change("block", f"a real block (column push_height{unit} fits one)", none, otherwise="not computed")
+        pushed = f", pushed from {', '.join(at)} H up" if at else ""
+        what = f"a real block{pushed} (column push_height{unit} fits one)"
+        none = dict.fromkeys(stiff, (np.nan,))
+        yield Change("block", what, moves or none, otherwise="none fits" if moves else "not computed")
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
@@ -267,28 +258,10 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
     if q.front.body == "block":
         wanted = [one for one in q.wanted if one.name != "push_height"]
         other = parameter_set(m, wanted, "domino", "slider")
-        theta, deviance = _anew(fitted, m, other, fitted.sigma)
-        known = {one.label: float(t) for one, t in zip(other.free, theta, strict=True)}
-        lost = not np.isfinite(deviance) or _improbable(fitted, deviance)
-        moves = {name: (np.nan if lost else known[name] - float(fitted.theta[q.index(name)]),) for name in stiff}
+        theta, deviance = _least(fitted, m, other, fitted.sigma, _starts(fitted, other))
+        theta = np.full(len(theta), np.nan) if _rejected(fitted, deviance) else theta
+        moves = {name: (float(theta[other.index(name)] - fitted.theta[q.index(name)]),) for name in stiff}
         yield Change("slider", "the paper's slider", moves)
-
-
-def _anew(fitted: Fitted, m: Measurements, q: ParameterSet, sigma: np.ndarray) -> tuple[np.ndarray, float]:
-    """θ of least deviance for another body, from starts all over the range of the stiffness, and that deviance."""
-    problem = make_problem(m, q, fitted.problem.loss, sigma)
-    known = dict(zip(fitted.parameters.names, fitted.theta, strict=True))
-    start = np.clip([known.get(one.label, 0.0) for one in q.free], q.low, q.high)
-    ends = minimise(problem, _starts(q, start), q.low, q.high)
-    best = int(np.argmin(ends.value))
-    return ends.theta[best], 2 * float(ends.value[best])
-
-
-def _starts(q: ParameterSet, start: np.ndarray) -> np.ndarray:
-    """Start at a point and all over the range of the stiffness: a misfit may have driven it far away."""
-    stiff = np.array([one.name in STIFFNESSES for one in q.free])
-    spread = q.low + (q.high - q.low) * np.linspace(0, 1, STARTS + 2)[1:-1, None]
-    return np.vstack([start, np.where(stiff, spread, start)])
 
 
 def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str, tuple[float, ...]]]:
@@ -298,21 +271,21 @@ def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str,
     or a model factor, which would take other values in a fit of a block, and where the package has no such blocks.
     """
     m, q = fitted.measurements, fitted.parameters
-    if shares_errors(fitted):
+    held = q.held.get("offset", 0.0) != 0 or q.held.get("model_factor", 1.0) != 1
+    if held or any(one.name in OF_MEASURING for one in q.free):
         return [], {}
     ratio, moves, known = fitted.fitted / m.height, {}, []
     for name in stiff:
         rows = q.rows_of(q.index(name))
         i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])
-        each = {at: packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
+        each = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
         found = {at: b for at, b in each.items() if b is not None}
         if found:
-            known = [f"{at:g}" for at in found]
-            moves[name] = tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
+            known, moves[name] = [*found], tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
     return known, moves
 
 
-def _narrower(fitted: Fitted) -> dict[str, float]:
+def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
     """Move of each stiffness if the pusher is narrow; NaN where the lengths are then rejected.
 
     From two fits within the packaged nodes, for which nothing is followed anew: of a tall block, as lengths over H hardly
@@ -324,48 +297,25 @@ def _narrower(fitted: Fitted) -> dict[str, float]:
     changed: dict[str, Any] = _in_larger_units(m, 1 / taller)
     if m.correlation_length is not None:
         changed["correlation_length"] = m.correlation_length / taller
-    share = np.clip(m.push_height / m.height, NARROW, HIGHEST)
-    changed |= {"push_height": share * changed["height"]}
+    changed["push_height"] = np.clip(m.push_height / m.height, NARROW, HIGHEST) * changed["height"]
     changed |= {"poisson": np.full(len(m), 0.3), "poisson_sigma": None}
     wanted = [one for one in q.wanted if one.name not in ("push_height", "poisson")]
-    found, deviance, labels = [], 0.0, []
+    found, deviance = [], 0.0
     for width in (None, NARROW * changed["height"]):
         other = dataclasses.replace(m, **changed, push_width=width)
         every = parameter_set(other, wanted, q.front.event, q.front.body)
-        theta, deviance = _anew(fitted, other, every, fitted.sigma * taller)
-        labels = [one.label for one in every.free if one.name in STIFFNESSES]
-        found.append(np.array([theta[every.index(label)] for label in labels]))
-    lost = not np.isfinite(deviance) or bool(fitted.testable_dof and chdtrc(fitted.testable_dof, deviance) < IMPROBABLE)
-    return dict(zip(labels, (np.full(len(labels), np.nan) if lost else found[1] - found[0]).tolist(), strict=True))
-
-
-def width_is_unstated(fitted: Fitted) -> bool:
-    """Whether a fit of a block on a relaxed interface takes the pusher to cover all of the side above the stated height."""
-    m, q = fitted.measurements, fitted.parameters
-    return q.front.body == "block" and m.push_width is None and not m.or_zero("prestress").any() and "prestress" not in q.names
-
-
-def push_is_unstated(fitted: Fitted) -> bool:
-    """Whether to compare with blocks: first fronts of a slider on a relaxed interface, whose push is not stated."""
-    m, q = fitted.measurements, fitted.parameters
-    stiff = any(one.startswith(name) for one in fitted.given for name in STIFFNESSES)
-    relaxed = q.front.event == "domino" and not m.or_zero("prestress").any() and "prestress" not in q.names
-    return stiff and relaxed and q.front.body == "slider" and m.push_height is None
-
-
-def shares_errors(fitted: Fitted) -> bool:
-    """Whether an offset or a model factor of all lengths is fitted, or held at a value that changes them."""
-    q = fitted.parameters
-    beside = any(one.name in OF_MEASURING for one in q.free)
-    return beside or q.held.get("offset", 0.0) != 0 or q.held.get("model_factor", 1.0) != 1
+        theta, deviance = _least(fitted, other, every, fitted.sigma * taller, _starts(fitted, every))
+        found.append({one.label: float(t) for one, t in zip(every.free, theta, strict=True) if one.name in STIFFNESSES})
+    wide, narrow = found
+    return {name: (math.nan if _rejected(fitted, deviance) else narrow[name] - wide[name],) for name in wide}
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------
 
 
 def of_inputs(moved: Sequence[Change]) -> list[Change]:
-    """The usual errors of inputs among changes."""
-    return [one for one in moved if one.opposite]
+    """The usual errors of inputs among changes, in the order of `USUAL`."""
+    return sorted((one for one in moved if one.opposite), key=lambda one: USUAL.index(one.name))
 
 
 def total(fitted: Fitted, name: str, moved: Sequence[Change]) -> float | None:
@@ -382,30 +332,27 @@ def total_interval(fitted: Fitted, name: str, moved: Sequence[Change]) -> Interv
 
     In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
     """
-    pieces = fitted.intervals.get(name, {}).get(LEVELS[0], [])
-    moves, ways = np.array([one.both(name) for one in of_inputs(moved)]), np.array([-1.0, 1.0])
-    by, value = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1), fitted.values[name]
+    pieces, one = fitted.intervals.get(name, {}).get(LEVELS[0], []), fitted.parameters.named(name)
+    moves, value = np.array([one.both(name) for one in of_inputs(moved)]), fitted.values[name]
+    by = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1)
     if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value).all():
         return None
-    ends = np.array(pieces[0][:2])
-    if fitted.parameters.named(name).log:
-        low, high = value * np.exp(ways * np.hypot(np.log(ends / value), by))
-    else:
-        low, high = value + ways * np.hypot(ends - value, by)
-    return Interval(float(low), float(high), False, False)
+    low, high = (abs(one.theta(end) - one.theta(value)) for end in pieces[0][:2])
+    sides = np.hypot([low, high], by)
+    return Interval(one.value(one.theta(value) - sides[0]), one.value(one.theta(value) + sides[1]), False, False)
 
 
 def total_of_ratio(fitted: Fitted, labels: tuple[str, str], moved: Sequence[Change]) -> float | None:
     """Standard error of the ratio of two stiffnesses, inputs taken as exact included; None where there is none.
 
-    Errors of inputs measured on each specimen are independent; the others move both stiffnesses.
+    Errors of inputs measured on each specimen, its heights, are independent; the others move both stiffnesses.
     """
     ratio, error = fitted.stiffness_ratios[labels]
     inputs = of_inputs(moved)
     if error is None or not all(label in one.moves for one in inputs for label in labels):
         return None
     above, below = (np.array([one.by(label) for one in inputs]) for label in labels)
-    own = np.array([USUAL[one.name].of_a_specimen for one in inputs], dtype=bool)
+    own = np.array([one.name in HEIGHTS for one in inputs], dtype=bool)
     return float(np.hypot(error, ratio * np.linalg.norm(np.where(own, np.hypot(above, below), above - below))))
 
 
@@ -419,25 +366,29 @@ def next_steps(fitted: Fitted) -> list[str]:
     degree of freedom falls to a fifth; the best first. Where the fit is not rejected but scatters more than σ implies, it is
     suggested if it then no longer does.
     """
+    m, dof = fitted.measurements, fitted.testable_dof
+    p_value = fitted.p_value if fitted.problem.plain else None
     if fitted.given and len(fitted.given) == len(fitted.names):
-        scattered = fitted.p_value is not None and fitted.p_value < SCATTERED and fitted.problem.plain
-        return [*(text for _, text in sorted(_richer(fitted) if scattered else [])), *_shared(fitted)]
+        scattered = p_value is not None and p_value < SCATTERED
+        return [*_offered(fitted, _richer(fitted) if scattered else ()), *_shared(fitted)]
     at_maximum = fitted.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and fitted.identifiability is not Identifiability.POOR_FIT:
         return []
-    dof = fitted.testable_dof
-    rejected = dof and (fitted.p_value or 0.0) < IMPROBABLE and fitted.problem.plain
-    steps = [text for _, text in sorted([*_richer(fitted), *_outliers(fitted)])] if rejected else []
+    rejected = p_value is not None and p_value < IMPROBABLE
+    steps = _offered(fitted, [*_richer(fitted), *_outliers(fitted)]) if rejected else []
     if at_maximum:
         steps.append(
             "check the units of heights and lengths, and that the height is the effective one, of the line where the load acts"
         )
-    if at_maximum or _trend(fitted):
-        steps += _of_a_block(fitted)
+    refused = any(getattr(m, name) is not None for name in BlockEvent.refused) or m.or_zero("threshold_slope").any()
+    if (at_maximum or _trend(fitted)) and m.push_height is None and not refused:
+        unit = f"_{m.unit[1]}" * m.in_si
+        steps.append(
+            f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"
+        )
     if dof and rejected and not steps:
-        factor = np.sqrt(fitted.deviance / dof)
-        relative = fitted.measurements.option("--sigma relative", 'sigma="relative"')
-        larger = f"{factor:.2g} times as large"
+        larger = f"{np.sqrt(fitted.deviance / dof):.2g} times as large"
+        relative = m.option("--sigma relative", 'sigma="relative"')
         steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {relative}")
     return steps
 
@@ -459,44 +410,32 @@ def _shared(fitted: Fitted) -> Iterator[str]:
             )
 
 
-def _of_a_block(fitted: Fitted) -> list[str]:
-    """Suggest a block, where the table says neither at what height its side is pushed nor what a fit of a block refuses."""
-    m = fitted.measurements
-    refused = any(getattr(m, name) is not None for name in BlockEvent.refused) or m.or_zero("threshold_slope").any()
-    if m.push_height is not None or refused:
-        return []
-    unit = f"_{m.unit[1]}" * m.in_si
-    return [f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"]
-
-
 def _trend(fitted: Fitted) -> str:
     """Describe a trend of the residuals with the height; empty where there is none, or fewer than three heights."""
-    height, off = fitted.measurements.height, fitted.residuals
-    if len(set(height.tolist())) < 3 or np.abs(np.corrcoef(np.log(height), off)[0, 1]) < 0.8:
+    height = fitted.measurements.height
+    if len(set(height.tolist())) < 3:
         return ""
-    falls = np.corrcoef(np.log(height), off)[0, 1] < 0
-    low, tall = ("long", "short") if falls else ("short", "long")
-    return f"the fitted lengths are too {low} on low blocks and too {tall} on tall ones"
+    correlation = np.corrcoef(np.log(height), fitted.residuals)[0, 1]
+    low, tall = ("long", "short") if correlation < 0 else ("short", "long")
+    return f"the fitted lengths are too {low} on low blocks and too {tall} on tall ones" * bool(np.abs(correlation) >= 0.8)
 
 
-def _richer(fitted: Fitted) -> Iterator[tuple[float, str]]:
-    """χ² per degree of freedom and a suggestion, for each additional freedom that helps."""
+def _richer(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
+    """Try one stiffness for each specimen, and a prestress: the least deviance, the additional freedoms, and how to fit it."""
     m, wanted = fitted.measurements, list(fitted.parameters.wanted)
-    stiffness = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
-    if stiffness is not None and len(set(m.specimen)) > 1:
-        each = [
-            Parameter("stiffness", stiffness.bounds, stiffness.prior, "specimen") if one is stiffness else one for one in wanted
-        ]
+    shared = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
+    if shared is not None and len(set(m.specimen)) > 1:
+        own = Parameter("stiffness", shared.bounds, shared.prior, "specimen")
+        each = [own if one is shared else one for one in wanted]
         signs = [set(np.sign(fitted.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
-        pattern = "the residuals of each specimen have one sign: " * all(len(one) == 1 for one in signs)
+        one_sign = all(len(one) == 1 for one in signs)
+        pattern = "the residuals of each specimen have one sign: " if one_sign else "the specimens may differ: "
         option = m.option("--each-specimen stiffness", _as_argument(each))
-        yield from _helps(fitted, each, f"{pattern or 'the specimens may differ: '}try one stiffness for each: {option}")
+        yield *_with(fitted, each), f"{pattern}try one stiffness for each: {option}"
     if fitted.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
-        pattern = f"{_trend(fitted)}: " * bool(_trend(fitted))
-        more = [*wanted, Parameter("prestress")]
-        command = " ".join(f"--free {one.name}" for one in _asked(more))
-        option = m.option(command, _as_argument(more))
-        yield from _helps(fitted, more, f"{pattern}try a prestress, the same for all: {option}")
+        trend, more = _trend(fitted), [*wanted, Parameter("prestress")]
+        option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
+        yield *_with(fitted, more), f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}"
 
 
 def _asked(wanted: Sequence[Parameter]) -> list[Parameter]:
@@ -511,54 +450,46 @@ def _as_argument(wanted: Sequence[Parameter], *more: str) -> str:
 
 def _in_python(one: Parameter) -> str:
     """Write a parameter in Python."""
-    more = [f'each="{one.each}"'] if one.each else []
-    more += [
-        f"{name}=({given[0]:.6g}, {given[1]:.6g})" for name in ("prior", "bounds") if (given := getattr(one, name)) is not None
-    ]
+    more = [f'each="{one.each}"'] * bool(one.each)
+    for name, given in (("prior", one.prior), ("bounds", one.bounds)):
+        more += [f"{name}=({given[0]:.6g}, {given[1]:.6g})"] if given else []
     return f'sp.Parameter("{one.name}", {", ".join(more)})' if more else f'"{one.name}"'
 
 
-def _helps(fitted: Fitted, wanted: list[Parameter], text: str) -> Iterator[tuple[float, str]]:
-    """Give the suggestion if a fit of these parameters is so much better."""
-    old = fitted.parameters
-    q = parameter_set(fitted.measurements, wanted, old.front.event, old.front.body)
-    problem = make_problem(fitted.measurements, q, fitted.problem.loss, fitted.sigma)
-    values = dict(zip(old.names, fitted.theta, strict=True))
-    start = np.array([values.get(one.label, values.get(one.label.partition("[")[0], 0.0)) for one in q.free])
-    deviance = 2 * float(minimise(problem, _starts(q, start), q.low, q.high, max_steps=MOST_STEPS).value.min())
-    yield from _offered(fitted, deviance, fitted.problem.p - problem.p, text)
+def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
+    """Least deviance of a fit of these parameters, and how many more they are."""
+    m, front = fitted.measurements, fitted.parameters.front
+    q = parameter_set(m, wanted, front.event, front.body)
+    _, deviance = _least(fitted, m, q, fitted.sigma, _starts(fitted, q), max_steps=MOST_STEPS)
+    return deviance, len(q.free) - fitted.problem.p
 
 
-def _outliers(fitted: Fitted) -> Iterator[tuple[float, str]]:
-    """Point out a measurement without which the others agree, if there is one."""
+def _outliers(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
+    """Try to leave one measurement out, that without which the deviance is least; as `_richer`."""
     m, problem, q = fitted.measurements, fitted.problem, fitted.parameters
-    suspects = np.argsort(-np.abs(fitted.residuals))[:MOST_OUTLIERS]
-    count = len(suspects)
     if len(m) < 4:
         return
-    weights = {data.observable: np.ones((count, len(data.measurement))) for data in problem.observed}
-    for lane, i in enumerate(suspects):
-        for data in problem.observed:
-            weights[data.observable][lane, data.measurement == i] = 0.0
+    suspects = np.argsort(-np.abs(fitted.residuals))[:MOST_OUTLIERS]
+    count = len(suspects)
+    weights = {data.observable: (data.measurement != suspects[:, None]).astype(float) for data in problem.observed}
     values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
     without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
-    starts = _starts(q, fitted.theta)
+    starts = _starts(fitted, q)
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
-    text = (
-        f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: "
-        + m.option("--loss student", 'loss="student"')
-    )
-    yield from _offered(fitted, 2 * float(value[best]), -1, text)
+    less = m.option("--loss student", 'loss="student"')
+    text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: {less}"
+    yield 2 * float(value[best]), 1, text
 
 
-def _offered(fitted: Fitted, deviance: float, more_dof: int, text: str) -> Iterator[tuple[float, str]]:
-    """Give the suggestion with its χ², if that is accepted or much lower."""
-    dof = (fitted.testable_dof or 0) + more_dof
-    if dof < 1:
-        return
-    rejected = (fitted.p_value or 0.0) < IMPROBABLE
-    accepted = chdtrc(dof, deviance) >= (IMPROBABLE if rejected else SCATTERED)
-    if accepted or deviance / dof < MUCH * fitted.deviance / (fitted.testable_dof or 1):
-        yield deviance / dof, f"{text} (chi-squared {format_number(deviance, 3)} for {dof} degree{'s' * (dof > 1)} of freedom)"
+def _offered(fitted: Fitted, tried: Iterable[tuple[float, int, str]]) -> list[str]:
+    """Suggestions with their χ², if that is accepted or much lower per degree of freedom; the best first."""
+    least = IMPROBABLE if (fitted.p_value or 0.0) < IMPROBABLE else SCATTERED
+    most, found = MUCH * fitted.deviance / (fitted.testable_dof or 1), []
+    for deviance, more, text in tried:
+        dof = (fitted.testable_dof or 0) - more
+        if dof > 0 and (chdtrc(dof, deviance) >= least or deviance / dof < most):
+            of = f"(chi-squared {format_number(deviance, 3)} for {plural(dof, 'degree')} of freedom)"
+            found.append((deviance / dof, f"{text} {of}"))
+    return [text for _, text in sorted(found)]

@@ -3,6 +3,7 @@
 Reading a table, the checks of its numbers, and the suggestion of a name that a header may have meant.
 """
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
@@ -43,6 +44,11 @@ class Column(NamedTuple):
     needs: str = ""  # quantities without which it means nothing
     choices: tuple[str, ...] | None = None  # of a column of text, any text if empty; a blank cell means the first
     symbols: str = ""  # other names that authors give it; the case of single letters matters
+    usual: tuple[Any, ...] = ()
+    """Usual error where none is stated, in words; added to its logarithm, to ν itself; and the opposite, if that may be too.
+
+    Heights are taken larger, ν and λc smaller, so that H/λc does not fall below one.
+    """
 
     @property
     def value(self) -> str:
@@ -80,16 +86,22 @@ FORCE = _positive("a driving force must be positive")
 POSITION = Domain(-1e-300, np.inf, "a position must be finite and not negative")
 
 _ROWS = (
-    Column("height", "mm", "λc", HEIGHT, required=True, symbols="H h block_height slider_height sample_height"),
-    Column("poisson", "", "", POISSON, required=True, symbols="ν nu poisson_ratio poissons_ratio"),
-    Column("length", "mm", "λc", LENGTH, required=True, symbols="L l Λ precursor_length front_length arrest_length"),
+    Column("height", "mm", "λc", HEIGHT, required=True, symbols="H h block_height slider_height sample_height",
+           usual=("H larger by 1 %", math.log(1.01))),
+    Column("poisson", "", "", POISSON, required=True, symbols="ν nu poisson_ratio poissons_ratio",
+           usual=("ν smaller by 0.02", -0.02)),
+    Column("length", "mm", "λc", LENGTH, required=True, symbols="L l Λ precursor_length front_length arrest_length",
+           usual=("every length larger by 1 %", math.log(1.01), -math.log(1.01))),
     Column("length_sigma", "mm", "λc", ERROR),
-    Column("correlation_length", "um", None, CORRELATION_LENGTH, required=True, symbols="λ λc λ_c lambda lambda_c lc l_c"),
-    Column("young", "GPa", None, YOUNG, needs="correlation_length", symbols="E young_modulus youngs_modulus elastic_modulus"),
+    Column("correlation_length", "um", None, CORRELATION_LENGTH, required=True, symbols="λ λc λ_c lambda lambda_c lc l_c",
+           usual=("λc smaller by a factor 2", -math.log(2))),
+    Column("young", "GPa", None, YOUNG, needs="correlation_length", symbols="E young_modulus youngs_modulus elastic_modulus",
+           usual=("E larger by 5 %", math.log(1.05), -math.log(1.05))),
     Column("prestress", "", "", PRESTRESS, symbols="φ phi"),
     Column("threshold_slope", "", "", THRESHOLD_SLOPE),
     Column("block_length", "mm", "λc", BLOCK_LENGTH, may_be_blank=True, symbols="L sample_length slider_length"),
-    Column("push_height", "mm", "λc", PUSH_HEIGHT, may_be_blank=True, symbols="h load_height loading_height pusher_height"),
+    Column("push_height", "mm", "λc", PUSH_HEIGHT, may_be_blank=True, symbols="h load_height loading_height pusher_height",
+           usual=("height of the push larger by 5 %", math.log(1.05), -math.log(1.05))),
     Column("push_width", "mm", "λc", PUSH_WIDTH, may_be_blank=True, needs="push_height", symbols="pusher_height"),
     Column("machine_stiffness", "N_per_m", "E", MACHINE, may_be_blank=True, needs="young"),
     Column("block_width", "mm", None, WIDTH, may_be_blank=True),  # by which the stiffness of the machine is divided
@@ -107,7 +119,7 @@ _ROWS = (
     Column("provenance", choices=("", *PROVENANCES)),
     Column("specimen", choices=(), symbols="block blocks specimens sample"),
     Column("label", choices=()),
-)
+)  # fmt: skip
 _ROWS_OF_GAUGES = (
     Column("label", choices=(), required=True),
     Column("position", "mm", None, POSITION, required=True),

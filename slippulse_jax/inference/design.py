@@ -1,7 +1,7 @@
-"""Candidate experiments ranked by the information expected about the stiffness (`slippulse_jax.inference.information`)."""
+"""Candidate experiments ranked by the information expected about the interface stiffness."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -11,60 +11,29 @@ from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_cho
 from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.fronts import FRONTS, pushed
-from slippulse_jax.inference.information import Gain, Kind, draw, expected_gain, joint_gain, log_likelihoods
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.knowledge import Knowledge
+from slippulse_jax.inference.knowledge import GAIN, Kind, Knowledge, expected_gain, greedy, moments
 from slippulse_jax.shown import html
 
 BIT = np.log(2)
 MOST_EXPERIMENTS = 12
 
 
-class Candidate(NamedTuple):
-    """One candidate experiment; lengths in λc, or in m where `correlation_length` is given."""
-
-    height: float
-    sigma: float
-    poisson: float
-    prestress: float
-    threshold_slope: float
-    correlation_length: float | None  # m
-    young: float | None  # Pa
-    kind: Kind
-    push_height: float | None = None  # of a block, h/H
-    push_width: float | None = None  # w/H
-    push_control: Control = "displacement"
-
-    @property
-    def conditions(self) -> dict[str, str]:
-        """Conditions in words, by field."""
-        size, unit = (1, "λc") if self.correlation_length is None else (1e3, "mm")
-        side, of_side = (1, "H") if self.correlation_length is None else (self.height * size, unit)
-        return {
-            "height": f"H = {self.height * size:.5g} {unit}",
-            "poisson": f"ν = {self.poisson:g}",
-            "prestress": f"φ = {self.prestress:g}",
-            "threshold_slope": f"ε = {self.threshold_slope:g}",
-            "sigma": f"σ = {self.sigma * size:.3g} {unit}",
-            "correlation_length": f"λc = {(self.correlation_length or 0) * 1e6:.4g} µm",
-            "young": f"E = {(self.young or 0) * 1e-9:.4g} GPa",
-            "push_height": f"h = {(self.push_height or 0) * side:.4g} {of_side}",
-            "push_width": f"pusher {(self.push_width or 0) * side:.4g} {of_side}",
-        }
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
-    """Outcome of `design`: one entry per candidate, in the order given. Information is in nats."""
+    """Outcome of `design`: one entry per candidate, in the order given. Information is in nats.
+
+    Candidates and sequence are NumPy record arrays: ``candidates.height`` is a column, ``candidates[0].height`` a number.
+    """
 
     knowledge: Knowledge
-    candidates: list[Candidate]
+    candidates: np.recarray  # (c,) what `design` was given; NaN where it was not
     information: np.ndarray  # (c,) expected
     information_error: np.ndarray  # (c,) of its quadrature
     log_stderr: np.ndarray  # (c,) expected standard error of ln k afterwards, over all roots
     told_apart: np.ndarray  # (c,) probability that one root will have a posterior of 95 % or more
     length: np.ndarray  # (m, c) of every sample, in λc
-    sequence: list[tuple[int, Gain]]  # greedy: the candidate that adds most to those before it, and the gain of all so far
+    sequence: np.recarray  # of each step the candidate, and information, error, log_stderr, told_apart of all so far
 
     @property
     def ranking(self) -> np.ndarray:
@@ -79,37 +48,33 @@ class Design:
     @property
     def expected_length(self) -> np.ndarray:
         """Mean and standard deviation of the finite lengths of each candidate, in λc, NaN where none is; shape (c, 2)."""
-        w = self.knowledge.probability[:, None] * np.isfinite(self.length)
-        mass = np.where(w.any(axis=0), w.sum(axis=0), np.nan)
-        finite = np.where(np.isfinite(self.length), self.length, 0)
-        mean = (w * finite).sum(axis=0) / mass
-        return np.stack([mean, np.sqrt((w * (finite - mean) ** 2).sum(axis=0) / mass)], axis=1)
+        return np.stack(moments(self.length, self.knowledge.weight[:, None] * np.isfinite(self.length)), axis=1)
 
     @property
     def never_stops(self) -> np.ndarray:
         """Probability that the front of each candidate never stops, shape (c,)."""
-        return self.knowledge.probability @ np.isinf(self.length)
+        return self.knowledge.weight @ np.isinf(self.length)
 
     @property
     def names(self) -> list[str]:
         """Name of each candidate: the conditions in which the candidates differ."""
-        each = [one.conditions for one in self.candidates]
-        differ = [field for field in each[0] if len({getattr(c, field) for c in self.candidates}) > 1] or ["height"]
-        return [", ".join(conditions[field] for field in differ) for conditions in each]
+        each = [_in_words(one) for one in self.candidates]
+        differ = [field for field in each[0] if np.unique(self.candidates[field]).size > 1] or ["height"]
+        return [", ".join(words[field] for field in differ) for words in each]
 
     @property
     def scale(self) -> np.ndarray:
         """Size of λc in the unit of the report's lengths, mm or λc, for each candidate; shape (c,)."""
-        return np.array([(c.correlation_length or 1e-3) * 1e3 for c in self.candidates])
+        return np.nan_to_num(self.candidates.correlation_length, nan=1e-3) * 1e3
 
     @property
     def notes(self) -> list[str]:
         """Warnings to read before the experiment."""
         said = []
-        pushed = self.candidates[0]
-        if pushed.push_height is not None:
-            over = "on a patch" if pushed.push_width is not None else "over everything above"
-            said.append(f"Blocks under two-dimensional elasticity, pushed {over} at the height h, {pushed.push_control} held.")
+        first = self.candidates[0]
+        if np.isfinite(first.push_height):
+            over = "on a patch" if np.isfinite(first.push_width) else "over everything above"
+            said.append(f"Blocks under two-dimensional elasticity, pushed {over} at the height h, {first.push_control} held.")
         elif self.knowledge.event == "full":
             said.append("Lengths are those of whole events, in which contacts may break again.")
         if (self.information_error > 0.1 * np.maximum(self.information, 0.05)).any():
@@ -151,20 +116,17 @@ class Design:
         lines.append(f"Next: {names[self.best]}; expect {by_root}.")
         if len(self.sequence) > 1:
             lines.append("Sequence, each adding most to those before it:")
-            for place, (i, gain) in enumerate(self.sequence, 1):
-                last = f", roots told apart {gain.told_apart:.0%}" if several else ""
-                together = _bits(gain.information, gain.error)
-                lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {gain.log_stderr:.3g}{last}")
+            for place, (i, information, error, log_stderr, told_apart) in enumerate(self.sequence, 1):
+                last = f", roots told apart {told_apart:.0%}" if several else ""
+                together = _bits(information, error)
+                lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {log_stderr:.3g}{last}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
-    def _by_root(self, i: int) -> list[float]:
+    def _by_root(self, i: int) -> np.ndarray:
         """Length expected of a candidate under each root, in λc; inf where its front never stops."""
-        found, length = [], self.length[:, i]
-        for root in range(len(self.knowledge.roots)):
-            own = (self.knowledge.labels == root) & np.isfinite(length)
-            weight = self.knowledge.probability[own]
-            found.append(float(weight @ length[own] / weight.sum()) if weight.any() else np.inf)
-        return found
+        length = self.length[:, i, None]
+        mean, _ = moments(length, self.knowledge.by_root * np.isfinite(length))
+        return np.nan_to_num(mean, nan=np.inf)
 
     def __str__(self) -> str:
         return self.report()
@@ -187,33 +149,51 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values of everything but the samples, ready for JSON; information in nats."""
-        k, rank = self.knowledge, np.argsort(self.ranking) + 1
-        columns = {
+        k = self.knowledge
+        mean, sd = self.expected_length.T
+        results = {
             "label": self.names,
-            "rank": rank,
-            "length": self.expected_length[:, 0],
-            "length_sd": self.expected_length[:, 1],
-            "never_stops": self.never_stops,
-            "information": self.information,
-            "information_error": self.information_error,
-            "log_stderr": self.log_stderr,
+            "rank": np.argsort(self.ranking) + 1,
+            "length": mean,
+            "length_sd": sd,
+            **{name: getattr(self, name) for name in ("never_stops", "information", "information_error", "log_stderr")},
             "told_apart": self.told_apart,
         }
-        content = {
-            "knowledge": {
-                "unit": "Pa/m" if k.in_si else "",
-                "log_sd": k.log_sd,
-                "event": k.event,
-                "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
-            },
-            "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
-            "candidates": [
-                {**c._asdict(), **{name: column[i] for name, column in columns.items()}} for i, c in enumerate(self.candidates)
-            ],
-            "sequence": [{"candidate": i, **gain._asdict()} for i, gain in self.sequence],
-            "notes": self.notes,
-        }
-        return plain(content)
+        rows = zip(*results.values(), strict=True)
+        return plain(
+            {
+                "knowledge": {
+                    "unit": "Pa/m" if k.in_si else "",
+                    "log_sd": k.log_sd,
+                    "event": k.event,
+                    "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
+                },
+                "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
+                "candidates": [
+                    one | dict(zip(results, row, strict=True)) for one, row in zip(plain(self.candidates), rows, strict=True)
+                ],
+                "sequence": self.sequence,
+                "notes": self.notes,
+            }
+        )
+
+
+def _in_words(c: Any) -> dict[str, str]:
+    """Conditions of a candidate in words, by field."""
+    in_lc = np.isnan(c.correlation_length)
+    size, unit = (1, "λc") if in_lc else (1e3, "mm")
+    side, of_side = (1, "H") if in_lc else (c.height * size, unit)
+    return {
+        "height": f"H = {c.height * size:.5g} {unit}",
+        "poisson": f"ν = {c.poisson:g}",
+        "prestress": f"φ = {c.prestress:g}",
+        "threshold_slope": f"ε = {c.threshold_slope:g}",
+        "sigma": f"σ = {c.sigma * size:.3g} {unit}",
+        "correlation_length": f"λc = {c.correlation_length * 1e6:.4g} µm",
+        "young": f"E = {c.young * 1e-9:.4g} GPa",
+        "push_height": f"h = {c.push_height * side:.4g} {of_side}",
+        "push_width": f"pusher {c.push_width * side:.4g} {of_side}",
+    }
 
 
 def _bits(information: Any, error: Any, width: int = 0) -> str:
@@ -284,11 +264,12 @@ def design(
     The information of outcomes that are independent given the stiffness is submodular, so the greedy sequence obtains at
     least 1 − 1/e of the information of the best set.
     """
-    conditions = {
+    given = {
         "height": height, "sigma": sigma, "poisson": poisson, "prestress": prestress, "threshold_slope": threshold_slope,
-        "correlation_length": correlation_length, "young": young, "push_height": push_height, "push_width": push_width,
+        "correlation_length": correlation_length, "young": young, "kind": kind,
+        "push_height": push_height, "push_width": push_width, "push_control": push_control,
     }  # fmt: skip
-    candidates = _candidates({name: x for name, x in conditions.items() if x is not None}, kind, push_control)
+    candidates = _candidates(given)
     body = "slider" if push_height is None else "block"
     if knowledge.body not in (None, body):
         raise ValueError(
@@ -302,10 +283,11 @@ def design(
         raise ValueError(f"the knowledge is about {known}: {needed}")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
-    length = lengths_of(candidates, knowledge.theta, knowledge.event)
-    error = np.array([c.sigma / (c.correlation_length or 1) for c in candidates])
+    length = lengths_of(candidates, knowledge.log_stiffness, knowledge.event)
+    error = candidates.sigma / np.nan_to_num(candidates.correlation_length, nan=1.0)
     gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, error, strict=True)]
-    information, information_error, log_stderr, told_apart = (np.array(x) for x in zip(*gains, strict=True))
+    information, information_error, log_stderr, told_apart = np.transpose(gains)
+    sequence = greedy(knowledge, length, error, kind, gains, experiments, seed)
     return Design(
         knowledge=knowledge,
         candidates=candidates,
@@ -314,32 +296,34 @@ def design(
         log_stderr=log_stderr,
         told_apart=told_apart,
         length=length,
-        sequence=_greedy(knowledge, length, error, kind, gains, experiments, seed),
+        sequence=np.rec.fromrecords(sequence, dtype=[("candidate", int), *((name, float) for name in GAIN)]),
     )
 
 
-def _candidates(given: dict[str, ArrayLike], kind: str, control: Control) -> list[Candidate]:
-    check_choice("kind", kind, Kind)
-    if ("correlation_length" in given) != ("young" in given):
+def _candidates(given: dict[str, Any]) -> np.recarray:
+    """Check the conditions, and gather them in a table; NaN where one is not given."""
+    check_choice("kind", given["kind"], Kind)
+    if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
-    columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in given.items()}
+    numbers = {name: x for name, x in given.items() if x is not None and name not in ("kind", "push_control")}
+    columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in numbers.items()}
     try:
         columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
     except ValueError:
         shapes = ", ".join(f"{name} {x.shape}" for name, x in columns.items())
         raise ValueError(f"the conditions of the candidates must broadcast together: {shapes}") from None
-    if columns["height"].ndim != 1 or columns["height"].size == 0:
+    count = columns["height"].size
+    if columns["height"].ndim != 1 or count == 0:
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
-    _check_columns(columns, kind)
-    _check_push(columns, control)
-    absent = {"correlation_length": None, "young": None}
-    return [
-        Candidate(**(absent | {name: float(x[i]) for name, x in columns.items()}), kind=kind, push_control=control)  # pyright: ignore
-        for i in range(columns["height"].size)
-    ]
+    _check(columns, given["kind"])
+    if has_push(columns, given["push_control"]):
+        _check_push(columns)
+    columns |= {name: np.full(count, np.nan if x is None else x) for name, x in given.items() if name not in columns}
+    return np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
 
 
-def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
+def _check(columns: dict[str, np.ndarray], kind: str) -> None:
+    """Check that every number lies in its domain."""
     for name, requirement in (("correlation_length", "must be positive, in m"), ("young", "must be positive, in Pa")):
         check_domain(name, columns.get(name, np.ones(1)), lambda x: x > 0, requirement)
     if kind == "length":
@@ -351,10 +335,8 @@ def _check_columns(columns: dict[str, np.ndarray], kind: str) -> None:
         domain.check(name, columns[name])
 
 
-def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
+def _check_push(columns: dict[str, np.ndarray]) -> None:
     """Check that every pusher lies on the side of its block, and covers more than a contact's length of it."""
-    if not has_push(columns, control):
-        return
     if columns["threshold_slope"].any():
         raise ValueError("threshold_slope: the thresholds under a block are level here")
     for name, symbol in (("push_height", "h/H"), ("push_width", "w/H")):
@@ -367,41 +349,17 @@ def _check_push(columns: dict[str, np.ndarray], control: Control) -> None:
         Push(at, width)
 
 
-def lengths_of(candidates: list[Candidate], theta: np.ndarray, event: EventKind) -> np.ndarray:
+def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> np.ndarray:
     """Length of every candidate at every ln(stiffness), in λc; shape (m, c), inf where the front never stops.
 
     ℓ* of a slider's front, or the length of the whole event; of a block always that.
     """
-    numbers = np.array([c[:5] for c in candidates])
-    scale = np.array([c.correlation_length or 1.0 for c in candidates])
-    per_unit = np.array([(c.correlation_length or 1.0) / (c.young or 1.0) for c in candidates])
-    ratio = np.exp(theta)[:, None] * per_unit
-    inputs = Inputs.of(numbers[:, 0] / scale, ratio, numbers[:, 2], numbers[:, 3], numbers[:, 4])
+    c = candidates
+    scale, young = (np.nan_to_num(x, nan=1.0) for x in (c.correlation_length, c.young))
+    ratio = np.exp(theta)[:, None] * (scale / young)
+    inputs = Inputs.of(c.height / scale, ratio, c.poisson, c.prestress, c.threshold_slope)
     front = FRONTS["slider", event]
-    if candidates[0].push_height is not None:
-        at, width = np.array([[c.push_height, c.push_width or np.nan] for c in candidates]).T
-        push = pushed(np.ones(len(at)), at, width, [c.push_control for c in candidates])
+    if np.isfinite(c.push_height).all():
+        push = pushed(np.ones(len(c)), c.push_height, c.push_width, c.push_control)
         front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
     return front.lengths(inputs.ravel()).reshape(ratio.shape)
-
-
-def _greedy(
-    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
-) -> list[tuple[int, Gain]]:
-    """Choose experiments one by one, each adding most to those before it."""
-    best = int(np.argmax([gain.information for gain in gains]))
-    sequence = [(best, gains[best])]
-    if experiments == 1:
-        return sequence
-    truth, noise = draw(known, experiments, seed)
-    so_far = log_likelihoods(truth, noise[:, 0], length[:, best], error[best], kind)
-    for step in range(1, experiments):
-        best, gain, together = -1, None, so_far
-        for j in range(length.shape[1]):
-            log_p = so_far + log_likelihoods(truth, noise[:, step], length[:, j], error[j], kind)
-            of_all = joint_gain(known, truth, log_p)
-            if gain is None or of_all.information > gain.information:
-                best, gain, together = j, of_all, log_p
-        assert gain is not None
-        sequence, so_far = [*sequence, (best, gain)], together
-    return sequence

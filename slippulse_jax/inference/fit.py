@@ -8,13 +8,13 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
-from slippulse_jax.domains import check_whole
+from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total
@@ -44,7 +44,7 @@ from slippulse_jax.inference.parameters import (
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, scaled_to_scatter, search
 from slippulse_jax.inference.tables import measurements_of
-from slippulse_jax.inference.verdict import Direction, directions, judge
+from slippulse_jax.inference.verdict import directions, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,8 +78,8 @@ class FitResult(Fitted):
         return {name: total(self, name, self.changes) for name in self.names}
 
     @functools.cached_property
-    def directions(self) -> list[Direction]:
-        """Combinations of the parameters by how well they are determined."""
+    def directions(self) -> list[dict[str, Any]]:
+        """Combinations of the parameters by how well they are determined: `combination`, `stderr` and `coefficients`."""
         return directions(self.problem, self.theta)
 
     def curve(
@@ -165,9 +165,7 @@ class FitResult(Fitted):
         """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
         more = {
             "stderr_with_inputs": self.stderrs_with_inputs,
-            "directions": [
-                {"combination": one.text, "stderr": one.stderr, "coefficients": one.coefficients} for one in self.directions
-            ],
+            "directions": self.directions,
             "notes": self.notes,
         }
         return record.to_dict(self, self.changes, self.next_steps, **more)
@@ -301,13 +299,9 @@ def fit(
         "event": event,
         "body": body,
     }
-    settings = (
-        *(("loss", loss, get_args(Loss)), ("method", method, get_args(Method)), ("sigma", sigma, get_args(Sigma))),
-        ("intervals", intervals, get_args(IntervalsBy)),
-    )
-    for name, value, known in settings:
-        if value not in list(known):
-            raise ValueError(f"{name} = {value!r}: one of {', '.join(known)}")
+    choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
+    for name, (value, known) in choices.items():
+        check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None

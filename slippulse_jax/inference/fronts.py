@@ -5,7 +5,7 @@ lane. A new model is a new class here, which `front_of` chooses.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, get_args
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bodies.modes import NO_END, Ends
 from slippulse_jax.bulk.chunks import Layout, distinct_rows, over_lanes
+from slippulse_jax.domains import check_choice
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
@@ -439,10 +440,11 @@ def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | N
     ValueError
         If there is none for this event and body.
     """
-    for name, value, known in (("event", event, MeasuredEvent), ("body", body, Body)):
-        if value is not None and value not in get_args(known):
-            raise ValueError(f"{name} = {value!r}: one of {', '.join(get_args(known))}")
-    if body is None:
+    if event is not None:
+        check_choice("event", event, MeasuredEvent)
+    if body is not None:
+        check_choice("body", body, Body)
+    else:
         said = m.push_height is not None and not np.isnan(m.push_height).any()
         body = "block" if said and event in (None, "full") else "slider"
     event = event or ("full" if body == "block" else "domino")

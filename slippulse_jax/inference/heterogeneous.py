@@ -45,13 +45,9 @@ LANES = 8
 """Fronts computed together: one compiled program serves any number of measurements."""
 
 
-class Linearised(NamedTuple):
-    """The model at one u."""
-
-    value: np.ndarray  # (n,) lengths in λc, or excess stresses at the measured arrests in σ_s
-    derivative: np.ndarray  # (n, k + 1), in u
-    stress: np.ndarray  # (n, sites), t as each front comes to each contact
-    slope: np.ndarray  # (n,) e' at the measured arrest, per λc
+Linearised = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""The model at one u, of n fronts: lengths in λc, or excess stresses at the measured arrests in σ_s, shape (n,); derivatives of
+these in u, (n, k + 1); t as each front comes to each contact, (n, sites); and e' at the measured arrests, per λc, (n,)."""
 
 
 class ProfileProblem(NamedTuple):
@@ -75,6 +71,10 @@ class ProfileProblem(NamedTuple):
     def excess(self, u: Float[np.ndarray, " k1"]) -> Linearised:
         """Excess stress t − θ at every measured arrest."""
         return self._linearised(_EXCESSES, u)
+
+    def chi2(self, length: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "..."]:
+        """Σ [(ℓ − measured)/σ]²."""
+        return (((length - self.measured) / self.sigma) ** 2).sum(axis=-1)
 
     def sliders_at(self, u: Float[np.ndarray, "... k1"]) -> Sliders:
         """H/λc, k/K and ν, the stiffness moved as u says."""
@@ -102,7 +102,7 @@ class ProfileProblem(NamedTuple):
         if self.kind == "threshold":
             by_site = by_theta * theta
             by_site[:, 0] = 0  # θ_0 is the unit
-        return Linearised(value, np.column_stack([by_site @ self.between, by_log_k]), stress, slope)
+        return value, np.column_stack([by_site @ self.between, by_log_k]), stress, slope
 
 
 def profile_problem(
@@ -208,13 +208,11 @@ def _stress(slider: Slider, theta: Array, phi: Array) -> tuple[Array, Array]:
     return sweep(modes, load + phi[0], phi), first
 
 
-def front_length(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """ℓ of a front from the edge, and the contact that breaks first."""
+@jax.jit
+@jax.vmap
+def _fronts(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
     stress, first = _stress(Slider(height, stiffness, poisson), theta, phi)
     return _length(stress - theta, first), first
-
-
-_fronts = jax.jit(jax.vmap(front_length))
 
 
 @jax.jit

@@ -456,7 +456,6 @@ def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, n
 def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
     """Standard error of θ_j from the information at each point; inf where that is singular."""
     information = problem(theta, order=1).metric
-    assert information is not None
     regular = np.linalg.cond(information) < 1e14
     found = np.full(len(theta), np.inf)
     found[regular] = np.sqrt(np.linalg.inv(information[regular])[:, j, j])

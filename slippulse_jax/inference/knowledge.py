@@ -1,25 +1,49 @@
-"""Knowledge of the interface stiffness as weighted samples of its logarithm.
+"""Knowledge of the interface stiffness, and the information expected from an experiment.
 
-Weighted samples represent any distribution: a normal one, one that ends abruptly, or the two roots that one length may have. On
-a grid the weights are those of the quadrature, and sums over the samples are integrals.
+Knowledge is weighted samples of ln(stiffness). They represent any distribution: a normal one, one that ends abruptly, or the
+two roots that one length may have. On a grid the weights are those of the quadrature, and sums over the samples are integrals.
+
+An experiment measures a length ℓ(θ) with a normal error σ, or counts whole contacts, ceil(ℓ + error); a front that never stops
+is an outcome of its own. Of weighted samples θ_i the expected information (mutual information, in nats) is
+
+    I = Σ_i w_i ∫ dy p(y|θ_i) ln[p(y|θ_i)/p(y)],        p(y) = Σ_i w_i p(y|θ_i),
+
+a one-dimensional quadrature for one experiment. For several, I is the mean of the same logarithm over (θ, y) drawn together:
+p(y) being an exact sum over the samples, that estimate has no bias, and scrambled Sobol points give its standard error.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import ArrayLike
+from scipy.special import logsumexp, ndtri, xlogy
 
 from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import EventKind, check_event
 from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.fronts import front_of
-from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
+from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
+from slippulse_jax.inference.measurements import (
+    MeasurementError,
+    Measurements,
+    check_used,
+    held,
+    numbers,
+    table,
+)
 from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, parameter_set
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fitted import Fitted
+
+Kind = Literal["length", "whole"]
+
+GAIN = ("information", "error", "log_stderr", "told_apart")
+Gain = tuple[float, float, float, float]
+"""Expected of one experiment, or of several together: the information in nats; its error, of the quadrature or a standard one;
+the standard deviation of θ afterwards; and the probability that one root will have a posterior of `SURE` or more."""
 
 NODES = 1201
 """Samples of a grid."""
@@ -33,6 +57,18 @@ FAINT = 40.0
 VALLEY = 0.5
 """Two peaks of a density count as two roots where it falls between them below this fraction of the lower one."""
 
+REACH = 7.0
+"""Range of the outcomes summed over, in standard errors beyond the lengths."""
+
+STEP = 0.25
+"""Spacing of the outcomes summed over, in standard errors."""
+
+SURE = 0.95
+"""Smallest posterior of one root from which the roots count as distinguished."""
+
+REPLICATES, POINTS = 8, 512
+"""Number of scrambled Sobol sequences, and points of each."""
+
 UNUSED = (
     "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma",
     "displacement", "displacement_sigma", "force", "force_sigma", "gauges",
@@ -40,7 +76,7 @@ UNUSED = (
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False, init=False)
+@table
 class Knowledge:
     """Weighted samples of ln(stiffness).
 
@@ -65,41 +101,33 @@ class Knowledge:
         If the shapes differ, a value is not finite, or a weight is negative or all are zero.
     """
 
-    theta: np.ndarray  # (m,) ln(stiffness) of each sample, in increasing order
-    probability: np.ndarray  # (m,) of each sample; adds up to one
-    labels: np.ndarray  # (m,) root of each sample: 0, 1, …
-    in_si: bool
-    event: EventKind
-    body: Body | None
+    log_stiffness: np.ndarray = held(converter=numbers)
+    weight: np.ndarray = held(converter=numbers, default=None)
+    root: np.ndarray = held(converter=np.asarray, default=None)
+    in_si: bool = False
+    event: EventKind = "domino"
+    body: Body | None = None
 
-    def __init__(
-        self,
-        log_stiffness: ArrayLike,
-        weight: ArrayLike | None = None,
-        root: ArrayLike | None = None,
-        in_si: bool = False,
-        event: EventKind = "domino",
-        body: Body | None = None,
-    ) -> None:
-        check_event(event)
-        theta = np.atleast_1d(np.asarray(log_stiffness, dtype=np.float64))
-        p = np.full(theta.shape, 1.0) if weight is None else np.asarray(weight, dtype=np.float64)
-        labels = np.zeros(theta.shape, int) if root is None else np.asarray(root)
-        if theta.ndim != 1 or p.shape != theta.shape or labels.shape != theta.shape:
+    def __post_init__(self) -> None:
+        check_event(self.event)
+        theta = numbers(self.log_stiffness)
+        weight = np.ones(theta.shape) if self.weight is None else numbers(self.weight)
+        root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)
+        if theta.ndim != 1 or weight.shape != theta.shape or root.shape != theta.shape:
             raise ValueError(
-                f"Knowledge: samples {theta.shape}, weights {p.shape} and roots {labels.shape} must be one column each"
+                f"Knowledge: samples {theta.shape}, weights {weight.shape} and roots {root.shape} must be one column each"
             )
         check_domain("Knowledge.log_stiffness", theta, lambda x: abs(x) < 100, "must be the logarithm of a stiffness")
-        check_domain("Knowledge.weight", p, lambda x: x >= 0, "must be 0 or more")
-        if not p.sum() > 0:
+        check_domain("Knowledge.weight", weight, lambda x: x >= 0, "must be 0 or more")
+        if not weight.sum() > 0:
             raise ValueError("Knowledge.weight: all zero")
         order = np.argsort(theta, kind="stable")
-        samples = theta[order], p[order] / p.sum(), np.unique(labels[order], return_inverse=True)[1]
-        for field, value in zip(dataclasses.fields(self), (*samples, in_si, event, body), strict=True):
-            object.__setattr__(self, field.name, value)
+        object.__setattr__(self, "log_stiffness", theta[order])
+        object.__setattr__(self, "weight", weight[order] / weight.sum())
+        object.__setattr__(self, "root", np.unique(root[order], return_inverse=True)[1])
 
     def __len__(self) -> int:
-        return len(self.theta)
+        return len(self.log_stiffness)
 
     @classmethod
     def lognormal(
@@ -175,16 +203,16 @@ class Knowledge:
         event = "full" if body == "block" else "domino" if prior is None else prior.event
         m = dataclasses.replace(m, **dict.fromkeys(UNUSED))
         problem = make_problem(m, parameter_set(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
-        theta = _grid(problem, nodes) if prior is None else prior.theta
+        theta = _grid(problem, nodes) if prior is None else prior.log_stiffness
         # the density, not the weight, has peaks: samples may be unevenly spaced
-        share = np.gradient(theta) if prior is None else prior.probability
+        share = np.gradient(theta) if prior is None else prior.weight
         with np.errstate(divide="ignore"):
             log_weight = np.log(share) - problem(theta[:, None]).value
         if not np.isfinite(log_weight).any():
             raise ValueError(f"{m.source}: no stiffness in the range gives these measurements")
         weight = np.exp(log_weight - log_weight.max())
         kept = weight > NEGLIGIBLE
-        root = prior.labels if prior is not None and prior.labels.any() else _roots(weight / (share if prior is None else 1))
+        root = prior.root if prior is not None and prior.root.any() else _roots(weight / (share if prior is None else 1))
         return cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
 
     @classmethod
@@ -229,30 +257,38 @@ class Knowledge:
         )
 
     @property
-    def mean(self) -> float:
-        """Of ln(stiffness)."""
-        return float(self.probability @ self.theta)
-
-    @property
     def symbol(self) -> str:
         """Symbol of the stiffness."""
         return "k/λc²" if self.in_si else "k/K"
 
     @property
+    def mean(self) -> float:
+        """Of ln(stiffness)."""
+        return float(moments(self.log_stiffness, self.weight)[0])
+
+    @property
     def log_sd(self) -> float:
         """Standard deviation of ln(stiffness), over all roots."""
-        return float(np.sqrt(self.probability @ (self.theta - self.mean) ** 2))
+        return float(moments(self.log_stiffness, self.weight)[1])
+
+    @property
+    def by_root(self) -> np.ndarray:
+        """Weight of each sample in each of r roots, shape (m, r)."""
+        return self.weight[:, None] * (self.root[:, None] == np.arange(self.root.max() + 1))
 
     @property
     def roots(self) -> list[tuple[float, float, float]]:
         """(probability, median-like e^mean, standard deviation of ln) of each root."""
-        found = []
-        for r in range(self.labels.max() + 1):
-            w = self.probability * (self.labels == r)
-            mean = w @ self.theta / w.sum()
-            sd = np.sqrt(w @ (self.theta - mean) ** 2 / w.sum())
-            found.append((float(w.sum()), float(np.exp(mean)), float(sd)))
-        return found
+        mean, sd = moments(self.log_stiffness[:, None], self.by_root)
+        return list(zip(self.by_root.sum(axis=0).tolist(), np.exp(mean).tolist(), sd.tolist(), strict=True))
+
+
+def moments(x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of samples of these weights along the first axis; NaN where all weights are zero."""
+    x = np.where(weight > 0, x, 0)
+    with np.errstate(invalid="ignore"):
+        mean = (weight * x).sum(axis=0) / weight.sum(axis=0)
+        return mean, np.sqrt((weight * (x - mean) ** 2).sum(axis=0) / weight.sum(axis=0))
 
 
 def _grid(problem: Problem, nodes: int) -> np.ndarray:
@@ -270,19 +306,134 @@ def _grid(problem: Problem, nodes: int) -> np.ndarray:
 
 def _roots(density: np.ndarray) -> np.ndarray:
     """Number the modes, and say which each node belongs to; they are separated by valleys (`VALLEY`)."""
-    rises = np.concatenate([[True], density[1:] > density[:-1]])
-    falls = np.concatenate([density[:-1] >= density[1:], [True]])
-    peaks = np.flatnonzero(rises & falls)
-    peaks = peaks[density[peaks] > 1e-3 * density.max()]
-    kept: list[int] = []
-    cuts: list[int] = []
-    for peak in peaks.tolist():
-        if kept:
-            valley = kept[-1] + int(np.argmin(density[kept[-1] : peak + 1]))
-            if density[valley] >= VALLEY * min(density[kept[-1]], density[peak]):
-                if density[peak] > density[kept[-1]]:
-                    kept = [*kept[:-1], peak]
-                continue
-            cuts.append(valley)
-        kept = [*kept, peak]
+    from scipy.signal import find_peaks  # slow to import, and needed here alone
+
+    with np.errstate(divide="ignore"):
+        log = np.pad(np.log(density), 1, constant_values=-np.inf)
+    peaks, _ = find_peaks(log, height=log.max() + np.log(1e-3), prominence=-np.log(VALLEY))
+    cuts = [first + int(np.argmin(log[first:last])) - 1 for first, last in pairwise(peaks.tolist())]
     return np.searchsorted(np.array(cuts, dtype=int), np.arange(len(density)), side="right")
+
+
+# --- information ---------------------------------------------------------------------------------------------------------
+
+
+def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+    """Logarithms ln p(y | ℓ) of the density that a fit has, without its constant; shape (n, m).
+
+    Of outcomes y of shape (n,), ∞ where the front did not stop, and lengths of shape (m,); σ may be 0 for counts.
+    """
+    stops = np.isfinite(y)
+    found = np.where(np.isinf(length), 0.0, -np.inf) + np.zeros((len(y), 1))
+    found[stops] = data_log_density(length, y[stops, None], sigma, kind, exact=True)
+    return found
+
+
+def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
+    """Outcomes to sum over, and their weights, the constant of the density included; both of shape (n,)."""
+    finite = length[np.isfinite(length)]
+    y, dy = np.empty(0), np.empty(0)
+    if finite.size and kind == "length":
+        # only near the lengths, which may lie in clumps far apart
+        edges = np.unique(np.floor(finite[:, None] / sigma) + np.arange(-REACH, REACH + 1))
+        y = (edges[:, None] + step * np.arange(round(1 / step))).ravel() * sigma
+        dy = np.full(len(y), step / np.sqrt(2 * np.pi))
+    elif finite.size:
+        low, high = np.floor(finite.min() - REACH * sigma), np.ceil(finite.max() + REACH * sigma)
+        y = np.arange(max(low, 1), max(high, 1) + 1)
+        dy = np.ones(len(y))
+    if finite.size < length.size:
+        y, dy = np.append(y, np.inf), np.append(dy, 1.0)
+    return y, dy
+
+
+def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
+    """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
+    information, log_stderr, told_apart = _quadrature(known, length, sigma, kind, STEP)
+    # every other sample of each root, with the probability of the root
+    kept = np.sort(np.concatenate([np.flatnonzero(own)[::2] for own in known.by_root.T]))
+    root = known.root[kept]
+    share, left = (weight.sum(axis=0)[root] for weight in (known.by_root, known.by_root[kept]))
+    thin = Knowledge(known.log_stiffness[kept], known.weight[kept] * (share / left), root)
+    coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(known, length, sigma, kind, 2 * STEP)
+    return information, max(abs(information - other[0]) for other in coarse), log_stderr, told_apart
+
+
+def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, step: float) -> tuple[float, float, float]:
+    """Information, standard deviation of θ afterwards, and probability that one root is sure."""
+    y, dy = outcomes(length, sigma, kind, step)
+    information = stderr = apart = 0.0
+    for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
+        p = np.exp(log_likelihood(y[part], length, sigma, kind))
+        total = p @ known.weight
+        # outcomes that no sample leads to have no probability
+        seen = total > 0
+        p, total, dy_seen = p[seen], total[seen], dy[part][seen]
+        entropy = xlogy(p, p) @ known.weight - xlogy(total, total)
+        information += dy_seen @ entropy
+        sd, sure = _afterwards(known, p * known.weight / total[:, None])
+        stderr += (dy_seen * total) @ sd
+        apart += (dy_seen * total) @ sure
+    return float(information), float(stderr), float(apart)
+
+
+def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviation of θ, and whether one root is sure, for posteriors of shape (n, m)."""
+    theta = known.log_stiffness - known.weight @ known.log_stiffness
+    mean = posterior @ theta
+    variance = posterior @ theta**2 - mean**2
+    return np.sqrt(np.maximum(variance, 0)), (posterior @ (known.by_root > 0)).max(axis=1) >= SURE
+
+
+def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw truths and errors for a sequence of experiments, common to all candidates.
+
+    `REPLICATES` independently scrambled Sobol sequences, one after another: the sample that is the truth, shape (n,), and
+    standard normal errors, shape (n, steps).
+    """
+    from scipy.stats.qmc import Sobol
+
+    rng = np.random.default_rng(seed)
+    u = np.concatenate([Sobol(steps + 1, rng=rng).random(POINTS) for _ in range(REPLICATES)])
+    truth = np.searchsorted(np.cumsum(known.weight), u[:, 0] * (1 - 1e-12))
+    return np.minimum(truth, len(known) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12))
+
+
+def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+    """Logarithms ln p(y|θ_j) of the outcome of each draw of one experiment, for every sample j; shape (n, m)."""
+    y = length[truth] + sigma * noise
+    if kind == "length":
+        return log_likelihood(y, length, sigma, kind)
+    # far fewer counts than draws
+    counts, own = np.unique(np.maximum(np.ceil(y), 1), return_inverse=True)
+    return log_likelihood(counts, length, sigma, kind)[own]
+
+
+def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
+    """Gain of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
+    with np.errstate(divide="ignore"):
+        joint = log_p + np.log(known.weight)
+    total = np.asarray(logsumexp(joint, axis=1))
+    own = log_p[np.arange(len(log_p)), truth]
+    means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
+    sd, sure = _afterwards(known, np.exp(joint - total[:, None]))
+    return float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean())
+
+
+def greedy(
+    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
+) -> list[tuple[int, *Gain]]:
+    """Choose experiments one by one, each adding most to those before it; the first by what each gains alone."""
+    best = int(np.argmax([gain[0] for gain in gains]))
+    sequence, so_far = [(best, *gains[best])], 0.0
+    if experiments == 1:
+        return sequence
+    truth, noise = draw(known, experiments, seed)
+    for step in range(1, experiments):
+        so_far = so_far + log_likelihoods(truth, noise[:, step - 1], length[:, best], error[best], kind)
+        columns = zip(length.T, error, strict=True)
+        each = (so_far + log_likelihoods(truth, noise[:, step], one, sigma, kind) for one, sigma in columns)
+        gains = [joint_gain(known, truth, log_p) for log_p in each]
+        best = int(np.argmax([gain[0] for gain in gains]))
+        sequence.append((best, *gains[best]))
+    return sequence

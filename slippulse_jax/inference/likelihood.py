@@ -211,12 +211,12 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
 
 
 class Evaluation(NamedTuple):
-    """Values at B points; derivatives are None if not requested."""
+    """Values at B points; derivatives that were not requested are empty."""
 
     value: Float[np.ndarray, " B"]  # −ln(likelihood × prior); inf where the model has no finite length
-    gradient: Float[np.ndarray, "B p"] | None = None
-    metric: Float[np.ndarray, "B p p"] | None = None  # Gauss–Newton part of the second derivative
-    curvature: Float[np.ndarray, "B p p"] | None = None  # the full second derivative
+    gradient: Float[np.ndarray, "B p"] = np.empty(0)
+    metric: Float[np.ndarray, "B p p"] = np.empty(0)  # Gauss–Newton part of the second derivative
+    curvature: Float[np.ndarray, "B p p"] = np.empty(0)  # the full second derivative
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -297,13 +297,11 @@ class Problem:
             self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
             for start in range(0, len(theta), at_once)
         ]
-        joined = [None if column[0] is None else np.concatenate(column) for column in zip(*parts, strict=True)]
-        found = Evaluation(*joined)  # pyright: ignore[reportArgumentType] - the first is always there
+        found = Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
         return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
 
     def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
         """Second derivatives, by differences of the gradient over 10⁻⁴ standard errors, all in one evaluation."""
-        assert at.metric is not None
         b, p = theta.shape
         diagonal = np.einsum("bpp->bp", at.metric)
         low, high = self.parameters.low, self.parameters.high
@@ -315,7 +313,6 @@ class Problem:
         ends = around[:, : len(free)] - around[:, len(free) :]
         apart = np.einsum("bff->bf", ends[:, :, free])[:, :, None]
         slope = self(around.reshape(-1, p), np.repeat(lane, around.shape[1]), 1).gradient
-        assert slope is not None
         up, down = np.split(slope.reshape(around.shape), 2, axis=1)
         second = np.zeros((b, p, p))
         second[:, free] = (up - down) / np.where(apart > 0, apart, 1)

@@ -113,7 +113,7 @@ def _levenberg_marquardt(
     for count in range(max_steps + 1):
         order = 1 if count < GAUSS_NEWTON_STEPS else 2
         if count == GAUSS_NEWTON_STEPS and len(work):
-            metric[work] = _positive(_second(objective(theta[work], lane[work], 2)), metric[work])
+            metric[work] = _positive(objective(theta[work], lane[work], 2).curvature, metric[work])
         g, m = gradient[work], metric[work]
         stuck = held | _pushed_out(theta[work], low[work], high[work], g)
         g, m = _without(g, m, stuck)
@@ -144,11 +144,8 @@ def _levenberg_marquardt(
         damping[work] = np.clip(damping[work] * factor, LEAST_DAMPING, MOST_DAMPING)
         moved = work[accept]
         theta[moved], value[moved] = trial[accept], tried.value[accept]
-        assert tried.gradient is not None
-        assert tried.metric is not None
         gradient[moved] = tried.gradient[accept]
-        own = tried.metric[accept] if order == 1 else _positive(_second(tried)[accept], tried.metric[accept])
-        metric[moved] = own
+        metric[moved] = tried.metric[accept] if order == 1 else _positive(tried.curvature[accept], tried.metric[accept])
         steps[work] += 1
         kink = ~accept & (square <= tolerance * scale) & (left <= KINK * scale)
         ends[work[kink]] = Convergence.CONVERGED
@@ -159,14 +156,7 @@ def _levenberg_marquardt(
 def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Value, gradient and metric, as writable arrays."""
     at = objective(theta, lane, 1)
-    assert at.gradient is not None
-    assert at.metric is not None
     return at.value.copy(), at.gradient.copy(), at.metric.copy()
-
-
-def _second(at: Evaluation) -> np.ndarray:
-    assert at.curvature is not None
-    return at.curvature
 
 
 def _pushed_out(theta: np.ndarray, low: np.ndarray, high: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -264,10 +254,8 @@ def _by_optax(
             work = np.setdiff1d(work, look[lost[look]])  # no step gains there, not even down the gradient
             lost[:] = np.isin(np.arange(len(theta)), look)
     at = objective(theta, lane, 2)
-    assert at.gradient is not None
-    assert at.metric is not None
     stuck = held | _pushed_out(theta, low, high, at.gradient)
-    g, m = _without(at.gradient, _positive(_second(at), at.metric), stuck)
+    g, m = _without(at.gradient, _positive(at.curvature, at.metric), stuck)
     flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
     ends = np.select(
         [~np.isfinite(value), flat, _decrement(g, m, np.einsum("bpp->bp", m)) <= 1e-4],

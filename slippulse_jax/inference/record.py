@@ -275,8 +275,9 @@ def versions() -> dict[str, str]:
 
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
     """Convert the arguments of a fit to the form of a request file."""
+    settable = dataclasses.fields(Parameter)[1:]  # after its name
     free = {
-        one.name: {key: value for key, value in dataclasses.asdict(one).items() if key != "name" and value not in (None, False)}
+        one.name: {field.name: x for field in settable if (x := getattr(one, field.name)) is not field.default}
         for one in request["free"]
     }
     settings = {key: value for key, value in request.items() if key != "free" and value is not None}

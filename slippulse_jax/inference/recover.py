@@ -14,8 +14,15 @@ The load is that at which the first contact reaches its threshold, contact 0 or 
 (`slippulse_jax.inference.heterogeneous`).
 
 Between the arrests the profile is assumed smooth: ln(θ/θ_0), or φ, is a Gaussian process of standard deviation s and length
-scale L (`slippulse_jax.inference.gaussian`). The Gauss–Newton steps use the derivatives in every contact; s and L
-are weighted by their evidence, and the posterior is the mixture.
+scale L. The unknown u is the profile at its knots, followed by the shift of ln k. Linear data d = μ + G (u − m) + noise of
+covariance Σ, and a prior of mean m and covariance K, give with S = G K Gᵀ + Σ and z = d − μ
+
+    mean m + K c, c = Gᵀ S⁻¹ z,   covariance K − K Gᵀ S⁻¹ G K,   resolution R = K Gᵀ S⁻¹ G,   ln evidence −½ zᵀS⁻¹z − ½ ln|2πS|.
+
+The mean is m + R (truth − m) + noise: row i of R is the averaging kernel of knot i, and the trace of R counts the numbers that
+the data, rather than the prior, determine. K is never inverted, so it may be singular: pinned, or very smooth. Gauss–Newton
+steps find where to linearise, by the derivatives in every contact; s and L are weighted by their evidence, and the posterior is
+the mixture.
 
 Two checks follow, without which no place is called determined: on the recovered profile the events are followed in the order
 in which the contacts break, and the lengths on profiles drawn from the posterior are compared with those of the straight lines
@@ -27,17 +34,25 @@ import enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike
-from scipy.special import chdtrc
+from jaxtyping import ArrayLike, Float
+from scipy.special import chdtrc, ndtr
 
-from slippulse_jax.domains import check_choice
+from slippulse_jax.domains import check_choice, check_domain, check_whole
 from slippulse_jax.files import plain
-from slippulse_jax.inference.gaussian import LEVEL, Inversion, Smoothness, invert, mixture, prior_covariance, quantile
 from slippulse_jax.inference.heterogeneous import ProfileKind, ProfileProblem, followed, fronts, profile_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
+
+ENOUGH = 4
+"""Fewest lengths whose evidence chooses amplitude and length scale; with fewer all settings have the same weight."""
+
+LEVEL = 0.3
+"""Standard deviation of the unknown mean prestress, in σ_s."""
+
+KINK = 0.1
+"""Square of the last step, in the prior's standard deviations, below which a search that cannot descend further has arrived."""
 
 WITHIN = 0.4
 """Largest standard error of a determined place, over the standard deviation by which the prior lets the profile vary."""
@@ -54,8 +69,8 @@ ORDER = 0.5
 JITTER = 1e-10
 """Share of the largest variance added to every variance of a posterior from which profiles are drawn."""
 
-ELEMENTS = 4_000_000
-"""Numbers of the largest array of simulated contacts."""
+PARTS = 20
+"""Parts in which lengths on the draws are simulated: of equal size, so that they share a compiled program."""
 
 
 class Determination(enum.Enum):
@@ -71,22 +86,14 @@ class Determination(enum.Enum):
     NOT_CONVERGED = "given up: no smooth profile was found on which every front reaches its arrest"
 
 
-class Nucleation(NamedTuple):
-    """Where the events start, and whether it matters; n measurements."""
-
-    contact: np.ndarray  # (n,), the contact that reaches its threshold first, on the recovered profile
-    at_edge: np.ndarray  # (n,), probability that it is contact 0: the share of draws from the posterior
-    length: np.ndarray  # (n,), ℓ on the recovered profile with the most overloaded contact breaking next, in λc
-
-    @property
-    def inside(self) -> bool:
-        """Whether an event starts elsewhere than at contact 0."""
-        return bool((self.contact > 0).any())
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class RecoveredProfile:
-    """Outcome of `recover_profile`. Look at `determination` first."""
+    """Outcome of `recover_profile`. Look at `determination` first.
+
+    `settings` and `nucleation` are NumPy record arrays. Of each event `nucleation` has the ``contact`` that breaks first on the
+    recovered profile; ``at_edge``, the probability that this is contact 0, from draws of the posterior; and ``length``, ℓ with
+    the most overloaded contact breaking next, in λc.
+    """
 
     kind: ProfileKind
     measurements: Measurements
@@ -100,12 +107,11 @@ class RecoveredProfile:
     fitted: np.ndarray  # (n,) lengths on `profile`, in λc
     chi2: float  # Σ [(fitted − measured)/σ]²
     prior_misfit: float  # fᵀK⁻¹f at the best setting
-    settings: list[Smoothness]
-    weight: np.ndarray  # (h,) probability of each of `settings`
+    settings: np.recarray  # (h,) of the prior: amplitude, length_scale in λc, and weight, the probability of each
     arrest: np.ndarray  # (n,) where each front stopped, in λc; the middle of a contact counted last
     at_arrest: np.ndarray | None  # (n,) threshold θ(ℓ)/θ_0 = t(ℓ) there, from that length alone, given the load
     at_arrest_stderr: np.ndarray | None  # (n,) σ |t' − θ'|
-    nucleation: Nucleation
+    nucleation: np.recarray  # (n,) starts of the events: contact, at_edge, length
     agreement: float  # effective share of draws from the posterior whose simulated lengths agree with the straight lines
     determination: Determination
     steps: int
@@ -122,7 +128,7 @@ class RecoveredProfile:
 
         They are quantiles of the mixture over `settings`, which is no Gaussian.
         """
-        low, high = (quantile(share, *self.components, self.weight) for share in ((1 - level) / 2, (1 + level) / 2))
+        low, high = (quantile(share, *self.components, self.settings.weight) for share in ((1 - level) / 2, (1 + level) / 2))
         return (np.exp(low), np.exp(high)) if self.kind == "threshold" else (low, high)
 
     def at(self, x: ArrayLike) -> np.ndarray:
@@ -130,9 +136,9 @@ class RecoveredProfile:
         return np.interp(np.asarray(x, dtype=np.float64), self.position, self.profile)
 
     @property
-    def smoothness(self) -> Smoothness:
-        """Settings of most evidence."""
-        return self.settings[int(np.argmax(self.weight))]
+    def smoothness(self) -> Any:
+        """Setting of most evidence: its amplitude, length_scale and weight."""
+        return self.settings[int(np.argmax(self.settings.weight))]
 
     @property
     def stretches(self) -> list[tuple[float, float]]:
@@ -177,18 +183,18 @@ class RecoveredProfile:
         given = f"amplitude {s.amplitude:.3g}, length scale {s.length_scale:.3g} λc"
         if len(self.settings) == 1:
             return f"{given}, as given"
-        if np.ptp(self.weight) == 0:
+        if np.ptp(self.settings.weight) == 0:
             return f"{len(self.settings)} settings, equal weights (too few lengths to choose)"
-        return f"{given} of most evidence ({self.weight.max():.0%}), averaged over {len(self.settings)} settings"
+        return f"{given} of most evidence ({s.weight:.0%}), averaged over {len(self.settings)} settings"
 
     def _starts(self) -> str:
         """Describe where the events start."""
-        contact, at_edge, length = self.nucleation
-        moved = abs(length - self.fitted).max()
+        contact, at_edge = self.nucleation.contact, self.nucleation.at_edge
+        moved = abs(self.nucleation.length - self.fitted).max()
         where = f"contact {contact.min()}" + f" to {contact.max()}" * bool(np.ptp(contact))
         sure = f"{at_edge.min():.0%}" + f" to {at_edge.max():.0%}" * bool(np.ptp(at_edge) > 5e-3)
         text = f"events start at {where} on this profile (contact 0 in {sure} of draws from the posterior)"
-        if self.nucleation.inside:
+        if contact.any():
             text += f"; the order of the breaks moves ℓ by up to {moved:.2g} λc"
         elif self.kind == "prestress":
             text += "; if they were seen to start inside, do not rely on it"
@@ -216,9 +222,9 @@ class RecoveredProfile:
             "statement": self.determination.value,
             **{name: getattr(self, name) for name in same},
             "determined": self.stretches,
-            "smoothness": self.smoothness._asdict(),
-            "settings": [{**s._asdict(), "weight": w} for s, w in zip(self.settings, self.weight, strict=True)],
-            "nucleation": self.nucleation._asdict(),
+            "smoothness": {name: self.smoothness[name] for name in ("amplitude", "length_scale")},
+            "settings": self.settings,
+            "nucleation": {name: self.nucleation[name] for name in ("contact", "at_edge", "length")},
             "units": {"position": "λc", "profile": "θ_0" if self.kind == "threshold" else "σ_s", "fitted": "λc"},
             **{name: getattr(self, name) for name in arrays},
         }
@@ -273,34 +279,25 @@ def recover_profile(
     check_used(m, "recover_profile")
     problem = profile_problem(m, kind, stiffness, mean=mean, log_stiffness_sd=log_stiffness_sd)
     measured, sigma, k = problem.measured, problem.sigma, len(problem.knots)
-    settings = [
-        Smoothness(float(s), float(scale))
-        for s in (_AMPLITUDES[kind] if amplitude is None else [amplitude])
-        for scale in (_LENGTH_SCALES * measured.max() if length_scale is None else [length_scale])
-    ]
-    found = invert(problem, settings, max_steps)
-    mean_u, covariance, resolution = mixture(found.posteriors, found.weight)
-    u, covariance, resolution = problem.mean + mean_u, covariance[:k, :k], resolution[:k, :k]
-    prior_variance = found.weight @ [np.diag(prior_covariance(problem, s))[:k] for s in settings]
+    amplitudes = _AMPLITUDES[kind] if amplitude is None else [amplitude]
+    length_scales = _LENGTH_SCALES * measured.max() if length_scale is None else [length_scale]
+    settings = np.array([(s, scale) for s in amplitudes for scale in length_scales])
+    priors = np.stack([prior_covariance(problem, *setting) for setting in settings])
+    found = invert(problem, priors, settings[:, 0], max_steps)
+    u, covariance = mixture(found.mean, found.covariance, found.weight)
+    covariance, resolution = covariance[:k, :k], np.tensordot(found.weight, found.resolution, 1)[:k, :k]
+    prior_variance = found.weight @ np.diagonal(priors, axis1=1, axis2=2)[:, :k]
     # better knowledge of the mean prestress does not determine it at any place
     varying = prior_variance - (LEVEL**2 if kind == "prestress" else 0)
-    at_mean = problem.lengths(u)
-    fitted = at_mean.value
-    site = np.arange(at_mean.stress.shape[1])
-    at_arrest = np.array([np.interp(x, site, t) for x, t in zip(measured, at_mean.stress, strict=True)])
-    chi2 = float((((fitted - measured) / sigma) ** 2).sum())
+    fitted, _, stress, slope = problem.lengths(u)
+    at_arrest = np.array([np.interp(x, np.arange(len(t)), t) for x, t in zip(measured, stress, strict=True)])
     profile = np.exp(u[:k]) if kind == "threshold" else u[:k]
     unit = profile if kind == "threshold" else 1.0
     error = _stderr(covariance)
     determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
     nucleation, agreement = _simulated(problem, found, u)
-    determination = _judge(problem, found, chi2, determined)
-    if determination in _FOUND:
-        if not (abs(nucleation.length - fitted) <= ORDER * sigma).all():
-            determination = Determination.ORDER
-        elif agreement < AGREEMENT and determination is not Determination.AVERAGES:
-            determination = Determination.CURVED
-    determined &= determination in _FOUND
+    determination = _judge(problem, found, fitted, determined, nucleation, agreement)
+    determined &= determination in (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
     return RecoveredProfile(
         kind=kind,
         measurements=m,
@@ -312,57 +309,50 @@ def recover_profile(
         determined=determined,
         resolution=resolution,
         fitted=fitted,
-        chi2=chi2,
+        chi2=float(problem.chi2(fitted)),
         prior_misfit=found.prior_misfit,
-        settings=settings,
-        weight=found.weight,
+        settings=_table(amplitude=settings[:, 0], length_scale=settings[:, 1], weight=found.weight),
         arrest=measured,
         at_arrest=at_arrest if kind == "threshold" else None,
-        at_arrest_stderr=sigma * abs(at_mean.slope) if kind == "threshold" else None,
+        at_arrest_stderr=sigma * abs(slope) if kind == "threshold" else None,
         nucleation=nucleation,
         agreement=agreement,
         determination=determination,
         steps=found.steps,
-        log_stiffness_shift=float(mean_u[k]),
-        components=(
-            np.array([problem.mean[:k] + p.mean[:k] for p in found.posteriors]),
-            np.array([_stderr(p.covariance)[:k] for p in found.posteriors]),
-        ),
+        log_stiffness_shift=float(u[k]),
+        components=(found.mean[:, :k], _stderr(found.covariance)[:, :k]),
     )
 
 
-_FOUND = (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
-
-
-def _simulated(problem: ProfileProblem, found: Inversion, u: np.ndarray) -> tuple[Nucleation, float]:
+def _simulated(problem: ProfileProblem, found: "Posterior", u: np.ndarray) -> tuple[np.recarray, float]:
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
-    theta, phi = problem.contacts(u)
-    ruptured, contact = followed(problem.sliders_at(u), theta, phi)
-    draws = _draws(problem, found)
-    # parts of equal size share a compiled program
-    least = theta.size * DRAWS / ELEMENTS
-    parts = np.split(draws, next(n for n in range(1, DRAWS + 1) if n >= least and DRAWS % n == 0))
-    those = [fronts(problem.sliders_at(part), *problem.contacts(part)) for part in parts]
+    ruptured, contact = followed(problem.sliders_at(u), *problem.contacts(u))
+    draws = _draws(found)
+    those = [fronts(problem.sliders_at(part), *problem.contacts(part)) for part in np.split(draws, PARTS)]
     length, start = (np.concatenate(column) for column in zip(*those, strict=True))
-    linear = found.at.value + (draws - problem.mean - found.place) @ found.at.derivative.T
+    linear = found.length + (draws - found.at) @ found.derivative.T
     with np.errstate(invalid="ignore"):
-        chi2, linear_chi2 = ((((x - problem.measured) / problem.sigma) ** 2).sum(axis=1) for x in (length, linear))
+        chi2, linear_chi2 = problem.chi2(length), problem.chi2(linear)
     log_weight = np.where(np.isfinite(chi2), linear_chi2 - chi2, -np.inf) / 2
     weight = np.exp(log_weight - max(log_weight.max(), -1e300))
     agreement = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300) / DRAWS)
-    return Nucleation(contact, (start == 0).mean(axis=0), ruptured), agreement
+    return _table(contact=contact, at_edge=(start == 0).mean(axis=0), length=ruptured), agreement
 
 
-def _draws(problem: ProfileProblem, found: Inversion) -> np.ndarray:
+def _table(**columns: np.ndarray) -> np.recarray:
+    return np.rec.fromarrays(list(columns.values()), dtype=[(name, x.dtype) for name, x in columns.items()])
+
+
+def _draws(found: "Posterior") -> np.ndarray:
     """Draws of u from the posterior, shape (DRAWS, k + 1); the same in every call."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(found.weight), DRAWS, p=found.weight)
-    draws = rng.standard_normal((DRAWS, len(problem.mean)))
+    draws = rng.standard_normal((DRAWS, found.mean.shape[1]))
     for setting in np.unique(chosen):
-        own, posterior = chosen == setting, found.posteriors[setting]
+        own, covariance = chosen == setting, found.covariance[setting]
         # the covariance is singular to rounding; this makes it positive
-        spread = posterior.covariance + JITTER * np.diag(posterior.covariance).max() * np.eye(len(problem.mean))
-        draws[own] = problem.mean + posterior.mean + draws[own] @ np.linalg.cholesky(spread).T
+        spread = covariance + JITTER * np.diag(covariance).max() * np.eye(len(covariance))
+        draws[own] = found.mean[setting] + draws[own] @ np.linalg.cholesky(spread).T
     return draws
 
 
@@ -370,34 +360,210 @@ def _check(
     m: Measurements, kind: str, log_stiffness_sd: float, amplitude: float | None, length_scale: float | None, max_steps: int
 ) -> None:
     check_choice("kind", kind, ProfileKind)
-    if not 0 <= log_stiffness_sd < np.inf:
-        raise ValueError(f"log_stiffness_sd = {log_stiffness_sd:g}: must be 0 or more")
+    check_domain("log_stiffness_sd", log_stiffness_sd, lambda x: x >= 0, "must be 0 or more")
     for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
-        if value is not None and not 0 < value < np.inf:
-            raise ValueError(f"{name} = {value:g}: must be positive")
-    if max_steps < 1:
-        raise ValueError(f"max_steps = {max_steps}: must be at least 1")
+        check_domain(name, 1.0 if value is None else value, lambda x: x > 0, "must be positive")
+    check_whole("max_steps", max_steps, 1)
     if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
         raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
 
 
 def _stderr(covariance: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(np.diag(covariance), 0))
+    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0))
 
 
-def _judge(problem: ProfileProblem, found: Inversion, chi2: float, determined: np.ndarray) -> Determination:
-    """Say how much the lengths determine, before the events are followed."""
+def _judge(
+    problem: ProfileProblem,
+    found: "Posterior",
+    fitted: np.ndarray,
+    determined: np.ndarray,
+    nucleation: np.recarray,
+    agreement: float,
+) -> Determination:
+    """Say how much the lengths determine; `determined` has the knots whose error is small enough."""
     if not found.converged:
         return Determination.NOT_CONVERGED
-    knots, measured = problem.knots, problem.measured
+    knots, measured, chi2 = problem.knots, problem.measured, problem.chi2(fitted)
     # equal weights: where no variation is seen, the evidence prefers a stiff prior without being able to determine it
-    degrees = np.mean([np.trace(p.resolution[: len(knots), : len(knots)]) for p in found.posteriors])
+    degrees = np.trace(found.resolution[:, : len(knots), : len(knots)], axis1=1, axis2=2).mean()
     spare = max(len(measured) - degrees, 1.0)
     if not np.isfinite(chi2) or chdtrc(spare, chi2) < 1e-3:
         return Determination.NOT_EXPLAINED
     if degrees < 2:
         return Determination.UNDERDETERMINED
+    if not (abs(nucleation.length - fitted) <= ORDER * problem.sigma).all():
+        return Determination.ORDER
     if not determined.any():
         return Determination.AVERAGES
+    if agreement < AGREEMENT:
+        return Determination.CURVED
     between = (knots >= measured.min()) & (knots <= measured.max())
     return Determination.DETERMINED if between.any() and determined[between].all() else Determination.PARTLY
+
+
+# --- inversion -----------------------------------------------------------------------------------------------------------
+
+
+class Posterior(NamedTuple):
+    """Posterior of u under each of h settings of the prior, the lengths linearised where the search ended."""
+
+    weight: np.ndarray  # (h,) probability of each setting
+    mean: np.ndarray  # (h, k + 1)
+    covariance: np.ndarray  # (h, k + 1, k + 1)
+    resolution: np.ndarray  # (h, k + 1, k + 1)
+    prior_misfit: float  # (u − m)ᵀK⁻¹(u − m) where the search ended
+    converged: bool
+    steps: int
+    at: np.ndarray  # (k + 1,) u where the search ended
+    length: np.ndarray  # (n,) ℓ there
+    derivative: np.ndarray  # (n, k + 1)
+
+
+def prior_covariance(problem: ProfileProblem, amplitude: float, length_scale: float) -> np.ndarray:
+    """Covariance of u: of the knots, and of the shift of ln k."""
+    k, pinned = len(problem.knots), problem.kind == "threshold"
+    covariance = np.zeros((k + 1, k + 1))
+    level = 0.0 if pinned else LEVEL
+    covariance[:k, :k] = squared_exponential(problem.knots, amplitude, length_scale, level=level, pinned=pinned)
+    covariance[k, k] = problem.log_stiffness_sd**2
+    return covariance
+
+
+def squared_exponential(
+    position: Float[np.ndarray, " k"], amplitude: float, length_scale: float, *, level: float = 0.0, pinned: bool = False
+) -> Float[np.ndarray, "k k"]:
+    """Covariance s² exp[−(x − x')²/2L²] of a smooth function.
+
+    Parameters
+    ----------
+    position : array, shape (k,)
+        Knots, in λc.
+    amplitude, length_scale : float
+        s, the standard deviation of the function about its mean; and L in λc, the distance over which it varies.
+    level : float
+        Standard deviation of an unknown constant added to the function.
+    pinned : bool
+        Whether the function is known at the first knot.
+    """
+    apart = (position[:, None] - position[None, :]) / length_scale
+    kernel = amplitude**2 * np.exp(-(apart**2) / 2) + level**2
+    if pinned:
+        kernel = kernel - np.outer(kernel[:, 0], kernel[0]) / kernel[0, 0]
+    return kernel
+
+
+def condition(
+    z: Float[np.ndarray, " n"],
+    design: Float[np.ndarray, "n k"],
+    noise: Float[np.ndarray, " n"],
+    prior: Float[np.ndarray, "k k"],
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k k"], float]:
+    """Posterior of u − m given z = G (u − m) + noise: c, whose mean is K c, covariance, resolution and ln evidence.
+
+    Parameters
+    ----------
+    z : array, shape (n,)
+    design : array, shape (n, k)
+        G.
+    noise : array, shape (n,)
+        Standard errors of z.
+    prior : array, shape (k, k)
+        K.
+    """
+    gain = prior @ design.T
+    factor = np.linalg.cholesky(design @ gain + np.diag(noise**2))
+    white = np.linalg.solve(factor, gain.T)  # (n, k): covariance removed is whiteᵀ white
+    residual = np.linalg.solve(factor, z)
+    c = design.T @ np.linalg.solve(factor.T, residual)
+    log_evidence = -residual @ residual / 2 - np.log(np.diag(factor)).sum() - len(z) * np.log(2 * np.pi) / 2
+    return c, prior - white.T @ white, white.T @ np.linalg.solve(factor, design), float(log_evidence)
+
+
+def mixture(
+    mean: Float[np.ndarray, "h k"], covariance: Float[np.ndarray, "h k k"], weight: Float[np.ndarray, " h"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Mean and covariance of h distributions of these weights."""
+    middle = weight @ mean
+    return middle, np.tensordot(weight, covariance, 1) + (weight[:, None] * (mean - middle)).T @ (mean - middle)
+
+
+def quantile(
+    level: float, mean: Float[np.ndarray, "h k"], stderr: Float[np.ndarray, "h k"], weight: Float[np.ndarray, " h"]
+) -> Float[np.ndarray, " k"]:
+    """Quantile of each of k mixtures of Gaussians, by bisection."""
+    width = np.maximum(stderr, 1e-12)
+    low, high = (mean - 10 * width).min(axis=0), (mean + 10 * width).max(axis=0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        under = weight @ ndtr((middle - mean) / width) < level
+        low, high = np.where(under, middle, low), np.where(under, high, middle)
+    return (low + high) / 2
+
+
+def invert(problem: ProfileProblem, priors: np.ndarray, amplitude: np.ndarray, max_steps: int) -> Posterior:
+    """Fit with the setting of most evidence, weight all settings where the search ended, and repeat until it stays.
+
+    Of the settings `priors` are the covariances, shape (h, k + 1, k + 1), and `amplitude` the amplitudes.
+    """
+    weight = np.full(len(priors), 1 / len(priors))
+    best, total, tried = len(priors) // 2, 0, set()
+    while True:
+        c, steps, converged = _descend(problem, priors[best], max_steps)
+        total += steps
+        place = priors[best] @ c
+        length, derivative, *_ = problem.lengths(problem.mean + place)
+        z = problem.measured - length + derivative @ place
+        each = [condition(z, derivative, problem.sigma, prior) for prior in priors]
+        if len(z) >= ENOUGH:
+            # a prior flat in the amplitude: the settings lie evenly along its logarithm
+            evidence = np.array([log_evidence for *_, log_evidence in each]) + np.log(amplitude)
+            weight = np.exp(evidence - evidence.max())
+            weight /= weight.sum()
+        tried.add(best)
+        best = int(np.argmax(weight)) if len(z) >= ENOUGH else best
+        if best in tried:
+            mean = [problem.mean + prior @ own for prior, (own, *_) in zip(priors, each, strict=True)]
+            covariance, resolution = (np.stack([one[i] for one in each]) for i in (1, 2))
+            at = problem.mean + place
+            misfit = float(c @ place)
+            return Posterior(weight, np.stack(mean), covariance, resolution, misfit, converged, total, at, length, derivative)
+
+
+def _descend(problem: ProfileProblem, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
+    """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend."""
+
+    def tried(c: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        length, derivative, *_ = problem.lengths(problem.mean + prior @ c)
+        value = float(problem.chi2(length) + c @ prior @ c)
+        return (value if np.isfinite(value) else np.inf), c, length, derivative
+
+    starts = np.zeros(len(problem.mean)), _by_excess(problem, prior)
+    value, c, length, derivative = min(map(tried, starts), key=lambda found: found[0])
+    for step in range(1, max_steps + 1):
+        z = problem.measured - length + derivative @ (prior @ c)
+        move = condition(z, derivative, problem.sigma, prior)[0] - c
+        size = move @ prior @ move
+        for fraction in 0.5 ** np.arange(14):
+            trial = tried(c + fraction * move)
+            if trial[0] < value:
+                break
+        else:
+            # no lower along the step: rounding if the step is small, else a kink of ℓ at a site
+            return c, step, bool(size < KINK)
+        gained = value - trial[0]
+        value, c, length, derivative = trial
+        if size < 1e-8 or gained < 1e-6:
+            return c, step, True
+    return c, max_steps, False
+
+
+def _by_excess(problem: ProfileProblem, prior: np.ndarray, steps: int = 6) -> np.ndarray:
+    """Start of a search: c for which the stress equals the threshold at the measured arrests."""
+    c = np.zeros(len(problem.mean))
+    for _ in range(steps):
+        excess, derivative, _, slope = problem.excess(problem.mean + prior @ c)
+        noise = problem.sigma * np.maximum(abs(slope), 1e-4)
+        if not np.isfinite(excess).all():
+            break
+        c = condition(derivative @ (prior @ c) - excess, derivative, noise, prior)[0]
+    return c

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
@@ -289,8 +290,7 @@ def posterior(
 
     low, high = result.parameters.low, result.parameters.high
     starts = np.array([one.theta for one in result.roots] or [result.theta])
-    share = np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)
-    unbounded = np.resize(np.log(share / (1 - share)), (chains, len(low)))
+    unbounded = np.resize(logit(np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)), (chains, len(low)))
     unbounded = unbounded + 1e-3 * np.random.default_rng(seed).standard_normal(unbounded.shape)
 
     def potential(z: Array) -> Array:
@@ -312,7 +312,7 @@ def posterior(
         run.run(jax.random.key(seed), init_params=jnp.asarray(unbounded), extra_fields=("diverging",))
         drawn = np.asarray(run.get_samples(group_by_chain=True))
         diverging = np.asarray(run.get_extra_fields(group_by_chain=True)["diverging"])
-    theta = low + (high - low) / (1 + np.exp(-drawn))
+    theta = low + (high - low) * expit(drawn)
     return Samples("posterior", seed, result.parameters.free, theta, diverging=diverging)
 
 

@@ -388,8 +388,6 @@ def _minimised(
     if problem.plain and complete:  # an unresolved cell is not judged by its linear model
         middle = (low + high) / 2
         at = problem.linearised(np.where(smooth[:, None], centre, 0), slope, middle)
-        assert at.gradient is not None
-        assert at.metric is not None
         inverse = np.linalg.pinv(at.metric, rcond=1e-9, hermitian=True)
         least = 2 * at.value - np.einsum("cp,cpq,cq->c", at.gradient, inverse, at.gradient)
         worth = ~smooth | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
@@ -408,8 +406,6 @@ def _minimised(
     kept = 2 * value <= limit
     low, high, theta, slope = low[kept], high[kept], theta[kept], slope[kept]
     at = linear(theta)
-    assert at.gradient is not None
-    assert at.metric is not None
     return Cells(low, high, theta, 2 * at.value, at.gradient, at.metric, complete)
 
 
@@ -488,8 +484,6 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
 def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Root:
     """Covariance and share of the response at a minimum."""
     at = problem(theta[None], order=2)
-    assert at.metric is not None
-    assert at.curvature is not None
     information = problem.information(theta)[0]
     reach = problem.parameters.high - problem.parameters.low
     singular = undetermined_axes(information * np.outer(reach, reach))

@@ -1,6 +1,8 @@
 """Verdicts: whether the data determine each parameter, and if not, why not and what they do determine."""
 
-from typing import NamedTuple
+import itertools
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -10,7 +12,7 @@ from slippulse_jax.inference.intervals import Interval, Intervals
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search import SLACK
-from slippulse_jax.shown import format_number
+from slippulse_jax.shown import format_number, plural
 
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
@@ -18,8 +20,6 @@ COVERED = (0.64, 0.93)
 WITHIN = 7
 """Points per piece of an interval at which to test whether a contact breaks again."""
 PLATEAU = 0.97  # of the longest attainable length, above which a length constrains stiffness little
-
-SOUND = Verdict(Identifiability.IDENTIFIED)
 
 
 def judge(
@@ -39,91 +39,88 @@ def judge(
     at_odds : list of int, optional
         For counts without an error: those at odds with the others.
     """
-    tests = (
-        _lost,
-        _nothing_responds,
-        _misfit,
-        _everything_allowed,
-        _only_limits,
-        _at_an_end,
-        _singular,
-        _beyond_maximum,
-        _no_scatter,
-        _not_alone,
-        _open,
-        _not_normal,
-        _not_covered,
-        _another_valley,
-    )
-    if at_odds is not None:
-        verdict = _counted(e, profiled[LEVELS[-1]], at_odds)
+    pieces = profiled[LEVELS[-1]]
+    if at_odds is None:
+        withheld = itertools.chain(_of_fit(e, j), _of_range(e, j, pieces), _of_shape(e, j, profiled))
     else:
-        verdict = next(filter(None, (test(e, j, profiled) for test in tests)), SOUND)
+        withheld = _of_counts(e, pieces, at_odds)
+    verdict = next(withheld, Verdict(Identifiability.IDENTIFIED))
     equal = at_odds is not None and verdict.identifiability is Identifiability.EQUAL
     if equal or verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
         verdict = _breaks_again(e, j, reported[LEVELS[-1]]) or verdict
-    return verdict, _trusted(e, verdict, reported)
-
-
-def _trusted(e: Fitted, verdict: Verdict, intervals: Intervals) -> Intervals:
-    """Intervals of a parameter, without those that would measure a misfit instead of the parameter."""
+    # without intervals that would measure a misfit instead of the parameter
     if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
-        return dict.fromkeys(intervals, [])
+        return verdict, dict.fromkeys(reported, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
-        # where the data lie far above the maximum, the rise measures the misfit
         probability = float(chdtrc((e.testable_dof or 0) + 1, e.misfit))
-        return {level: pieces if probability >= 1 - level else [] for level, pieces in intervals.items()}
-    return intervals
+        return verdict, {level: pieces if probability >= 1 - level else [] for level, pieces in reported.items()}
+    return verdict, reported
 
 
-def _lost(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    return Verdict(Identifiability.NOT_CONVERGED, f"a start {e.unconverged[0]}") if e.unconverged else None
-
-
-def _nothing_responds(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
+def _of_fit(e: Fitted, j: int) -> Iterator[Verdict]:
+    """Withhold a number where the search or the fit as a whole failed."""
+    if e.unconverged:
+        yield Verdict(Identifiability.NOT_CONVERGED, f"a start {e.unconverged[0]}")
     if not e.problem.predict(e.theta).any():
-        return Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
-    return None
-
-
-def _everything_allowed(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
-    if len(pieces) == 1 and pieces[0].open_low and pieces[0].open_high:
-        told = undetermined(e.problem, e.theta)
-        why = f"; {told}" if told else ""
-        return Verdict(Identifiability.UNINFORMATIVE, f"the data allow every value in the range searched{why}")
-    return None
-
-
-def _only_limits(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    """Fronts without arrest alone, all of them met: they have no best value."""
-    pieces = profiled[LEVELS[-1]]
-    problem = e.problem
-    bound = problem.parameters.free[j].name in STIFFNESSES and not problem.gauged and set(e.measurements.kind) == {"at_least"}
-    if not bound or len(pieces) != 1 or (problem.predict(e.theta)[0] < e.measurements.length).any():
-        return None
-    if pieces[0].open_low or pieces[0].open_high:
-        return Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
-    return Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
-
-
-def _misfit(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    if _above_maximum(e):
-        return None  # `_beyond_maximum` is more precise
-    if _improbable(e):
-        end = _end(e, j)
-        at = f" (the best fit lies at its {end} end)" if end else ""
-        return Verdict(
+        yield Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
+    if e.p_value is not None and e.p_value < IMPROBABLE and not _above_maximum(e):  # of which `_of_range` says more
+        at = f" (the best fit lies at its {end} end)" if (end := _end(e, j)) else ""
+        yield Verdict(
             Identifiability.POOR_FIT,
             f"{e.problem.named_deviance} is {format_number(e.misfit, 3)}{of_inputs_in_words(e.problem, e.theta)} for "
             f"{degrees_of_freedom(e.problem, e.testable_dof)}: with the stated σ nothing in the range searched{at} gives these "
             "measurements, so no uncertainty is given",
         )
-    return None
 
 
-def _improbable(e: Fitted) -> bool:
-    return e.testable_dof is not None and float(chdtrc(e.testable_dof, e.misfit)) < IMPROBABLE
+def _of_range(e: Fitted, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
+    """Withhold a number where the range searched or the longest attainable length bounds it, not the data."""
+    problem, m, stiff = e.problem, e.measurements, e.parameters.free[j].name in STIFFNESSES
+    every = [piece.open_low and piece.open_high for piece in pieces]
+    if every == [True]:
+        told = undetermined(problem, e.theta)
+        why = f"the data allow every value in the range searched{'; ' * bool(told)}{told}"
+        yield Verdict(Identifiability.UNINFORMATIVE, why)
+    limits = stiff and not problem.gauged and {*m.kind} == {"at_least"}  # which have no best value where all are met
+    if limits and len(pieces) == 1 and (problem.predict(e.theta)[0] >= m.length).all():
+        yield from _open(pieces)
+        yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
+    if end := _end(e, j):
+        yield Verdict(Identifiability.AT_BOUND, f"the {end} one")
+    if problem.p > 1 and e.roots and e.roots[0].singular[j] and all(every):
+        yield Verdict(Identifiability.UNINFORMATIVE, undetermined(problem, e.theta))
+    if stiff and _above_maximum(e):
+        over = problem.lengths.value[0] / e.attainable
+        worst = int(np.argmax(over))
+        times = f"{over[worst]:.3g} times the longest that a stiffness in the range searched gives"
+        yield Verdict(Identifiability.AT_MAXIMUM, f"{m.number(worst)} is {times}; {UNCHANGED}")
+    if e.closest is not None:
+        yield Verdict(
+            Identifiability.NO_SCATTER,
+            f"the lengths lie within {e.closest:.1g} of themselves of the fit, closer than anyone measures: they were "
+            "computed, or copied; give σ (column length_sigma or length_sigma_mm)",
+        )
+
+
+def _of_shape(e: Fitted, j: int, profiled: Intervals) -> Iterator[Verdict]:
+    """Withhold a standard error where the likelihood of the parameter is far from a normal curve."""
+    yield from _several(e, j, profiled[LEVELS[-1]])
+    yield from _open(profiled[LEVELS[-1]])
+    yield from _not_normal(e, j, profiled)
+    covered = e.covered.get(e.parameters.names[j], (1.0, 1.0))
+    if any(share < least for share, least in zip(covered, COVERED, strict=True)):
+        yield Verdict(
+            Identifiability.SKEWED,
+            f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them "
+            f"in {covered[1]:.0%}; use the intervals",
+        )
+    best, one = e.minima[0], e.parameters.free[j]
+    far = 5 * np.sqrt(best.covariance[j, j])
+    for other in e.minima[1:]:  # another valley, only slightly worse, far outside the standard error
+        if other.deviance <= e.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
+            value, worse = f"{format_number(one.value(other.theta[j]))} {one.unit}".rstrip(), other.deviance - e.deviance
+            reason = f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals"
+            yield Verdict(Identifiability.SKEWED, reason)
 
 
 def of_inputs_in_words(problem: Problem, theta: np.ndarray) -> str:
@@ -135,26 +132,7 @@ def of_inputs_in_words(problem: Problem, theta: np.ndarray) -> str:
 def degrees_of_freedom(problem: Problem, dof: int | None) -> str:
     """``5 degrees of freedom``; ``at most 5`` where `Problem.testable` gives a bound."""
     count = dof or 0
-    bound = "at most " * (count > problem.known - problem.p)
-    return f"{bound}{count} degree{'s' * (count != 1)} of freedom"
-
-
-def _no_scatter(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    if e.closest is None:
-        return None
-    return Verdict(
-        Identifiability.NO_SCATTER,
-        f"the lengths lie within {e.closest:.1g} of themselves of the fit, closer than anyone measures: they were computed, or "
-        "copied; give σ (column length_sigma or length_sigma_mm)",
-    )
-
-
-def _singular(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
-    bounded = any(not (piece.open_low and piece.open_high) for piece in pieces)
-    if e.problem.p > 1 and e.roots and e.roots[0].singular[j] and not bounded:
-        return Verdict(Identifiability.UNINFORMATIVE, undetermined(e.problem, e.theta))
-    return None
+    return "at most " * (count > problem.known - problem.p) + f"{plural(count, 'degree')} of freedom"
 
 
 def _above_maximum(e: Fitted) -> bool:
@@ -167,23 +145,6 @@ def _above_maximum(e: Fitted) -> bool:
     return bool((~met & (predicted > PLATEAU * e.attainable)).any())
 
 
-def _beyond_maximum(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    if not _above_maximum(e) or e.problem.parameters.free[j].name not in STIFFNESSES:
-        return None
-    over = e.problem.lengths.value[0] / e.attainable
-    worst = int(np.argmax(over))
-    return Verdict(
-        Identifiability.AT_MAXIMUM,
-        f"{e.measurements.number(worst)} is {over[worst]:.3g} times the longest that a stiffness in the range searched gives; "
-        + UNCHANGED,
-    )
-
-
-def _at_an_end(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    end = _end(e, j)
-    return Verdict(Identifiability.AT_BOUND, f"the {end} one") if end else None
-
-
 def _end(e: Fitted, j: int) -> str:
     """The end of the range searched at which the best fit lies; empty if at neither."""
     q = e.problem.parameters
@@ -192,86 +153,43 @@ def _end(e: Fitted, j: int) -> str:
     return next((end for end, at in ends.items() if abs(e.theta[j] - at) <= reach), "")
 
 
-def _open(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
+def _open(pieces: list[Interval]) -> Iterator[Verdict]:
     if any(piece.open_low or piece.open_high for piece in pieces):
-        lower = pieces[0].open_low
-        return Verdict(Identifiability.ONE_SIDED, "from above" if lower else "from below")
-    return None
+        yield Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
 
 
-def _not_alone(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    pieces = profiled[LEVELS[-1]]
-    q = e.problem.parameters
-    one = q.free[j]
-    inner = [root for root in e.roots if q.low[j] < root.theta[j] < q.high[j]]
-    values = sorted({float(f"{one.value(root.theta[j]):.4g}"): None for root in inner})
-    near = max(1e-3, _wrinkle(e, j)) if len(pieces) == 1 else 1e-3
+def _several(e: Fitted, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
+    """Name the values of the minima that are not of one valley."""
+    one, joined = e.parameters.free[j], len(pieces) == 1
+    values = sorted({float(f"{one.value(root.theta[j]):.4g}") for root in e.roots if one.low < root.theta[j] < one.high})
+    near = 1e-3
+    if joined and e.problem.gauged and e.roots and not e.roots[0].singular[j]:
+        # one standard error where gauges were read, whose fields change in steps from contact to contact
+        near = max(near, float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j])))
     apart = [value for i, value in enumerate(values) if i == 0 or abs(one.theta(value) - one.theta(values[i - 1])) > near]
     if len(apart) > 1:
-        joined = "; the interval joins them" if len(pieces) == 1 else ""
-        named = " and ".join(map(format_number, apart))
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named} {one.unit}".rstrip() + joined)
-    return None
+        named = f"{' and '.join(map(format_number, apart))} {one.unit}".rstrip()
+        yield Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named}" + "; the interval joins them" * joined)
 
 
-def _wrinkle(e: Fitted, j: int) -> float:
-    """Largest distance between two minima of one valley: one standard error where gauges were read, whose fields change in
-    steps from contact to contact; zero elsewhere.
-    """
-    if not e.problem.gauged or not e.roots or e.roots[0].singular[j]:
-        return 0.0
-    return float(np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j]))
-
-
-def _not_normal(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
+def _not_normal(e: Fitted, j: int, profiled: Intervals) -> Iterator[Verdict]:
+    """Compare the 68 % interval with the standard error of the curvature."""
+    one, inner, pieces = e.parameters.free[j], profiled[LEVELS[0]], profiled[LEVELS[-1]]
     if not e.roots or e.roots[0].singular[j]:
-        one, ranges = e.problem.parameters.free[j], profiled[LEVELS[-1]]
-        if len(ranges) < 2:
-            return Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {_ranges(one, ranges)}")
-    covariance = e.roots[0].covariance
-    pieces = profiled[LEVELS[0]]
-    if not pieces:
-        return Verdict(Identifiability.SKEWED, "the likelihood has no interval at 68 %")
-    one = np.sqrt(e.rise(LEVELS[0]) * covariance[j, j])
-    widths = [abs(end - e.theta[j]) / one for end in (pieces[0].low, pieces[-1].high)]
-    if max(widths) < 0.5 and e.problem.parameters.free[j].name in STIFFNESSES:
-        longest = f"the measured length is almost the longest that any stiffness gives; {UNCHANGED}"
-        return Verdict(Identifiability.AT_MAXIMUM, longest)
-    if len(pieces) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
-        return Verdict(
-            Identifiability.SKEWED,
-            "the likelihood is far from a normal curve (its 68 % interval reaches "
-            f"{widths[0]:.2g} and {widths[1]:.2g} curvature standard errors); use the intervals",
-        )
-    return None
-
-
-def _not_covered(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    covered = e.covered.get(e.parameters.names[j], (1.0, 1.0))
-    if all(share >= least for share, least in zip(covered, COVERED, strict=True)):
-        return None
-    return Verdict(
-        Identifiability.SKEWED,
-        f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them in "
-        f"{covered[1]:.0%}; use the intervals",
-    )
-
-
-def _another_valley(e: Fitted, j: int, profiled: Intervals) -> Verdict | None:
-    """Withhold a standard error where another valley, only slightly worse, lies far outside it."""
-    best, one = e.minima[0], e.problem.parameters.free[j]
-    far = 5 * np.sqrt(best.covariance[j, j])
-    for other in e.minima[1:]:
-        if other.deviance <= e.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
-            value = f"{format_number(one.value(other.theta[j]))} {one.unit}".rstrip()
-            worse = other.deviance - e.deviance
-            return Verdict(
-                Identifiability.SKEWED,
-                f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals",
-            )
-    return None
+        if len(pieces) > 1:
+            yield Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit from {_ranges(one, pieces)}")
+        yield Verdict(Identifiability.EQUAL, "a whole range of values fits equally well; use the intervals")
+    elif not inner:
+        yield Verdict(Identifiability.SKEWED, "the likelihood has no interval at 68 %")
+    else:
+        error = np.sqrt(e.rise(LEVELS[0]) * e.roots[0].covariance[j, j])
+        widths = [abs(end - e.theta[j]) / error for end in (inner[0].low, inner[-1].high)]
+        if max(widths) < 0.5 and one.name in STIFFNESSES:
+            longest = f"the measured length is almost the longest that any stiffness gives; {UNCHANGED}"
+            yield Verdict(Identifiability.AT_MAXIMUM, longest)
+        if len(inner) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
+            reach = f"its 68 % interval reaches {widths[0]:.2g} and {widths[1]:.2g} curvature standard errors"
+            yield Verdict(Identifiability.SKEWED, f"the likelihood is far from a normal curve ({reach}); use the intervals")
 
 
 def _breaks_again(e: Fitted, j: int, pieces: list[Interval]) -> Verdict | None:
@@ -294,21 +212,19 @@ def _breaks_again(e: Fitted, j: int, pieces: list[Interval]) -> Verdict | None:
     )
 
 
-def _counted(e: Fitted, pieces: list[Interval], at_odds: list[int]) -> Verdict:
+def _of_counts(e: Fitted, pieces: list[Interval], at_odds: list[int]) -> Iterator[Verdict]:
     """Whether one range of values, several or none give all counts."""
-    m, one = e.measurements, e.problem.parameters.free[0]
+    m = e.measurements
     if not pieces:
         where = ", ".join(m.number(i) for i in at_odds)
         without = f"all counts; without {where} the others agree" if len(at_odds) < len(m) else "any of the counts"
-        return Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives {without}")
+        yield Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives {without}")
     if len(pieces) > 1:
-        return Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(one, pieces)}")
-    (piece,) = pieces
-    if piece.open_low and piece.open_high:
-        return Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
-    if piece.open_low or piece.open_high:
-        return Verdict(Identifiability.ONE_SIDED, "from above" if piece.open_low else "from below")
-    return Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
+        yield Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(e.parameters.free[0], pieces)}")
+    if pieces[0].open_low and pieces[0].open_high:
+        yield Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
+    yield from _open(pieces)
+    yield Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
 
 
 def _ranges(one: Free, pieces: list[Interval]) -> str:
@@ -316,27 +232,22 @@ def _ranges(one: Free, pieces: list[Interval]) -> str:
     return f"{' and '.join(each)} {one.unit}".rstrip()
 
 
-class Direction(NamedTuple):
-    """A combination of parameters, and the standard error with which the data and priors give it."""
-
-    text: str  # as ``young / areal_stiffness^0.98``
-    coefficients: np.ndarray  # of the logarithms (of linear parameters: over their range), (p,), length 1
-    stderr: float  # inf where nothing determines it
-
-
-def directions(problem: Problem, theta: np.ndarray) -> list[Direction]:
+def directions(problem: Problem, theta: np.ndarray) -> list[dict[str, Any]]:
     """Combinations of the parameters by how well they are determined, best first: singular vectors of the scaled Jacobian.
 
-    Every positive parameter counts by its logarithm, every other over the range searched for it. Two parameters that only ever
-    act together have one direction with a finite error, and one without.
+    Each with the `combination` in words, as ``young / areal_stiffness^0.98``, the `stderr` with which data and priors give it,
+    inf where nothing does, and its `coefficients`, a vector of length 1. Every positive parameter counts by its logarithm,
+    every other over the range searched for it. Two parameters that only ever act together have one direction with a finite
+    error, and one without.
     """
     q = problem.parameters
     unit = np.array([1.0 if one.log else one.high - one.low for one in q.free])
     _, jacobian = problem.information(theta)
     _, values, vectors = np.linalg.svd(jacobian * unit, full_matrices=False)
     nothing = values <= 1e-7 * max(values.max(), 1e-300)
-    stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values))
-    return [Direction(_in_words(vector, q), vector, float(error)) for vector, error in zip(vectors, stderr, strict=True)]
+    stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values)).tolist()
+    found = zip(vectors, stderr, strict=True)
+    return [{"combination": _in_words(vector, q), "stderr": error, "coefficients": vector} for vector, error in found]
 
 
 def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
@@ -357,9 +268,8 @@ def undetermined(problem: Problem, theta: np.ndarray) -> str:
         return ""
     found = directions(problem, theta)
     reach = max((one.high - one.low) if one.log else 1.0 for one in problem.parameters.free)
-    open_ones = [one for one in found if one.stderr > reach / 4]
-    if not open_ones:
+    known, lost = ([one["combination"] for one in found if (one["stderr"] > reach / 4) == left] for left in (False, True))
+    if not lost:
         return ""
-    known = [one.text for one in found if one.stderr <= reach / 4]
     told = f"only {', '.join(known)} is determined" if known else "no combination is determined"
-    return f"{told}; the data do not determine {', '.join(one.text for one in open_ones)}"
+    return f"{told}; the data do not determine {', '.join(lost)}"

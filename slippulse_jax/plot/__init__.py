@@ -10,8 +10,13 @@ from slippulse_jax.plot.blocks import block_stress as block_stress
 from slippulse_jax.plot.designs import design as design
 from slippulse_jax.plot.designs import design_figure as design_figure
 from slippulse_jax.plot.designs import design_lengths as design_lengths
+from slippulse_jax.plot.events import break_order as break_order
+from slippulse_jax.plot.events import displacements as displacements
 from slippulse_jax.plot.events import friction_curve as friction_curve
+from slippulse_jax.plot.events import front_stress as front_stress
+from slippulse_jax.plot.events import sensitivity as sensitivity
 from slippulse_jax.plot.events import space_time as space_time
+from slippulse_jax.plot.events import stress as stress
 from slippulse_jax.plot.explorer import explore as explore
 from slippulse_jax.plot.fits import confidence_region as confidence_region
 from slippulse_jax.plot.fits import corner as corner
@@ -27,8 +32,3 @@ from slippulse_jax.plot.maps import sweep as sweep
 from slippulse_jax.plot.profiles import recovered_profile as recovered_profile
 from slippulse_jax.plot.profiles import resolution as resolution
 from slippulse_jax.plot.schematic import schematic as schematic
-from slippulse_jax.plot.states import break_order as break_order
-from slippulse_jax.plot.states import displacements as displacements
-from slippulse_jax.plot.states import front_stress as front_stress
-from slippulse_jax.plot.states import sensitivity as sensitivity
-from slippulse_jax.plot.states import stress as stress

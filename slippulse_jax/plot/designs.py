@@ -54,14 +54,14 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     """
     ax = axes(ax)
     c = colours(ax)
-    known = found.knowledge.theta
+    known = found.knowledge.log_stiffness
     theta = np.linspace(known[0], known[-1], 400)  # the samples may form two distant clusters
     length = lengths_of(found.candidates, theta, found.knowledge.event)
     shown = found.ranking[: len(c.data)]
     top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):
-        one = found.candidates[i]
-        height, sigma = (x / (one.correlation_length or 1) for x in (one.height, one.sigma))
+        one = found.candidates[int(i)]
+        height, sigma = (x / np.nan_to_num(one.correlation_length, nan=1.0) for x in (one.height, one.sigma))
         share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
         ax.plot(np.exp(theta), share, color=color, label=found.names[i])
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
@@ -90,7 +90,7 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 
 def _densities(knowledge: "Knowledge") -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the density of ln(stiffness) about each root, where it is not negligible."""
-    for root in range(len(knowledge.roots)):
-        own = (knowledge.labels == root) & (knowledge.probability > 1e-6 * knowledge.probability.max())
-        weights, edges = np.histogram(knowledge.theta[own], 40, weights=knowledge.probability[own])
+    for weight in knowledge.by_root.T:
+        own = weight > 1e-6 * knowledge.weight.max()
+        weights, edges = np.histogram(knowledge.log_stiffness[own], 40, weights=weight[own])
         yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)

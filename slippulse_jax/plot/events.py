@@ -1,11 +1,15 @@
-"""Pictures of a series of events: friction curve and space–time map."""
+"""Pictures of events: the fields, order of breaks and sensitivities of one; friction curve and space–time map of a series."""
 
 import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slippulse_jax.bodies.chain import Chain
+from slippulse_jax.bodies.equilibrium import Equilibrium
 from slippulse_jax.events.catalogue import Catalogue, EventClass, table
+from slippulse_jax.events.rupture import Rupture
+from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 
@@ -22,6 +26,119 @@ COLOURS = {
 
 NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
 """Legend entry of a class whose name says too little."""
+
+
+@drawn
+def displacements(
+    found: Equilibrium, *, before: Equilibrium | None = None, sites: int | None = None, ax: "Axes | None" = None
+) -> "Axes":
+    """Draw the displacements of the two layers, in u_s.
+
+    Dashed: `before` a rupture.
+
+    Parameters
+    ----------
+    found, before : Equilibrium
+    sites : int, optional
+        Number of sites to show, from the left edge; all by default.
+    ax : matplotlib.axes.Axes, optional
+    """
+    ax = axes(ax)
+    c = colours(ax)
+    shown = slice(sites)
+    for state, style, when in ((before, "--", " before"), (found, "-", " after" if before is not None else "")):
+        if state is not None:
+            ax.plot(np.asarray(state.upper)[shown], style, color=c.blue, label=f"upper $u_t${when}")
+            ax.plot(np.asarray(state.layer)[shown], style, color=c.vermilion, label=f"layer $u${when}")
+    ax.set(xlabel=DISTANCE, ylabel=axis_label("displacement", "u_s"))
+    ax.legend(**ABOVE, ncols=3)
+    return ax
+
+
+@drawn
+def stress(
+    found: Equilibrium,
+    *,
+    chain: Chain | None = None,
+    before: Equilibrium | None = None,
+    sites: int | None = None,
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw the stress on every contact, in σ_s.
+
+    With the thresholds of `chain`; dashed: `before` a rupture.
+    """
+    ax = axes(ax)
+    c = colours(ax)
+    shown = slice(sites)
+    if before is not None:
+        ax.plot(np.asarray(before.stress)[shown], "--", color=c.blue, label="before")
+    ax.plot(np.asarray(found.stress)[shown], "-", color=c.vermilion, label="after" if before is not None else "stress")
+    if chain is not None:
+        ax.plot(np.asarray(chain.threshold)[shown], ":", color=c.grey, label="threshold")
+    ax.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
+    ax.legend(**ABOVE, ncols=3)
+    return ax
+
+
+@drawn
+def front_stress(
+    stress: np.ndarray, *, length: float | None = None, threshold: float = 1.0, ax: "Axes | None" = None
+) -> "Axes":
+    """Draw the stress on each contact as the front reaches it.
+
+    A line marks the length ℓ, where the stress falls below threshold.
+    """
+    ax = axes(ax)
+    c = colours(ax)
+    stress = np.asarray(stress)
+    ax.plot(stress, "o-", color=c.blue, markersize=3, linewidth=1, label="front")
+    ax.axhline(threshold, color=c.grey, linestyle=":", label="threshold")
+    if length is not None and np.isfinite(length):
+        ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
+    ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
+    # above the Axes: inside, it would lie on the threshold or on the curve
+    ax.legend(**ABOVE, ncols=3)
+    return ax
+
+
+@drawn
+def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
+    """Draw the breaks of a rupture, site against order.
+
+    Under the hard rule; the colour is the stress drop.
+
+    The model is quasi-static and has no time beyond the order of breaks.
+    """
+    ax = axes(ax)
+    n = int(found.breaks)
+    order, released = np.asarray(found.order)[:n], np.asarray(found.released)[:n]
+    points = ax.scatter(
+        order, np.arange(1, n + 1), c=released, s=np.clip(4000 / max(n, 1), 2, 25), cmap="cividis", linewidths=0
+    )
+    ax.set(xlabel=DISTANCE, ylabel="breaks since the first")
+    ax.figure.colorbar(points, ax=ax, label="stress drop, $t/\\sigma_s$")
+    return ax
+
+
+@drawn
+def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
+    """Draw the derivatives of the length in every threshold and prestress."""
+    ax = axes(ax)
+    c = colours(ax)
+    shown = slice(sites)
+    theta, phi = np.asarray(found.threshold)[shown], np.asarray(found.prestress)[shown]
+    x = np.arange(theta.size)
+    ax.axhline(0, color=c.grey, linewidth=0.8)
+    ax.bar(x - 0.2, theta, 0.4, color=c.blue, label="threshold, $\\partial\\ell/\\partial\\theta_i$")
+    ax.bar(x + 0.2, phi, 0.4, color=c.vermilion, label="prestress, $\\partial\\ell/\\partial\\varphi_i$")
+    length = float(found.length)
+    if np.isfinite(length):
+        ax.axvline(length, color=c.green, linestyle="--", linewidth=1, label=f"$\\ell = {length:.2f}\\,\\lambda_c$")
+    ax.set_yscale("symlog", linthresh=1, linscale=0.7)
+    ax.set(xlabel=DISTANCE, ylabel="derivative of $\\ell$, $\\lambda_c/\\sigma_s$")
+    ax.legend(**ABOVE, ncols=3)
+    return ax
 
 
 @drawn

@@ -2,7 +2,7 @@
 
 import itertools
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import profile_2d
 from slippulse_jax.inference.predicted import abscissa, alike, on_one_curve
-from slippulse_jax.inference.report import TIED, folded, sentences, value_in_words, value_with_error
+from slippulse_jax.inference.report import CONSTANTS, TIED, Shown, folded, sentences, shown_with
 from slippulse_jax.plot.labels import axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
@@ -29,6 +29,7 @@ from slippulse_jax.plot.style import (
     letter_panels,
     new_figure,
 )
+from slippulse_jax.shown import ends, value_with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,8 +54,6 @@ MOST_VALUES = 4
 """Most parameters in a title."""
 TITLE, LINE = 140, 0.13
 """Most characters per line of a title, and the height of a line in inches."""
-CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
-"""Constants of the material in a title, by column: symbol, factor and unit."""
 GAUGE_POINTS = 801
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
@@ -115,37 +114,32 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
 
 def _profile(result: "FitResult", name: str, ax: "Axes") -> None:
     """Draw a profile in the colour of the specimen whose parameter it is, where the lengths have one curve for each."""
-    groups, specimen = on_one_curve(result), result.measurements.specimen
-    own = [number for number, rows in enumerate(groups) if specimen and f"[{specimen[rows[0]]}" in name]
-    profile(result, name, ax=ax, color=_colour(colours(ax), own[0], len(groups)) if len(own) == 1 else None)
+    specimen = result.measurements.specimen
+    own = [color for color, rows in _curves(result, ax) if specimen and f"[{specimen[rows[0]]}" in name]
+    profile(result, name, ax=ax, color=own[0] if len(own) == 1 else None)
 
 
 def _title(result: "FitResult") -> Iterator[str]:
     """Quote the box of the report, and the constants of the material."""
-    one_of = {one.label: one for one in result.parameters.free}
-    names = [name for name in result.names if not _is_constant(one_of[name])] or result.names
+    shown, free = shown_with(result, result.changes), result.parameters
+    names = [name for name in result.names if not (free.named(name).name in CONSTANTS and shown[name].prior)] or result.names
     given = [name for name in names if name in result.given]
-    yield from (value_in_words(result, name, result.changes) for name in given[:MOST_VALUES])
+    yield from (shown[name].in_words(result) for name in given[:MOST_VALUES])
     if len(given) > MOST_VALUES:
         yield f"… and {len(given) - MOST_VALUES} more"
-    constants = ", ".join(text.replace(" ", TIED) for text in _constants(result))
+    constants = ", ".join(text.replace(" ", TIED) for text in _constants(result, shown))
     yield from folded(" ".join([*sentences(result, result.changes), constants]), TITLE)
 
 
-def _is_constant(one: "Free") -> bool:
-    """Whether a parameter is a material constant that was stated with an error."""
-    return one.name in CONSTANTS and np.isfinite(one.prior_sigma)
-
-
-def _constants(result: "FitResult") -> Iterator[str]:
+def _constants(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     """List E, ν and λc; where they have an error, with the fitted value, or the stated one if there is no sound fit."""
     q, covariance = result.parameters, None if _rejected(result) else result.covariance
     for name, (sign, size, unit) in CONSTANTS.items():
         stated, own = getattr(result.measurements, name), [one for one in q.free if one.name == name]
-        if stated is None or not all(map(_is_constant, own)):
+        if stated is None or not all(shown[one.label].prior for one in own):
             continue  # a parameter without a prior is a result
         if not own:
-            yield f"{sign} = {_ends_of(stated * size)}{unit}"
+            yield f"{sign} = {ends(stated * size, 4)}{unit}"
             continue
         theta, error = np.array([(one.prior_mean, one.prior_sigma) for one in own]).T
         if covariance is not None:
@@ -153,14 +147,8 @@ def _constants(result: "FitResult") -> Iterator[str]:
             theta, error = result.theta[each], np.sqrt(np.diag(covariance)[each])
         value = own[0].value(theta) * size
         error = error * (value if own[0].log else size)
-        text = value_with_error(value[0], error[0]) if len(own) == 1 else f"{_ends_of(value, 3)} ± {error.max():.2g}"
+        text = value_with_error(value[0], error[0]) if len(own) == 1 else f"{ends(value, 3)} ± {error.max():.2g}"
         yield f"{sign} = {text}{unit} ({'stated' if covariance is None else 'fitted'})"
-
-
-def _ends_of(x: np.ndarray, digits: int = 4) -> str:
-    """Write one number, or the smallest and largest."""
-    low, high = (f"{end:.{digits}g}" for end in (x.min(), x.max()))
-    return low if low == high else f"{low} to {high}"
 
 
 def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
@@ -246,11 +234,11 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
-    (scale, unit), along, groups = m.unit, abscissa(result), on_one_curve(result)
+    (scale, unit), along, groups = m.unit, abscissa(result), _curves(result, ax)
     at = getattr(m, along)
     top, curves, bands = 0.0, [], []
-    for number, (rows, name) in enumerate(zip(groups, _curve_names(result, groups), strict=True)):
-        color, size = _colour(c, number, len(groups)), scale[rows[0]]
+    for (color, rows), name in zip(groups, _curve_names(result, groups), strict=True):
+        size = scale[rows[0]]
         near = (at * scale)[slice(None) if len(groups) <= MOST_CURVES else rows]
         height = np.linspace(near.min() * 0.85, near.max() * 1.15, 41) / size
         tall = m.height[rows[0]]
@@ -258,16 +246,17 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         low, high = of_push if along == "push_height" else (1.01, np.inf)
         height = height[(height > low) & (height < high)]
         x, curve = height * size, result.curve(rows, height, along=along)
-        curves.append((x, curve.longest * size, curve.breaks_again.any()))
+        longest = np.where(np.isfinite(curve.longest), curve.longest * size, np.nan)  # not where a block is run through
+        curves.append((x, longest, curve.breaks_again.any()))
         dashed_where(ax, x, curve.length * size, curve.breaks_again, color=color, label=name)
         for low, high in () if _rejected(result) else curve.bands:
             ax.fill_between(x, low * size, high * size, color=color, alpha=0.25, lw=0)
             bands.append(np.max(high - low))
-        ax.plot(x, curve.longest * size, color=c.grey, lw=0.8)
-        top = max(top, 1.12 * (curve.longest * size).max(), 1.05 * (m.length * scale)[rows].max())
-    x, longest, _ = max(curves, key=lambda one: one[1].max())
+        ax.plot(x, longest, color=c.grey, lw=0.8)
+        top = max(top, 1.12 * np.nanmax(longest, initial=0.0), 1.05 * (m.length * scale)[rows].max())
+    x, longest, _ = max(curves, key=lambda one: np.nanmax(one[1], initial=0.0))
     label = "longer than the model allows"
-    beyond = ax.fill_between(x, longest, 10 * longest.max(), color=c.grey, alpha=0.15, lw=0, label=label)
+    beyond = ax.fill_between(x, longest, 10 * np.nanmax(longest, initial=0.0), color=c.grey, alpha=0.15, lw=0, label=label)
     _draw_data(result, ax, along)
     _draw_fitted(result, ax, along, 0.01 * top)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
@@ -287,7 +276,7 @@ def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
     m, kind, scale = result.measurements, np.array(result.measurements.kind), result.measurements.unit[0]
     x, y, sigma = _apart(result, along), m.length * scale, result.sigma * scale
     style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none"}
-    for marker, color, name, rows in _series(result, colours(ax)):
+    for marker, color, name, rows in _series(result, ax):
         plain, whole, beyond = (rows[kind[rows] == one] for one in ("length", "whole", "at_least"))
         if plain.size:
             ax.errorbar(x[plain], y[plain], sigma[plain], fmt=marker, color=color, label=f"{name} ± σ", **style)
@@ -301,38 +290,43 @@ def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
 
 def _draw_fitted(result: "FitResult", ax: "Axes", along: Any, visible: float) -> None:
     """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
-    m, groups, fitted = result.measurements, on_one_curve(result), result.fitted
-    x, scale = _apart(result, along), m.unit[0]
-    for number, rows in enumerate(groups):
+    m, fitted, scale, x = result.measurements, result.fitted, result.measurements.unit[0], _apart(result, along)
+    for color, rows in _curves(result, ax):
         curve = result.curve(rows, getattr(m, along)[rows], along=along).length
         off = rows[np.isfinite(fitted[rows]) & (np.abs(fitted[rows] - curve) * scale[rows] > visible)]
         if len(off):
-            look = {"ms": 6, "mew": 2, "color": _colour(colours(ax), number, len(groups)), "zorder": 4}
+            look = {"ms": 6, "mew": 2, "color": color, "zorder": 4}
             ax.plot(x[off], fitted[off] * scale[off], "_", label="fitted (own inputs)", **look)
 
 
-def _series(result: "FitResult", c: Colours) -> Iterator[tuple[str, str, str, np.ndarray]]:
+def _curves(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:
+    """Colour and measurements of each curve."""
+    groups = on_one_curve(result)
+    return list(zip(_palette(colours(ax), len(groups)), groups, strict=True))
+
+
+def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Marker, colour, name and measurements of each specimen on each curve; the colour is the curve's if there are several."""
-    groups, specimen = on_one_curve(result), np.array(result.measurements.specimen)
+    curves, specimen = _curves(result, ax), np.array(result.measurements.specimen)
     names = list(dict.fromkeys(specimen.tolist()))
     if not 1 < len(names) <= len(MARKERS):
         names, specimen = [MEASURED], np.full(len(result.measurements), MEASURED)
-    for number, group in enumerate(groups):
-        for i, name in enumerate(names):
+    of_specimens = _palette(colours(ax), 1 + len(names))[1:]
+    for color, group in curves:
+        for marker, own, name in zip(MARKERS, of_specimens, names, strict=False):
             rows = group[specimen[group] == name]
-            color = _colour(c, number, len(groups)) if len(groups) > 1 else _colour(c, i + 1, 1 + len(names))
             if rows.size:
-                yield MARKERS[i], color, name, rows
+                yield marker, color if len(curves) > 1 else own, name, rows
 
 
-def _colour(c: Colours, number: int, count: int) -> str:
-    """One of `count` different colours: from a scale where they are more than the colours for data."""
+def _palette(c: Colours, count: int) -> Sequence[str]:
+    """As many different colours: from a scale where they are more than the colours for data."""
     if count <= len(c.data):
-        return c.data[number]
+        return c.data[:count]
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    return to_hex(colormaps["viridis"](0.95 * number / (count - 1)))
+    return [to_hex(colormaps["viridis"](0.95 * number / (count - 1))) for number in range(count)]
 
 
 def _apart(result: "FitResult", along: str) -> np.ndarray:
@@ -427,7 +421,7 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     limit = np.array(m.kind) == "at_least"
-    for marker, color, _, rows in _series(result, c):
+    for marker, color, _, rows in _series(result, ax):
         for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], BEYOND, 6)):
             ax.plot(x[own], result.residuals[own], sign, ms=size, color=color)
     label, per, between = axis_label(along, m.unit[1]), "σ", "\n" if along_height else " "  # a panel of residuals is low
@@ -561,11 +555,11 @@ def _name(one: "Free", axis: "Axis") -> None:
     axis.set_label_text(axis_label(one.name, unit) + specimen)
 
 
-def _curve_names(result: "FitResult", groups: list[np.ndarray]) -> list[str]:
+def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:
     """Name the curves by specimen if each has one, and by what differs within a specimen."""
-    one = result.parameters.inputs_at(result.theta).take([rows[0] for rows in groups])
+    one = result.parameters.inputs_at(result.theta).take([rows[0] for _, rows in groups])
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
-    owners = [set(specimen[rows]) for rows in groups]
+    owners = [set(specimen[rows]) for _, rows in groups]
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
     names = [f"{min(owner)}: {_best(result, min(owner))}" if alone else _best(result) for owner in owners]
     differ = _differing(one, [np.array(names) == name for name in set(names)])

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.verdict import LEVELS
+from slippulse_jax.inference.fitted import LEVELS
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
 

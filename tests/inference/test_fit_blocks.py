@@ -307,7 +307,7 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
         ({"block_length": 9 * HEIGHT}, {}, r"block_length beside push_height: a fit of a block takes one without an end"),
         ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
         ({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'"),
-        ({}, {"body": "brick"}, r"body = 'brick': one of slider, block"),
+        ({}, {"body": "brick"}, r"body = 'brick': must be one of 'slider', 'block'"),
     ],
 )  # fmt: skip
 def test_refusals(study, changes, options, message):

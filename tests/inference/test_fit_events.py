@@ -125,7 +125,7 @@ def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
 
 def test_what_a_fit_of_whole_events_does_not_take():
     _, m = study(6.5)
-    with pytest.raises(ValueError, match=r"event = 'whole': one of domino, full, crack"):
+    with pytest.raises(ValueError, match=r"event = 'whole': must be one of 'domino', 'full', 'crack'"):
         sp.fit(m, event="whole")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"gauges, block_length and machine_stiffness need the model of one front"):
         sp.fit(dataclasses.replace(m, block_length=20 * m.height), event="full")

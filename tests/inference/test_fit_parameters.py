@@ -373,9 +373,9 @@ def test_areal_stiffness_and_young_together_are_refused_a_number():
     assert result.stderrs["young"] is None
     assert "young^-1" in result.reason
     first, second = result.directions
-    assert np.isfinite(first.stderr)
-    assert np.isinf(second.stderr)
-    np.testing.assert_allclose(np.abs(first.coefficients), np.sqrt(0.5), rtol=1e-6)
+    assert np.isfinite(first["stderr"])
+    assert np.isinf(second["stderr"])
+    np.testing.assert_allclose(np.abs(first["coefficients"]), np.sqrt(0.5), rtol=1e-6)
 
 
 def test_force_and_displacement_give_the_strength():

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from slippulse_jax.events.catalogue import EventClass
-from slippulse_jax.paper.claims import CLAIMS, FAILS, HOLDS, WITHIN, discussion, examine, front, page, row
+from slippulse_jax.paper import claims
+from slippulse_jax.paper.claims import CLAIMS, FAILS, HOLDS, WITHIN, examine, page, row
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "claims.md"
 
@@ -91,30 +92,30 @@ def by_slope(rate):
 
 
 @pytest.mark.parametrize(
-    ("module", "name", "stand_in", "number", "verdict"),
+    ("name", "stand_in", "number", "verdict"),
     [
-        (front, "first_precursor", lambda _: precursor(26), "C1", HOLDS),
-        (front, "first_precursor", lambda _: precursor(27), "C1", WITHIN),
-        (front, "first_precursor", lambda _: precursor(28), "C1", FAILS),
-        (front, "precursor_lengths", lengths(lambda s, _: 9 + np.log(s.stiffness) + 0 * s.height), "C5", HOLDS),
-        (front, "precursor_lengths", lengths(lambda s, _: np.log(s.stiffness) * (s.height < 30) - s.stiffness), "C5", WITHIN),
-        (front, "precursor_lengths", lengths(lambda s, _: 0 * s.height - np.log(s.stiffness)), "C5", FAILS),
-        (discussion, "precursor_length", by_slope(-1), "C9", HOLDS),
-        (discussion, "precursor_length", by_slope(-62), "C9", WITHIN),
-        (discussion, "precursor_length", by_slope(25), "C9", FAILS),
-        (discussion, "precursor_length", lengths(lambda _, i: 25 + i.repin_delay), "C10", HOLDS),
-        (discussion, "precursor_length", lengths(lambda _, i: 25 + 2 * i.repin_delay), "C10", WITHIN),
-        (discussion, "precursor_length", lengths(lambda _, i: 25 + 0 * i.repin_delay), "C10", FAILS),
-        (discussion, "series", events([[26, 25, 27], [1, 9]]), "C13", HOLDS),
-        (discussion, "series", events([[26, 3], [26, 24]]), "C13", WITHIN),
-        (discussion, "series", events([[26, 3], [26, 24]], apart=2), "C13", FAILS),
-        (discussion, "series", events([[26, 3], [32, 9]]), "C13", FAILS),
+        ("first_precursor", lambda _: precursor(26), "C1", HOLDS),
+        ("first_precursor", lambda _: precursor(27), "C1", WITHIN),
+        ("first_precursor", lambda _: precursor(28), "C1", FAILS),
+        ("precursor_lengths", lengths(lambda s, _: 9 + np.log(s.stiffness) + 0 * s.height), "C5", HOLDS),
+        ("precursor_lengths", lengths(lambda s, _: np.log(s.stiffness) * (s.height < 30) - s.stiffness), "C5", WITHIN),
+        ("precursor_lengths", lengths(lambda s, _: 0 * s.height - np.log(s.stiffness)), "C5", FAILS),
+        ("precursor_length", by_slope(-1), "C9", HOLDS),
+        ("precursor_length", by_slope(-62), "C9", WITHIN),
+        ("precursor_length", by_slope(25), "C9", FAILS),
+        ("precursor_length", lengths(lambda _, i: 25 + i.repin_delay), "C10", HOLDS),
+        ("precursor_length", lengths(lambda _, i: 25 + 2 * i.repin_delay), "C10", WITHIN),
+        ("precursor_length", lengths(lambda _, i: 25 + 0 * i.repin_delay), "C10", FAILS),
+        ("series", events([[26, 25, 27], [1, 9]]), "C13", HOLDS),
+        ("series", events([[26, 3], [26, 24]]), "C13", WITHIN),
+        ("series", events([[26, 3], [26, 24]], apart=2), "C13", FAILS),
+        ("series", events([[26, 3], [32, 9]]), "C13", FAILS),
     ],
 )
-def test_a_verdict_follows_from_what_is_measured(module, name, stand_in, number, verdict, monkeypatch):
-    monkeypatch.setattr(module, name, stand_in)
+def test_a_verdict_follows_from_what_is_measured(name, stand_in, number, verdict, monkeypatch):
+    monkeypatch.setattr(claims, name, stand_in)
     if number == "C9":
-        monkeypatch.setattr(module, "precursor_lengths", stand_in)
+        monkeypatch.setattr(claims, "precursor_lengths", stand_in)
     ((_, _, _, measured, found),) = examine([number])
     assert found == verdict, measured
 

@@ -1,5 +1,6 @@
 """Pictures of a fit say what was fitted, in the unit of the table, and by the name of the specimen."""
 
+import dataclasses
 import io
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slippulse_jax import Measurements, Parameter, fit, plot
+from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
@@ -55,6 +56,14 @@ def test_lengths_without_a_unit_are_in_correlation_lengths():
     _, right, below = plot.fit(fit(m)).axes
     assert texts(right)[:3] == [rf"$H/\lambda_c$ = {h:g}" for h in height]
     assert below.get_xlabel() == r"height, $H/\lambda_c$"
+
+
+@pytest.mark.ci
+def test_a_block_that_a_front_may_run_through_has_a_picture():
+    """At heights a little above those measured no length is the longest."""
+    m = read_measurements(EXAMPLES / "pmma_block/lengths.csv")
+    ax = plot.fit_lengths(fit(dataclasses.replace(m, block_length=np.full(len(m), 2e4))))
+    assert max(m.length * m.unit[0]) < ax.get_ylim()[1] < 10 * max(m.length * m.unit[0])
 
 
 def test_heights_of_the_push_are_in_the_unit_of_the_table():
