@@ -14,6 +14,8 @@ from slippulse_jax.exact.front import exact_front, exact_length
 from slippulse_jax.lengths import arrests as arrests_of
 from slippulse_jax.status import Outcome
 
+pytestmark = pytest.mark.ci
+
 
 def random_lanes(count, seed):
     """Sliders of the whole domain; a third under prestress, a third on rising thresholds, some beyond run-away."""
@@ -126,7 +128,6 @@ def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(
     np.testing.assert_array_equal(status[followed & ~stopped], Outcome.RUN_AWAY)
 
 
-@pytest.mark.ci
 def test_gradient_against_differences():
     lanes = random_lanes(24, 64)
     lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], 0
@@ -147,7 +148,6 @@ def test_gradient_against_differences():
     assert np.max(error[:4, arrested]) < 1e-7
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize("numbers", [3, pytest.param(5, marks=pytest.mark.slow)])  # which takes a minute to compile
 def test_hessian_against_differences_of_the_gradient(numbers):
     """In the numbers of the slider alone, or in those of the interface too."""
@@ -184,7 +184,6 @@ def test_second_derivatives_in_the_slider_alone_are_part_of_all():
     np.testing.assert_allclose(alone.hessian / largest, all_of_them.hessian[:, :3, :3] / largest, atol=1e-8)
 
 
-@pytest.mark.ci
 def test_shapes_and_refusals():
     found = sp.exact_lengths(sp.Slider(np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03]), 0.3), derivatives=1)
     assert found.length.shape == (2, 3)

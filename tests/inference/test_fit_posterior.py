@@ -65,6 +65,7 @@ def test_density_is_the_objective(loss, monkeypatch):
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_traced_length_is_that_of_the_fit(relaxed):
     inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)

@@ -68,6 +68,7 @@ def test_gauges_tell_a_pulse_from_a_crack(truth):
     assert f"Pulse or crack: {found.statement}" in str(found)
 
 
+@pytest.mark.ci
 def test_lengths_of_one_height_do_not():
     slider = sp.Slider(25.0, 0.03, 0.3)
     m = sp.Measurements(25.0, 0.3, float(sp.exact_length(slider)), 0.5)

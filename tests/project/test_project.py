@@ -79,6 +79,7 @@ def test_benchmarks_import_what_there_is(path):
                     importlib.import_module(f"{node.module}.{one.name}")
 
 
+@pytest.mark.ci
 def test_importing_changes_nothing():
     """Importing the package starts no JAX and flips no flag; every public name is there."""
     code = (

@@ -63,6 +63,7 @@ def test_macroscopic_law_and_its_correction():
         assert relative(correction, (layer - lag) / g(z) * expected / z) < 1e-10, b
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("phi", [1e-9, 0.3, -0.4])
 def test_macroscopic_law_with_prestress(phi):
     for b in (1e-6, 1.0, 1e9):
