@@ -92,6 +92,7 @@ def test_a_prior_in_the_unit_of_the_table_is_said_before_the_fit():
     assert f"before fitting: {hint}\n" in done.stderr
 
 
+@pytest.mark.ci
 def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     """As beyond run-away, where no stiffness stops the front."""
 

@@ -92,6 +92,7 @@ def test_files_instead_of_stdout(tmp_path):
     assert done.stderr.startswith("ended by an event that broke the last contact")
 
 
+@pytest.mark.ci
 def test_a_series_that_spans_has_no_length_in_json():
     done = run(series_command, *SMALL, "--json", "--step", "0.3", "--repin-delay", "1")
     assert done.exit_code == 0, done.output

@@ -70,6 +70,7 @@ def test_without_friction_there_is_no_ceiling():
     assert float(macroscopic_crack_length(b, 0.3, 0.0)) > 100 * float(sp.theory.length_ceiling(0.3))
 
 
+@pytest.mark.ci
 def test_friction_as_strong_as_the_contacts_stops_at_once():
     lengths = sp.exact_length(sp.Slider(25.0, 0.03, 0.3), rule=sp.CrackLike(jnp.array([0.5, 0.9, 0.97, 0.999])))
     assert list(np.diff(lengths) < 0) == [True, True, True] or lengths[-1] == 0

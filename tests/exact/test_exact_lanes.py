@@ -14,8 +14,6 @@ from slippulse_jax.exact.front import exact_front, exact_length
 from slippulse_jax.lengths import arrests as arrests_of
 from slippulse_jax.status import Outcome
 
-pytestmark = pytest.mark.ci
-
 
 def random_lanes(count, seed):
     """Sliders of the whole domain; a third under prestress, a third on rising thresholds, some beyond run-away."""
@@ -39,6 +37,7 @@ def arrests(found):
     return np.isfinite(found.length) & (found.length > 0)
 
 
+@pytest.mark.ci
 @pytest.mark.slow  # by its compilation
 def test_against_the_solution_one_by_one():
     lanes = random_lanes(150, 61)
@@ -56,6 +55,7 @@ def test_against_the_solution_one_by_one():
     assert np.all(gradient_of(found)[found.length == 0] == 0)
 
 
+@pytest.mark.ci
 @pytest.mark.slow
 def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     lanes = random_lanes(20_000, 67)
@@ -75,6 +75,7 @@ def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     np.testing.assert_allclose(found[finite & ~long], expected[finite & ~long], atol=1e-11)
 
 
+@pytest.mark.ci
 def test_what_the_far_series_settles_is_right():
     """Sliders of every height, those included whose front stops near the edge, or never starts: each right, or left to others."""
     rng, n = np.random.default_rng(68), 1500
@@ -114,6 +115,7 @@ def near_runaway(count, seed):
     return np.array([*slider, np.minimum(phi, 1 - 1e-9), slope])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [500, pytest.param(150_000, marks=pytest.mark.slow)])
 def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(count):
     """Wrong numbers called arrested were found here, 43 of 96 679; a front the recursion gives up has no whole count to compare."""
@@ -128,6 +130,7 @@ def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(
     np.testing.assert_array_equal(status[followed & ~stopped], Outcome.RUN_AWAY)
 
 
+@pytest.mark.ci
 def test_gradient_against_differences():
     lanes = random_lanes(24, 64)
     lanes[2], lanes[4] = 0.05 + 0.8 * lanes[2], 0
@@ -148,6 +151,7 @@ def test_gradient_against_differences():
     assert np.max(error[:4, arrested]) < 1e-7
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("numbers", [3, pytest.param(5, marks=pytest.mark.slow)])  # which takes a minute to compile
 def test_hessian_against_differences_of_the_gradient(numbers):
     """In the numbers of the slider alone, or in those of the interface too."""
@@ -176,6 +180,7 @@ def test_hessian_against_differences_of_the_gradient(numbers):
     assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
 
 
+@pytest.mark.ci
 @pytest.mark.slow  # by its compilation
 def test_second_derivatives_in_the_slider_alone_are_part_of_all():
     slider = sp.Slider(np.array([10.0, 25.0, 300.0]), np.array([0.003, 0.03, 1e-3]), 0.3)
@@ -184,6 +189,7 @@ def test_second_derivatives_in_the_slider_alone_are_part_of_all():
     np.testing.assert_allclose(alone.hessian / largest, all_of_them.hessian[:, :3, :3] / largest, atol=1e-8)
 
 
+@pytest.mark.ci
 def test_shapes_and_refusals():
     found = sp.exact_lengths(sp.Slider(np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03]), 0.3), derivatives=1)
     assert found.length.shape == (2, 3)

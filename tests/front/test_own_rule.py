@@ -159,5 +159,6 @@ def test_one_rule_where_one_is_taken():
             taker(batch)
 
 
+@pytest.mark.ci
 def test_static_fields_are_kept(plain):
     assert sp.precursor_lengths(FIG2, rule=NamedBreak(width=0.03, lean=0.5)) == pytest.approx(plain.length, abs=1e-9)

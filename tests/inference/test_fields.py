@@ -377,6 +377,7 @@ def test_measurements_that_are_no_lengths_of_one_interface_are_refused(columns, 
         sp.recover_profile(m, stiffness=STIFFNESS)
 
 
+@pytest.mark.ci
 def test_a_count_stands_for_the_middle_of_its_contact():
     count = sp.Measurements(height=[20, 25], poisson=POISSON, length=[22.0, 26.0], length_sigma=0.0, kind=("whole",) * 2)
     plain = sp.Measurements(height=[20, 25], poisson=POISSON, length=[21.5, 25.5], length_sigma=12**-0.5)

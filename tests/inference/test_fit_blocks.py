@@ -263,7 +263,6 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     assert "semi-infinite slider" in slider.stdout
 
 
-@pytest.mark.ci
 def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
     """Two blocks far below the longest lengths, each with a modulus of its own: the curvature is that of the interpolation."""
     height, sigma = np.repeat([2400.0, 6000], 4), np.repeat([40.0, 150], 4)

@@ -305,6 +305,7 @@ def test_all_censored_is_one_sided_and_never_a_number():
     assert not piece.open_low
 
 
+@pytest.mark.ci
 def test_one_outlier():
     """Student's loss stays near the truth where least squares does not."""
     length = model(HEIGHTS, 0.004)
@@ -400,6 +401,7 @@ def test_force_and_displacement_give_the_strength():
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
     load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)

@@ -51,7 +51,7 @@ def tabulated(m):
     return length
 
 
-@pytest.mark.parametrize("loss", ["normal", "student"])
+@pytest.mark.parametrize("loss", ["normal", pytest.param("student", marks=pytest.mark.ci)])
 def test_density_is_the_objective(loss, monkeypatch):
     """At random points, with counts, censoring and a prior."""
     monkeypatch.setattr(FirstFront, "traced", outside)

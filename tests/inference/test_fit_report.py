@@ -140,7 +140,6 @@ def test_ratio_of_two_stiffnesses_is_that_of_its_profile(shared, tmp_path):
     assert result.to_dict()["stiffness_ratios"] == [[*labels, ratio, error]]
 
 
-@pytest.mark.ci
 def test_of_many_specimens_ratios_to_the_first_are_shown():
     m = lengths(specimen=tuple("ABCDEF"))
     result = sp.fit(m, sp.Parameter("stiffness", bounds=(1e-5, 2e-3), each="specimen"))
@@ -336,6 +335,7 @@ def test_what_to_try_next_keeps_the_priors_of_the_fit():
 # --- how intervals were found -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_intervals_by_simulation_are_called_so(tmp_path):
     """By default too, where valleys compete; and not those of counts, which no simulation has."""
     near = sp.Measurements(30.0, 0.3, [27.0, 29.0, 30.0], 1.2)

@@ -63,7 +63,7 @@ def test_bent_valley(method):
     assert (found.convergence[far] == Convergence.NOT_CONVERGED).all(), "where it is not, that is said"
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", get_args(Method))
 def test_both_wells_are_found(method):
     found = minimise(two_wells(), STARTS, LOW, HIGH, method=method)
     assert (found.convergence == Convergence.CONVERGED).all()
@@ -82,7 +82,7 @@ def test_minimum_on_a_side_of_the_box(method):
     assert (found.convergence[reached] == Convergence.CONVERGED).all()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", get_args(Method))
 def test_held_coordinates_stay(method):
     start = np.array([[-1.2, 1.0], [0.3, 1.0]])
     found = minimise(valley(), start, LOW, HIGH, held=np.array([True, False]), method=method)

@@ -73,6 +73,7 @@ def test_axes_of_decades_have_two_labels_or_more(stiffness):
     assert len(labels(drawn(swept(lambda height, stiffness: height * stiffness**0.2, stiffness=stiffness)).yaxis)) >= 2
 
 
+@pytest.mark.ci
 def test_lines_have_most_of_the_width():
     made = swept(lambda height, stiffness: height * stiffness**0.2, height=np.geomspace(10, 1000, 6))
     made["status"] = (made.length > 200).astype(int) * 2
