@@ -18,7 +18,6 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", COMPILED)
 os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2 * 10**9))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
-import hypothesis
 import jax
 import pytest
 
@@ -41,10 +40,6 @@ gc.set_threshold(100_000, 20, 20)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-# the same examples in every run, and no state between runs
-hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None, max_examples=25)
-hypothesis.settings.load_profile("same")
 
 MOST_MEMORY = max(2.5e9, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 5)
 """Bytes that a worker may keep in compiled programs and the rest: to compile them again takes longest where there is room for all."""

@@ -7,10 +7,15 @@ numbers that are arguments of a compiled function.
 
 from typing import NamedTuple
 
+import hypothesis
 import numpy as np
 from hypothesis import strategies as st
 
 from slippulse_jax import domains
+
+# the same examples in every run, and no state between runs
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None, max_examples=25)
+hypothesis.settings.load_profile("same")
 
 
 class Range(NamedTuple):

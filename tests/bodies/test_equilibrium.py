@@ -78,6 +78,7 @@ def test_forces_are_slopes_of_the_energy(right):
     assert potential_energy(mine, (0 * x[0], 0 * x[1]), 0 * x[0]) == 0
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_driver_before_the_first_site(right):
     """The chain behind it is that whose edge is held where the spring leaves it; the spring carries the push."""
@@ -105,6 +106,7 @@ def relaxed_at(slider, load, sites=100):
     return chain(slider, sites=sites).relaxed(load)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("height", [25.0, 1e3, 1e5])
 def test_an_endless_chain_does_not_notice_where_it_is_cut(height):
     slider = sp.Slider(height=height, stiffness=0.03, poisson=0.3)
@@ -184,6 +186,7 @@ def hardening(stretch):
     return stretch + 0.3 * stretch**3
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "law", [jnp.tanh, hardening, *(pytest.param(x, marks=pytest.mark.slow) for x in (jnp.arctan, jnp.sinh))]
 )
@@ -361,6 +364,7 @@ def test_detaching_everything_moves_the_chain_as_one():
     np.testing.assert_allclose(found.push, 0.0, atol=1e-13)
 
 
+@pytest.mark.ci
 def test_a_floating_part_is_a_status_and_never_a_nan():
     floating, whole = with_cut(4, 5), with_cut(4, 8)
     found = solve(batch([floating, whole]), batch([floating.relaxed(2.0)] * 2))
@@ -372,6 +376,7 @@ def test_a_floating_part_is_a_status_and_never_a_nan():
     np.testing.assert_allclose(held, found.layer[1][:5], rtol=1e-14)
 
 
+@pytest.mark.ci
 def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
     c = chain(FIG2, sites=30)
     states = State(jnp.zeros((3, 30)), jnp.array([1.0, jnp.nan, 3.0]))
@@ -382,6 +387,7 @@ def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
 
 
+@pytest.mark.ci
 def test_no_number_is_called_solved_that_is_none():
     """Light contacts on stiff bodies, whose forces are less than the last digits of the bonds'; and numbers that overflow."""
     rigid = chain(sp.Slider(25.0, 1e-12, -0.9999999999), sites=4, right="free")
@@ -403,6 +409,7 @@ def test_no_number_is_called_solved_that_is_none():
     assert 20 < solved < 80
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", [lambda z: z + 200 * z**5, lambda z: jnp.expm1(8 * z) / 8], ids=["quintic", "exponential"])
 def test_newton_on_laws_that_stiffen(law):
     """Whole steps of Newton's method overshoot by ever more there; a third program finds the equilibrium from forces alone."""
@@ -421,6 +428,7 @@ def test_newton_on_laws_that_stiffen(law):
     np.testing.assert_allclose(np.concatenate([found.upper[1:], found.layer]), expected, rtol=1e-8)
 
 
+@pytest.mark.ci
 def test_an_equilibrium_between_two_sides_of_a_small_jump_is_none():
     """The stress on contact 0 jumps by 2e-7 where it would have to balance: far above rounding, however small."""
     plain = chain(FIG2, sites=5)
@@ -450,6 +458,7 @@ def test_residual_compares_with_what_the_springs_exert_by_themselves(right):
         assert found.residual == pytest.approx(np.abs(net).max() / gross.max(), rel=1e-9)
 
 
+@pytest.mark.ci
 def test_newton_that_cannot_converge_says_so():
     c = chain(FIG2, sites=5, law=lambda z: 0 * z + jnp.where(z > 0, 1.0, -1.0))  # a law that jumps has no slope to follow
     found = equilibrium(c, c.relaxed(0.7))
@@ -506,6 +515,7 @@ def test_a_batch_of_sliders_is_sent_to_vmap():
         chain(sp.Slider(height=[25.0, 26.0], stiffness=0.03, poisson=0.3), sites=5)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("n", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_a_long_chain_is_in_balance_to_rounding(n):
     rng = np.random.default_rng(4)

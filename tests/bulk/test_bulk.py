@@ -56,6 +56,7 @@ def test_interfaces_equal_the_general_recursion(general):
     np.testing.assert_array_equal(np.isinf(got[0]), np.isinf(exact[0]))
 
 
+@pytest.mark.ci
 def test_gradients_equal_those_of_one_front(general):
     points = random_lanes(300, 4, 2.0)
     got = sp.precursor_lengths(sp.Slider(*points), derivatives=1)
@@ -89,6 +90,7 @@ def test_arrests_equal_the_general_recursion(numbers):
     np.testing.assert_allclose(alone, got[1], rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("lengths", [sp.precursor_lengths, lambda *a, **k: sp.precursor_lengths(*a, derivatives=1, **k).length])
 def test_a_missing_length_says_why(lengths):
     """Given up; or numbers that leave double precision, which no number of breaks would mend."""
@@ -97,6 +99,7 @@ def test_a_missing_length_says_why(lengths):
             assert np.isnan(lengths(sp.Slider([25.0, tall], 0.03, 0.3), max_contacts=100)).tolist() == [False, True]
 
 
+@pytest.mark.ci
 def test_the_last_break_that_is_allowed():
     for most in (25, 26):  # 26 contacts break: the very number, and one fewer
         assert np.isnan(bulk.lengths(sp.Slider(25.0, 0.03, 0.3), max_contacts=most)) == (most < 26)

@@ -131,6 +131,7 @@ def test_length_of_a_front_that_runs_through_is_null_not_a_number(in_this_proces
     assert content["status"] == "ran_through"
 
 
+@pytest.mark.ci
 def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_process):
     """The end is free by default, and need not lie at a whole contact."""
     si = ("--height-mm", "2.5", "--correlation-length-um", "100", "--areal-stiffness", "9e11", "--young-gpa", "3")
@@ -189,6 +190,7 @@ def test_fit_reports_and_draws(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["fit.svg"], "no temporary file is left behind"
 
 
+@pytest.mark.ci
 def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
     done = in_this_process("fit", PMMA, "--json", "--figure", str(tmp_path / "fit.png"))
     content = json.loads(done.stdout)
@@ -242,6 +244,7 @@ def test_bad_table_names_file_line_and_column(tmp_path, in_this_process):
     assert done.stderr == f"Error: {path}, line 3, column length: 'x' is not a number\n"
 
 
+@pytest.mark.ci
 def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path, in_this_process):
     path = tmp_path / "lengths.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,40,0.5\n")
@@ -324,6 +327,7 @@ def test_interrupted_while_it_starts():
     assert "Traceback" not in said
 
 
+@pytest.mark.ci
 def test_a_long_cell_is_not_said_whole(tmp_path):
     (tmp_path / "long.csv").write_text("height,poisson,length,length_sigma\n25,0.3," + "x" * 100_000 + ",1\n")
     done = slippulse("fit", str(tmp_path / "long.csv"))

@@ -19,6 +19,7 @@ def run(*arguments):
     return CliRunner().invoke(command, [DATA, *arguments])
 
 
+@pytest.mark.ci
 def test_options_and_request_say_the_same(tmp_path):
     """A TOML file, the options, and the JSON of the run itself give the same fit to the last bit."""
     (tmp_path / "request.toml").write_text("[parameters.stiffness]\n[parameters.poisson]\nprior = [0.3, 0.02]\n")
@@ -35,6 +36,7 @@ def test_options_and_request_say_the_same(tmp_path):
         assert again[key] == first[key]
 
 
+@pytest.mark.ci
 def test_pictures(tmp_path):
     names = {option: tmp_path / f"{option}.png" for option in ("figure", "profiles", "corner")}
     done = run("--intervals", "calibrated", *[x for option, path in names.items() for x in (f"--{option}", str(path))])
@@ -72,6 +74,7 @@ def test_refusals(arguments, message):
     assert re.search(message, done.output)
 
 
+@pytest.mark.ci
 def test_lengths_on_the_plateau_are_named_in_the_remarks(tmp_path):
     path = tmp_path / "plateau.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,26.2,0.3\n40,0.3,30,0.3\n")
@@ -80,6 +83,7 @@ def test_lengths_on_the_plateau_are_named_in_the_remarks(tmp_path):
     assert run("--free", "stiffness", "--json").stderr == ""
 
 
+@pytest.mark.ci
 def test_a_prior_in_the_unit_of_the_table_is_said_before_the_fit():
     """It can be fitted, so that it is a warning."""
     done = run("--free", "stiffness", "--free", "height", "--prior", "height=25,1", "--intervals", "profile")
@@ -88,6 +92,7 @@ def test_a_prior_in_the_unit_of_the_table_is_said_before_the_fit():
     assert f"before fitting: {hint}\n" in done.stderr
 
 
+@pytest.mark.ci
 def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     """As beyond run-away, where no stiffness stops the front."""
 
@@ -100,6 +105,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     assert set(json.loads(done.stdout)["attainable"]) == {None}
 
 
+@pytest.mark.ci
 def test_intervals_are_simulated_where_two_sides_of_the_peak_fit(tmp_path):
     path = tmp_path / "peak.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.4\n40,0.3,41.6,0.6\n")

@@ -34,6 +34,7 @@ def run(command, *arguments):
     return CliRunner().invoke(command.command, list(arguments))
 
 
+@pytest.mark.ci
 def test_csv_on_stdout(catalogue):
     done = run(series_command, *SMALL)
     assert (done.exit_code, done.stderr) == (0, "done: reached the requested number of events or load\n")
@@ -82,6 +83,7 @@ def test_netcdf_read_back(tmp_path, catalogue):
     assert [p.name for p in tmp_path.iterdir()] == ["series.nc"]
 
 
+@pytest.mark.ci
 def test_files_instead_of_stdout(tmp_path):
     done = run(series_command, *SMALL, "--out", str(tmp_path / "series.csv"), "--step", "0.3", "--repin-delay", "1")
     assert (done.exit_code, done.stdout) == (0, "")
@@ -90,6 +92,7 @@ def test_files_instead_of_stdout(tmp_path):
     assert done.stderr.startswith("ended by an event that broke the last contact")
 
 
+@pytest.mark.ci
 def test_a_series_that_spans_has_no_length_in_json():
     done = run(series_command, *SMALL, "--json", "--step", "0.3", "--repin-delay", "1")
     assert done.exit_code == 0, done.output

@@ -45,6 +45,7 @@ def test_csv_and_json_on_stdout():
     assert content["units"]["length"] == "lambda_c"
 
 
+@pytest.mark.ci
 def test_a_front_that_never_stops_is_null_in_json():
     done = invoke("--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--prestress", "0.1,0.54", "--json")
     assert json.loads(done.stdout)["data"]["length"][1] is None

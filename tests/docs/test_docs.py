@@ -160,7 +160,7 @@ def jax_as_it_is():
     jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-QUICK = ("index.md", "howto/units.md")
+QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
 
 
@@ -232,7 +232,7 @@ def test_links_between_pages_lead_somewhere():
                 assert path.parent.joinpath(link).exists(), f"{page}: {link}"
 
 
-@pytest.mark.parametrize("folder", ["pmma_block", "pushed_block"])
+@pytest.mark.parametrize("folder", ["pmma_block", pytest.param("pushed_block", marks=pytest.mark.ci)])
 def test_sentence_for_a_paper(folder):
     """The page quotes what `FitResult.methods` writes, but for the version."""
     page = (DOCS / "fit" / "own_csv.md").read_text(encoding="utf-8")

@@ -1,20 +1,32 @@
 """Every equation of the paper has a function that computes it and a test that checks it; and some of those tests."""
 
+import functools
 from pathlib import Path
 
 import equations
 import numpy as np
+import pytest
 
 import slippulse_jax as sp
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def read_once():
+    """The index reads every file of the package and of the tests: once is enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(equations, "index", functools.cache(equations.index))
+        yield
+
+
+@pytest.mark.ci
 def test_no_equation_is_missing():
     assert len(equations.ORDER) == 67  # 65 labels on 66 printed equations, and the two lattice equations without a number
     assert equations.missing() == []
 
 
+@pytest.mark.ci
 def test_page_is_up_to_date():
     assert equations.page() == (DOCS / "reference" / "equations.md").read_text(encoding="utf-8")
 
@@ -24,6 +36,7 @@ def test_numbers_run_as_printed():
     assert sorted(map(int, numbers)) == list(range(1, 67))
 
 
+@pytest.mark.ci
 def test_the_index_notices_what_is_missing(monkeypatch):
     found = equations.index()
     for computed, tested, complaint in (([], ["t"], "cra44: no function"), (["f"], [], "cra44: no test")):
@@ -63,6 +76,7 @@ def test_dimensionless_numbers_of_the_appendix():
     np.testing.assert_allclose(1 - slider.beta, slider.b / (1 + slider.b), rtol=1e-14)
 
 
+@pytest.mark.ci
 def test_lattice_is_in_balance_with_the_stresses_of_the_paper():
     """Labels discr1, discr2, cra06, cra07: of the first precursor at arrest, site by site."""
     slider = sp.Slider(25.0, 0.03, 0.3)

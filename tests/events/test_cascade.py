@@ -192,6 +192,7 @@ def lanes():
     return run, run(jnp.asarray(LOADS))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("size", [33, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 7, 64))])
 def test_lanes_do_not_depend_on_the_size_of_the_batch(lanes, size):
     run, all_of_them = lanes
@@ -284,6 +285,7 @@ def test_loading_to_nucleation_is_differentiable():
     np.testing.assert_allclose(slope(25.0), (load(25 + h) - load(25 - h)) / (2 * h), rtol=1e-7)
 
 
+@pytest.mark.ci
 def test_how_a_rupture_ends():
     def ends(c, load, **options):
         found = rupture(c, c.relaxed(load), **options)
@@ -309,6 +311,7 @@ def test_how_a_rupture_ends():
     assert ends(semi, np.nan)[0] == Outcome.INVALID
 
 
+@pytest.mark.ci
 def test_a_detached_contact_never_breaks_and_the_front_may_pass_it():
     contact = np.full(40, 0.03)
     contact[5] = 0
@@ -333,6 +336,7 @@ def test_refusals():
         SmoothBreak(width=2.0)
 
 
+@pytest.mark.ci
 def test_trigger_that_cannot_break():
     """Out of range, detached, or far below its threshold: ARRESTED once, with lengths beyond the chain."""
     c = chain(FIG2, sites=4, contact=[0.03, 0.03, 0.0, 0.03])
@@ -362,6 +366,7 @@ def test_trigger_just_below_its_threshold():
         assert _can_break(c, jnp.array([stress, 1.0, 0.5]), jnp.asarray(0)) == allowed
 
 
+@pytest.mark.ci
 def test_nothing_to_load():
     c = chain(FIG2, sites=4, right="free", contact=0.0)
     state, site = nucleate(c)

@@ -20,6 +20,8 @@ from slippulse_jax.lengths import general_kernel
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
+pytestmark = pytest.mark.ci
+
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
 
@@ -50,7 +52,6 @@ def test_series_against_dense_program(delay):
     assert got.energy_drift < 1e-12
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize("delay", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_rupture_against_dense_program(delay):
     plain, chain = rough(delay)
@@ -87,7 +88,6 @@ print(*(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), sp.Interface(repin_dela
 """
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_long_delays_in_bulk_come_to_an_end(cores):
     """Delays from 10 on waited for ever on two cores: eliminations of a batch waited for each other's threads."""
@@ -99,7 +99,6 @@ def test_long_delays_in_bulk_come_to_an_end(cores):
         assert float(length) == pytest.approx(broken - 1 + excess[-2] / (excess[-2] - excess[-1]), rel=1e-9)
 
 
-@pytest.mark.ci
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
     chain = sp.chain(FIG2, sites=30)

@@ -71,6 +71,7 @@ def test_single_precision():
     np.testing.assert_array_equal(single.breaks, double.breaks)
 
 
+@pytest.mark.ci
 def test_derivatives_are_refused():
     """The time of a break is a whole number of steps, and its derivative would be that of the step."""
 
@@ -111,6 +112,7 @@ def test_no_drift_over_many_steps(steps):
     assert long.imbalance < 0.4**2 / 8 * long.broken
 
 
+@pytest.mark.ci
 def test_work_of_a_moving_edge_is_booked():
     chain = sp.chain(FIG2, sites=60)
     errors = [
@@ -156,6 +158,7 @@ def test_breaking_at_exactly_the_threshold_shortens_the_overdamped_front():
     assert int(got.extent) == s < 26
 
 
+@pytest.mark.ci
 def test_crack_like_fronts_know_the_thresholds_self_healing_ones_do_not():
     chain = sp.chain(FIG2, sites=150)
     crack = [
@@ -190,6 +193,7 @@ def test_refusals_name_the_number(wrong, message):
         sp.simulate_inertial(chain, **({"duration": 1.0} | wrong))
 
 
+@pytest.mark.ci
 def test_bad_lanes():
     """What cannot be looked at makes its own lane invalid, and no other."""
     chain = sp.chain(FIG2, sites=20)

@@ -28,6 +28,7 @@ def dense_event(slider, sites, prestress=0.0, threshold_slope=0.0, right="semi-i
     return dense.reach(order), order
 
 
+@pytest.mark.ci
 def test_whole_events_against_dense_solves():
     """50 sliders of b 1–200."""
     slider, b = sliders_beyond(50, seed=16)
@@ -78,6 +79,7 @@ def test_an_event_longer_than_expected_gets_more_sites():
     np.testing.assert_allclose(event_lengths(lane, np.array([3.0 * FEW_SITES])), longer, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_events_in_a_finite_chain_against_dense_solves():
     height, end = np.array([20.0, 35.0, 50.0]), {"right": "free", "sites": 64}
     found = sp.precursor_lengths(sp.Slider(height, 0.4, 0.3), event="full", **end)

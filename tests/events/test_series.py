@@ -23,10 +23,10 @@ def ages(law, newborn, scale):
 
 CASES = [
     ("adiabatic", "free", None),
-    ("adiabatic", "semi-infinite", ("exponential", 0.3, 3.0)),
-    ("steps", "clamped", None),
-    ("spring", "semi-infinite", None),
-    ("spring", "free", ("logarithmic", 0.4, 2.0)),
+    pytest.param("adiabatic", "semi-infinite", ("exponential", 0.3, 3.0), marks=pytest.mark.ci),
+    pytest.param("steps", "clamped", None, marks=pytest.mark.ci),
+    pytest.param("spring", "semi-infinite", None, marks=pytest.mark.ci),
+    pytest.param("spring", "free", ("logarithmic", 0.4, 2.0), marks=pytest.mark.ci),
     pytest.param("steps", "free", ("exponential", 0.5, 1.0), marks=pytest.mark.slow),
 ]
 
@@ -96,6 +96,7 @@ def test_energy_of_every_event(protocol, ageing):
     assert (np.asarray(got.relaxed)[: int(got.number)] > -1e-12).all()
 
 
+@pytest.mark.ci
 def test_stored_energy_is_that_of_the_springs():
     chain = sp.chain(sp.Slider(*FIG2), sites=SITES, right="free")
     got = long_series(chain)
@@ -112,6 +113,7 @@ def test_first_event_is_the_first_precursor():
     assert abs(got.length[0] - sp.precursor_length(sp.Slider(*FIG2))) < 1e-10
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("seed", [47, 196])
 def test_one_length_of_an_event_whose_rightmost_contact_breaks_twice(seed):
     """Series, rupture and dense program: by the overload of the first break, as no later break makes an event shorter."""
@@ -129,6 +131,7 @@ def test_one_length_of_an_event_whose_rightmost_contact_breaks_twice(seed):
     assert float(sp.series(chain, sp.Steps(load), events=1).length[0]) == pytest.approx(plain.reach(order), abs=1e-10)
 
 
+@pytest.mark.ci
 def test_a_series_ends_at_a_load():
     """With the first event at or beyond it; the events before it are the same."""
     whole, cut = long_series(CHAIN), sp.series(CHAIN, events=400, until=4.2)
@@ -175,12 +178,14 @@ def test_the_protocol_decides_what_the_precursors_look_like():
     assert list(stepped.extent[1:6]) == [39, 46, 54, 60, 67]
 
 
+@pytest.mark.ci
 def test_a_stiff_spring_is_no_spring():
     direct, stiff = long_series(CHAIN), long_series(CHAIN, sp.Spring(1e9))
     assert np.array_equal(direct.extent[:30], stiff.extent[:30])
     assert abs(direct.load - stiff.load)[:30].max() < 1e-6
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("stop", [True, False])
 def test_an_event_spans_whatever_pulls_the_edge(stop):
     """The driver's own site is not one of the chain's: the last contact is, and its break ends a series."""
@@ -210,6 +215,7 @@ def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
     assert np.allclose(alone.load[:6], together.load[1], rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_endings_are_reported():
     slider = sp.Slider(*FIG2)
     free = sp.chain(slider, sites=SITES, right="free")

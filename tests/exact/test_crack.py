@@ -70,12 +70,14 @@ def test_without_friction_there_is_no_ceiling():
     assert float(macroscopic_crack_length(b, 0.3, 0.0)) > 100 * float(sp.theory.length_ceiling(0.3))
 
 
+@pytest.mark.ci
 def test_friction_as_strong_as_the_contacts_stops_at_once():
     lengths = sp.exact_length(sp.Slider(25.0, 0.03, 0.3), rule=sp.CrackLike(jnp.array([0.5, 0.9, 0.97, 0.999])))
     assert list(np.diff(lengths) < 0) == [True, True, True] or lengths[-1] == 0
     assert float(lengths[-1]) == 0  # the neighbour of contact 0 holds
 
 
+@pytest.mark.ci
 def test_prestress_above_the_friction_runs_away():
     slider = sp.Slider(25.0, 0.03, 0.3)
     length, status = jax.jit(crack.length)(slider, 0.0, 0.6)
@@ -85,6 +87,7 @@ def test_prestress_above_the_friction_runs_away():
     np.testing.assert_allclose(np.diff(far)[1] / np.diff(far)[0], 2, rtol=0.01)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_against_differences(mode):
     at = jnp.array([40.0, 0.004, 0.3, 0.35, 0.1])

@@ -83,6 +83,7 @@ def test_values_worked_out_before():
     np.testing.assert_allclose(exact_front(tall).length, 54194.6893438, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_exponents_and_amplitudes_worked_out_before():
     @jax.jit
     def leading_terms(x):
@@ -115,6 +116,7 @@ def test_length_contacts_and_load_of_the_reference_table(known):
     np.testing.assert_allclose(front.load, known.load, rtol=1e-11)
 
 
+@pytest.mark.ci
 def test_prestress_sequence_and_runaway():
     known = [*PRESTRESSED, RUNAWAY]
     length, contacts_broken, load, status = fronts(*([*x.slider, x.prestress, 0.0] for x in known))
@@ -133,6 +135,7 @@ def against_recursion(sliders, count):
     return np.max(np.where(seen, np.abs(exact / np.where(seen, recursion, 1) - 1), 0))
 
 
+@pytest.mark.ci
 def test_every_whole_contact_against_the_recursion():
     assert against_recursion(random_sliders(60, 41), 1001) < 1e-11
 
@@ -315,6 +318,7 @@ def rises(theta, s):
     return [rise for rise, _ in each], plain.sound, double_series.died_out(plain, s)
 
 
+@pytest.mark.ci
 def test_plain_table_tells_where_the_rows_it_keeps_suffice():
     sliders = random_sliders(60, 41)
     theta = np.column_stack([sliders, np.zeros((60, 2))]).T
@@ -362,6 +366,7 @@ def counted(modes, phi, eps):
     return -1
 
 
+@pytest.mark.ci
 def test_ceiling_of_the_length_is_the_whole_count():
     rng = np.random.default_rng(49)
     sliders = random_sliders(60, 50)
@@ -482,6 +487,7 @@ def test_newton_is_kept_within_its_bracket():
     np.testing.assert_allclose(s, 20, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_newton_starts_near_the_crossing_of_tall_sliders():
     """By the macroscopic law on soft interfaces, on stiff or prestressed ones by the tail: t(s) all but φ/φ_c + c_2 ρ_2^s."""
     b, phi = np.array([[0.02, 0], [0.1, 0], [30, 0], [100, 0], [30, 0.1], [100, 0.3]]).T
@@ -538,6 +544,7 @@ def test_second_derivatives_agree_in_every_mode():
     np.testing.assert_allclose(over, jax.jit(jax.jacrev(jax.jacfwd(f)))(x), rtol=1e-9, atol=1e-9 * np.abs(over).max())
 
 
+@pytest.mark.ci
 def test_batches_are_the_single_sliders():
     H, q = np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03])
     together = exact_length(sp.Slider(H, q, 0.3))
@@ -546,6 +553,7 @@ def test_batches_are_the_single_sliders():
         np.testing.assert_allclose(together[i, j], exact_front(sp.Slider(H[i, 0], q[j], 0.3)).length, rtol=1e-13)
 
 
+@pytest.mark.ci
 def test_refused_and_undefined_values():
     with pytest.raises(ValueError, match=r"prestress = 1\.5 at index 1"):
         exact_length(FIG2, sp.Interface(np.array([0.0, 1.5])))

@@ -14,6 +14,7 @@ from slippulse_jax.exact.front import exact_fields, exact_front_stress
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("prestress", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_fields_behind_and_ahead_against_a_dense_chain(prestress):
     height, stiffness, poisson, sites = 12.0, 0.05, 0.2, 600
@@ -41,6 +42,7 @@ def test_fields_behind_and_ahead_against_a_dense_chain(prestress):
         pinned[s] += carried[s]
 
 
+@pytest.mark.ci
 def test_series_is_solved_once_for_all_positions():
     """One slider at many s: nothing with an axis of s goes through the loop over degrees."""
     positions = jnp.arange(7.0)

@@ -37,6 +37,7 @@ def arrests(found):
     return np.isfinite(found.length) & (found.length > 0)
 
 
+@pytest.mark.ci
 @pytest.mark.slow  # by its compilation
 def test_against_the_solution_one_by_one():
     lanes = random_lanes(150, 61)
@@ -54,6 +55,7 @@ def test_against_the_solution_one_by_one():
     assert np.all(gradient_of(found)[found.length == 0] == 0)
 
 
+@pytest.mark.ci
 @pytest.mark.slow
 def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     lanes = random_lanes(20_000, 67)
@@ -73,6 +75,7 @@ def test_twenty_thousand_lanes_against_the_solution_one_by_one():
     np.testing.assert_allclose(found[finite & ~long], expected[finite & ~long], atol=1e-11)
 
 
+@pytest.mark.ci
 def test_what_the_far_series_settles_is_right():
     """Sliders of every height, those included whose front stops near the edge, or never starts: each right, or left to others."""
     rng, n = np.random.default_rng(68), 1500
@@ -112,6 +115,7 @@ def near_runaway(count, seed):
     return np.array([*slider, np.minimum(phi, 1 - 1e-9), slope])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [500, pytest.param(150_000, marks=pytest.mark.slow)])
 def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(count):
     """Wrong numbers called arrested were found here, 43 of 96 679; a front the recursion gives up has no whole count to compare."""
@@ -176,6 +180,7 @@ def test_hessian_against_differences_of_the_gradient(numbers):
     assert np.max(np.abs(symmetric[arrested]) / size[arrested, None, None]) < 1e-10
 
 
+@pytest.mark.ci
 @pytest.mark.slow  # by its compilation
 def test_second_derivatives_in_the_slider_alone_are_part_of_all():
     slider = sp.Slider(np.array([10.0, 25.0, 300.0]), np.array([0.003, 0.03, 1e-3]), 0.3)

@@ -61,6 +61,7 @@ def test_onsets_of_the_documentation():
         sp.rebreaking_onset(0.5, 0.3)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("height", [100.0, 1000.0, 10_000.0, 100_000.0])
 def test_recursion_and_closed_form_have_one_onset(height):
     onset = sp.rebreaking_onset(height, 0.3)
@@ -121,6 +122,7 @@ def test_statuses_and_edge_stress_of_random_sliders():
     np.testing.assert_allclose(found, by_recursion.edge_stress[some], rtol=1e-11)
 
 
+@pytest.mark.ci
 def test_length_and_its_derivative_beyond_the_onset():
     """The status tells the regime; the length of the front and its slope stay what they were."""
     slider = slider_of(40.0, 1e4)

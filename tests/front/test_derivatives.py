@@ -57,6 +57,7 @@ def test_gradient_at_200_points(points, gradients):
         assert worst.max() <= 1e-7, theta[i]
 
 
+@pytest.mark.ci
 def test_all_modes_agree(points, gradients):
     """Forward and reverse, of a batch and of one, mapped and not, are one derivative."""
     theta = points[0]

@@ -17,6 +17,7 @@ MACHINES = (0.1, 1.0, 10.0, 1e3)
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ["free", "clamped", "semi-infinite"])
 def test_against_dense_chains(right):
     """Count, length, load, edge stress and outcome for every machine, on chains of 20 to 400 sites and on endless ones."""
@@ -81,6 +82,7 @@ def test_bulk_lengths_on_prestressed_interfaces_with_gradients(right):
     np.testing.assert_allclose(endless, expected, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.ci
 def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
     """Nucleation and arrest, against the dense program; and the force of the drive is what its spring transmits."""
     sites, machine = 60, 10.0
@@ -95,6 +97,7 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
     assert dense.at(np.zeros(sites), float(front.load)).stress()[0] == pytest.approx(1, rel=1e-12)
 
 
+@pytest.mark.ci
 def test_the_machine_stays_while_the_front_runs():
     """The first event of a series under the same spring breaks the same contacts."""
     with jax.enable_x64(True):

@@ -36,7 +36,7 @@ def random_sliders(count, seed):
 
 @pytest.mark.parametrize(
     ("right", "number"),
-    [("semi-infinite", 300), ("free", 6), ("clamped", 6)]
+    [("semi-infinite", 300), *(pytest.param(*x, marks=pytest.mark.ci) for x in (("free", 6), ("clamped", 6)))]
     + [pytest.param(*x, marks=pytest.mark.slow) for x in (("free", 60), ("clamped", 60))],
 )
 def test_against_dense_chain(right, number):
@@ -85,6 +85,7 @@ def test_long_chains_agree_with_the_endless_one():
         assert abs(precursor_length(Slider(25, 0.03, 0.3), right=right, sites=3000) - endless) < 1e-12
 
 
+@pytest.mark.ci
 def test_front_that_reaches_the_end_has_no_length():
     slider = Slider(50, 0.03, 0.3)
     front = first_precursor(slider, right="free", sites=100)
@@ -103,6 +104,7 @@ def test_no_domino():
     assert int(front.status) == Outcome.NO_DOMINO
 
 
+@pytest.mark.ci
 def test_cap_on_breaks_reports_itself():
     slider = Slider(25, 0.03, 0.3)
     with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
@@ -219,6 +221,7 @@ class Guide(NamedTuple):
     weight: Any
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_step_against_the_sum_over_all_earlier_breaks(dtype):
     """Of modes and reflections drawn at random, which are those of no slider; three modes as well as two."""

@@ -19,10 +19,17 @@ from slippulse_jax.status import Outcome
 FIG2 = Slider(25.0, 0.03, 0.3)
 
 
-FEW, ALL = (("semi-infinite", 1), ("free", 3)), (("semi-infinite", 0), ("semi-infinite", 3), ("free", 0), ("free", 1))
+ALL = ("semi-infinite", 0), ("semi-infinite", 3), ("free", 0), ("free", 1)
 
 
-@pytest.mark.parametrize(("right", "delay"), [*FEW, *(pytest.param(*x, marks=pytest.mark.slow) for x in ALL)])
+@pytest.mark.parametrize(
+    ("right", "delay"),
+    [
+        ("semi-infinite", 1),
+        pytest.param("free", 3, marks=pytest.mark.ci),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in ALL),
+    ],
+)
 def test_against_dense_chain(right, delay):
     rng = np.random.default_rng([delay, right == "free"])
     sites = 80
@@ -51,6 +58,7 @@ def test_against_dense_chain(right, delay):
             assert abs(got.length - dense_chain.crossing(excess)) < 1e-8
 
 
+@pytest.mark.ci
 def test_profile_against_dense_chain():
     rng = np.random.default_rng(5)
     for delay in (0, 2):
@@ -64,6 +72,7 @@ def test_profile_against_dense_chain():
         assert abs(got.arrest.stress - stress).max() < 1e-9
 
 
+@pytest.mark.ci
 def test_negative_prestress_in_bulk_and_in_the_cascade():
     """Sheared against the push: batches, and every break of the general cascade, as dense solves have them."""
     rng = np.random.default_rng(11)
@@ -87,6 +96,7 @@ def test_negative_prestress_in_bulk_and_in_the_cascade():
         assert order == list(site[:count])
 
 
+@pytest.mark.ci
 def test_stress_is_all_that_a_contact_carries():
     """Prestress included: contact 0 is at its threshold at nucleation, and the contact ahead carries the front stress."""
     front = first_precursor(FIG2, interface=Interface(0.3), recorded_sites=80)
@@ -96,6 +106,7 @@ def test_stress_is_all_that_a_contact_carries():
     assert abs(front.edge_stress - front.arrest.stress[0]) < 1e-12
 
 
+@pytest.mark.ci
 def test_no_prestress_no_slope_no_delay_is_the_papers_interface():
     sliders = Slider([5.0, 25.0, 60.0], [[0.3], [0.003]], 0.3)
     assert abs(precursor_length(sliders, interface=Interface()) - precursor_length(sliders)).max() < 1e-11
@@ -155,6 +166,7 @@ def test_falling_thresholds_run_away_where_nothing_holds():
     assert np.isfinite(precursor_length(FIG2, interface=Interface(threshold_slope=-0.005)))
 
 
+@pytest.mark.ci
 def test_derivatives():
     def length(x):
         return precursor_length(Slider(x[0], x[1], x[2]), interface=Interface(x[3], x[4], 2))
@@ -188,6 +200,7 @@ def test_reverse_derivatives_with_respect_to_a_profile():
     assert np.allclose(forward, by_threshold, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_profile_that_nothing_stops():
     """Beyond its last value a profile is uniform: endless if the prestress is beyond φ_c there, whatever it was before."""
     critical = (1 + float(lattice_modes(FIG2).weight.sum())) / 2

@@ -96,6 +96,7 @@ def test_derivatives_in_its_own_numbers():
     np.testing.assert_allclose(bulk.slider.height, (up - down) / (2 * h), rtol=1e-5)
 
 
+@pytest.mark.ci
 def test_batches_and_bulk():
     """Its numbers broadcast with the slider's; rules of two classes with the same numbers are told apart."""
     rule = EvenBreak(width=np.array([0.01, 0.03])[:, None], lean=np.array([1.0, 0.5, 0.0]))
@@ -158,5 +159,6 @@ def test_one_rule_where_one_is_taken():
             taker(batch)
 
 
+@pytest.mark.ci
 def test_static_fields_are_kept(plain):
     assert sp.precursor_lengths(FIG2, rule=NamedBreak(width=0.03, lean=0.5)) == pytest.approx(plain.length, abs=1e-9)

@@ -12,6 +12,8 @@ from slippulse_jax.front.arrest import arrest
 from slippulse_jax.front.sensitivity import sensitivity
 from slippulse_jax.rules import HardBreak, SmoothBreak
 
+pytestmark = pytest.mark.ci
+
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 SITES = 200
 RULES = [HardBreak(), SmoothBreak(width=0.02), SmoothBreak(width=1e-3)]
@@ -57,7 +59,6 @@ def test_length_is_that_of_recursion_surrogate_and_cascade():
     np.testing.assert_allclose(np.asarray(found.stress)[:n], event.released[:n], rtol=1e-10)
 
 
-@pytest.mark.ci
 def test_it_is_the_reverse_mode_of_the_surrogate_in_a_chain():
     theta, phi = (jnp.asarray(x) for x in fields(3))
     theta = theta.at[0].set(0.9)
@@ -74,7 +75,6 @@ def test_it_is_the_reverse_mode_of_the_surrogate_in_a_chain():
     np.testing.assert_allclose(found.prestress, by_phi, rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.ci
 def test_stress_scale_does_not_matter():
     """Λ is independent of σ_s: raising every threshold and prestress by the same factor changes nothing (claim C6)."""
     theta, phi = fields(4)
@@ -97,7 +97,6 @@ def test_a_front_that_does_not_end_within_the_sites_says_so():
         assert np.isnan(found.prestress).all()
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize("double", [True, False])
 def test_under_strict_promotion(double):
     """No number changes its type by itself."""

@@ -67,6 +67,7 @@ def test_fraction_broken_is_the_distribution_it_says():
             np.testing.assert_allclose(found, line, rtol=1e-7)
 
 
+@pytest.mark.ci
 def test_narrow_rule_is_the_hard_model():
     h, q, nu = random_sliders(200, 1)
     exact = np.asarray(hard(h, q, nu))
@@ -94,6 +95,7 @@ def test_mean_bias_vanishes_at_second_order():
     np.testing.assert_allclose(rates, 2.0, atol=0.2)
 
 
+@pytest.mark.ci
 def test_one_slider_has_an_exponentially_small_bias():
     """Once w is small beside every |t − θ|, the bias falls faster than any power of w."""
     widths = np.array([4e-3, 2e-3, 1e-3, 5e-4])
@@ -145,6 +147,7 @@ def test_chain_and_recursion_give_the_same_smooth_length():
         np.testing.assert_allclose(found.length, length(height, 0.03, 0.3, width)[0], rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_rupture_of_a_chain_approaches_the_hard_one():
     rng = np.random.default_rng(7)
     threshold = jnp.asarray(1 + 0.01 * rng.uniform(-1, 1, 120))

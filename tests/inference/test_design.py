@@ -24,6 +24,7 @@ def normal_prior(sd, nodes=801):
     return sp.Knowledge(sd * x, np.exp(-(x**2) / 2))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("sd", "slope", "sigma"), [(0.5, 3.0, 1.0), (0.2, 0.1, 0.5), (1.0, -20.0, 2.0)])
 def test_linear_gaussian_limit(sd, slope, sigma):
     """I = ½ ln(1 + s²J²/σ²) and 1/var = 1/s² + J²/σ², for one experiment and for three."""
@@ -127,6 +128,7 @@ def test_nothing_is_learnt_at_the_peak_nor_on_the_plateau():
     assert "no candidate adds much information" in flat.report()
 
 
+@pytest.mark.ci
 def test_roots_of_one_length_are_told_apart_elsewhere():
     """25.9 ± 0.1 at H/λc = 25 has two roots; a taller block parts them."""
     one = sp.Measurements(height=25.0, poisson=0.3, length=25.9, length_sigma=0.1)
@@ -223,6 +225,7 @@ def test_a_sample_without_weight_teaches_nothing():
         assert np.isfinite(found.information_error[0])
 
 
+@pytest.mark.ci
 def test_a_fit_is_the_knowledge_of_its_measurements():
     """To what the interpolated profile of a fit gives away."""
     one = sp.Measurements(height=25.0, poisson=0.3, length=25.0, length_sigma=0.3)
@@ -342,6 +345,7 @@ def test_at_what_height_to_push_a_block():
     np.testing.assert_allclose([c["information"] for c in said["candidates"]], plan.information, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_a_push_is_over_the_height_of_its_block_or_in_mm():
     """One h/H for blocks of several heights scales with each; mm stay mm. As for a block, and for `sweep`."""
     known = sp.Knowledge.lognormal(9e10, 0.2, in_si=True)

@@ -44,6 +44,7 @@ def recovered():
     return sp.recover_profile(measured(dense_lengths(wave(), 0 * X), 0.1, seed=1), stiffness=STIFFNESS)
 
 
+@pytest.mark.ci
 def test_a_known_threshold_profile_is_recovered_within_its_error(recovered):
     at = np.arange(5, 30, 3)
     low, high = (np.interp(at, recovered.position, end) for end in recovered.interval(0.99))
@@ -140,7 +141,7 @@ def test_gaussian_algebra_against_the_textbook():
     np.testing.assert_allclose(spread, covariance + np.outer(mean, mean))
 
 
-@pytest.mark.parametrize("kind", ["threshold", "prestress"])
+@pytest.mark.parametrize("kind", [pytest.param("threshold", marks=pytest.mark.ci), "prestress"])
 def test_one_length_is_never_a_profile(kind):
     one = sp.Measurements(height=25, poisson=POISSON, length=26.0, length_sigma=0.3)
     found = sp.recover_profile(one, stiffness=STIFFNESS, kind=kind)
@@ -376,6 +377,7 @@ def test_measurements_that_are_no_lengths_of_one_interface_are_refused(columns, 
         sp.recover_profile(m, stiffness=STIFFNESS)
 
 
+@pytest.mark.ci
 def test_a_count_stands_for_the_middle_of_its_contact():
     count = sp.Measurements(height=[20, 25], poisson=POISSON, length=[22.0, 26.0], length_sigma=0.0, kind=("whole",) * 2)
     plain = sp.Measurements(height=[20, 25], poisson=POISSON, length=[21.5, 25.5], length_sigma=12**-0.5)

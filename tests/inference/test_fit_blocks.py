@@ -82,6 +82,7 @@ def test_derivatives_of_a_tall_block_at_a_fixed_order_of_breaks():
         assert float(found[i]) == pytest.approx((up - down) / (2 * step * at[i]), rel=1e-5)
 
 
+@pytest.mark.ci
 def test_a_length_varies_as_the_inverse_of_the_number_of_contacts():
     """What the extrapolation rests on: halving the contacts' size twice halves the change."""
     lengths = [float(sp.precursor_length(sp.Block(h, 1 / (2.6 * h), 0.3), sites=256)) / h for h in (50.0, 100.0, 200.0)]
@@ -111,6 +112,7 @@ def test_nodes_of_the_package_are_what_it_computes():
         np.testing.assert_allclose(grid.known[node], grid.compute(np.array([node]) * grid.spacing)[0], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.ci
 def test_soft_blocks_have_no_precursor():
     """Below b = 0.01 or so the neighbour of the first contact stays below its threshold, however fine the contacts."""
     found, _ = block_lengths(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
@@ -140,13 +142,18 @@ def test_prestressed_tall_blocks_have_the_length_of_every_contact(b, push, prest
     assert float(off) < 0.03 * float(found)
 
 
-@pytest.mark.parametrize(("b", "prestress"), [(10.0, 0.5), (10.0, 0.53), (10.0, 0.6), (10.0, 0.8), (1.0, 0.56)])
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    ("b", "prestress"),
+    [(10.0, 0.5), (10.0, 0.8), (1.0, 0.56), *(pytest.param(10.0, phi, marks=pytest.mark.slow) for phi in (0.53, 0.6))],
+)
 def test_tall_blocks_whose_event_does_not_stop_are_refused(b, prestress):
     """Coarser contacts would stop it: after 2.1, 2.9, 3.9, 0 and 1.4 heights."""
     with pytest.raises(ValueError, match=r"the event of Block\(height=5000.* farther than can be followed; .* may never stop"):
         sp.precursor_length(*at_prestress(5000.0, b, 0.1, prestress))
 
 
+@pytest.mark.ci
 def test_a_tall_block_on_falling_thresholds_is_refused():
     """Its length was NaN."""
     block, _ = at_prestress(5000.0, 1.0, 0.1, 0.0)
@@ -173,6 +180,7 @@ def test_events_that_do_not_stop_are_inf_in_bulk():
     assert np.isfinite(found.block_precursor_length.sel(prestress=0.3)).all()
 
 
+@pytest.mark.ci
 def test_a_fit_of_lengths_where_no_event_stops():
     m = sp.Measurements(
         height=[30.0, 40.0], poisson=0.3, length=[20.0, 30.0], length_sigma=0.5, push_height=[3.0, 4.0], prestress=0.8
@@ -193,6 +201,7 @@ def test_decay_of_an_edge_load(b, decay):
 # --- fits ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_a_table_that_says_where_it_is_pushed_is_fitted_as_a_block(study, fitted):
     stiffness, m = study
     assert fitted.parameters.front.body == "block"
@@ -225,6 +234,7 @@ def test_where_the_side_is_pushed_decides(study):
     assert slider.values["stiffness"] == pytest.approx(higher.values["stiffness"] * moved, rel=1e-6)
 
 
+@pytest.mark.ci
 def test_an_error_of_the_height_of_the_push_is_fitted_beside(study, fitted):
     _, m = study
     found = sp.fit(dataclasses.replace(m, push_height_sigma=0.02 * m.push_height))
@@ -306,7 +316,7 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
         ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
         ({"block_length": 9 * HEIGHT}, {}, r"block_length beside push_height: a fit of a block takes one without an end"),
         ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
-        ({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'"),
+        pytest.param({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'", marks=pytest.mark.ci),
         ({}, {"body": "brick"}, r"body = 'brick': must be one of 'slider', 'block'"),
     ],
 )  # fmt: skip
@@ -352,6 +362,7 @@ def test_the_command_has_lengths_of_blocks():
         assert message in refused.output
 
 
+@pytest.mark.ci
 def test_lengths_by_finite_elements_that_share_nothing_with_the_package():
     """The program of `fit_examples/pushed_block`: other elements, another mesh, twelve heights with a free end."""
     spec = importlib.util.spec_from_file_location("make_data", ROOT / "fit_examples/pushed_block/make_data.py")

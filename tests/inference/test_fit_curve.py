@@ -37,6 +37,7 @@ def test_lengths_at_other_heights_are_exact():
     assert not family.breaks_again.all()
 
 
+@pytest.mark.ci
 def test_no_stiffness_gives_more_than_the_longest():
     result = fitted()
     ratio = np.exp(np.linspace(result.parameters.low[0], result.parameters.high[0], 4001))[:, None]

@@ -34,6 +34,7 @@ def measured(length, **more):
     return sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.01 * length, **more)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("machine", [MACHINE, pytest.param(None, marks=pytest.mark.ci)])
 def test_a_fit_that_knows_the_ends_recovers_the_stiffness(machine):
     """Lengths of the dense program; the fit that takes the block as endless is far off, and says so by nothing."""
@@ -108,6 +109,7 @@ def test_a_front_that_ran_through_the_block():
     assert sp.fit(ran, intervals="profile").deviance > 100
 
 
+@pytest.mark.ci
 def test_a_minimum_beside_a_kink_is_found():
     """Study 150 of benchmarks/ends_coverage.py: 1e-4 in ln k from the least deviance a length reaches a whole contact."""
     m = sp.Measurements(
@@ -205,6 +207,7 @@ def test_the_report_says_what_an_unstated_end_and_machine_would_move():
     assert force == pytest.approx(FirstFront().regime(Inputs.of([40.0], 0.004, 0.3)).edge_stiffness[0], rel=0.03)
 
 
+@pytest.mark.ci
 @pytest.mark.filterwarnings("ignore:the lengths are about 3.34 times")
 def test_fronts_that_ran_through_blocks_taken_as_endless_are_a_misfit():
     """Far beyond the longest length of the model, by counts without error: no number, and no failure of the search."""

@@ -89,6 +89,7 @@ def test_the_model_of_a_fit_is_continuous_and_takes_a_prestress():
     np.testing.assert_allclose(whole_over_front(lane), whole / front, rtol=0.01)
 
 
+@pytest.mark.ci
 def test_small_errors_get_the_steps_of_the_length_added():
     _, m = study(20.0, error=1e-3)
     result = sp.fit(m, event="full")
@@ -97,6 +98,7 @@ def test_small_errors_get_the_steps_of_the_length_added():
     assert any("steps where the order of its breaks changes" in note for note in result.notes)
 
 
+@pytest.mark.ci
 def test_counts_of_whole_events_have_the_error_of_the_model():
     """An interpolated length cannot hold a count to a few per cent of a contact."""
     stiffness, m = study(20.0)
@@ -108,6 +110,7 @@ def test_counts_of_whole_events_have_the_error_of_the_model():
     assert piece.low < stiffness < piece.high
 
 
+@pytest.mark.ci
 def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
     _, m = study(6.5)
     rows = zip(m.height, m.length, m.sigma, strict=True)
@@ -123,6 +126,7 @@ def test_the_command_takes_it_and_a_request_repeats_it(tmp_path):
     assert as_request(again.request) == content["request"]
 
 
+@pytest.mark.ci
 def test_what_a_fit_of_whole_events_does_not_take():
     _, m = study(6.5)
     with pytest.raises(ValueError, match=r"event = 'whole': must be one of 'domino', 'full', 'crack'"):

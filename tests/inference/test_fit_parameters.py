@@ -216,6 +216,7 @@ def test_an_improbable_count_is_as_rare_as_its_cost_says():
     assert 1.9 < worst < 2.001
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["at_least", "whole"])
 def test_a_misfit_beside_a_limit_or_a_count_is_seen(kind):
     """Two lengths of different stiffnesses, with a third that the model may meet or miss: 0.2 said that it fits."""
@@ -282,6 +283,7 @@ def test_losses():
     assert [INFORMATION[loss] for loss in ("normal", "student")] == pytest.approx([1, score], rel=1e-9)
 
 
+@pytest.mark.ci
 def test_whole_contacts_without_blur_allow_the_interval_of_stiffness():
     """26 contacts at H/λc = 25, σ = 0: the values of k/K with 25 < ℓ ≤ 26, in two pieces, and no best one."""
     result = fit(Measurements(height=[25.0], poisson=0.3, length=26, length_sigma=0.0, kind=["whole"]))
@@ -303,6 +305,7 @@ def test_all_censored_is_one_sided_and_never_a_number():
     assert not piece.open_low
 
 
+@pytest.mark.ci
 def test_one_outlier():
     """Student's loss stays near the truth where least squares does not."""
     length = model(HEIGHTS, 0.004)
@@ -330,6 +333,7 @@ def test_uncertain_inputs_widen_the_error_as_propagation_says():
     assert log_width(wide, 0.6827) / 2 == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.ci
 def test_prestress_of_either_sign_beside_a_front_that_ran_away():
     """The truth back; and each row's front ends as its own conditions have it, whatever those of the others are."""
     phi = np.array([-0.3, 0.0, 0.3, -0.01, 0.6])
@@ -342,6 +346,7 @@ def test_prestress_of_either_sign_beside_a_front_that_ran_away():
     assert list(result.front_status) == [Outcome.ARRESTED] * 4 + [Outcome.RUN_AWAY]
 
 
+@pytest.mark.ci
 def test_two_parameters_are_found_and_correlated():
     """k/K and a common prestress from heights and known data: the truth back, and the profile against a grid."""
     truth = 0.006, 0.2
@@ -378,6 +383,7 @@ def test_areal_stiffness_and_young_together_are_refused_a_number():
     np.testing.assert_allclose(np.abs(first["coefficients"]), np.sqrt(0.5), rtol=1e-6)
 
 
+@pytest.mark.ci
 def test_force_and_displacement_give_the_strength():
     """σ_s is in the load at nucleation and not in the length."""
     areal, young, lc, strength = 2e10, 3e9, 1e-5, 2e6
@@ -395,6 +401,7 @@ def test_force_and_displacement_give_the_strength():
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
     load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
@@ -441,6 +448,7 @@ def test_scatter_of_many_lengths_is_that_of_their_errors(loss):
     assert result.scatter == pytest.approx(2, rel=2.5 * (0.016 if loss == "student" else 0.012))
 
 
+@pytest.mark.ci
 def test_scaled_errors():
     """σ doubled, all of them: same value, same error when only their ratios are believed; half with σ given."""
     rng = np.random.default_rng(3)
@@ -520,6 +528,7 @@ def test_rise_is_the_quantile_of_chi_squared(dof):
         assert chi2.cdf(rise_of(level, dof), dof) == pytest.approx(level, rel=1e-12)
 
 
+@pytest.mark.ci
 def test_a_root_that_nothing_determines_has_no_error():
     """Of two specimens, one with a count alone, which a range of stiffness gives: no ± of many times the value."""
     height = np.array([30.0, 40.0, 50.0, 50.0])
@@ -586,6 +595,7 @@ def test_bounds_of_the_ratio_on_a_table_in_si_are_refused(body):
     assert low < result.values["areal_stiffness"] < high
 
 
+@pytest.mark.ci
 def test_bounds_are_refused_where_no_domino_starts_and_only_there(monkeypatch):
     """Too soft and too stiff; not where a prestress that is fitted lengthens fronts, nor where a single contact was counted."""
 

@@ -51,7 +51,7 @@ def tabulated(m):
     return length
 
 
-@pytest.mark.parametrize("loss", ["normal", "student"])
+@pytest.mark.parametrize("loss", ["normal", pytest.param("student", marks=pytest.mark.ci)])
 def test_density_is_the_objective(loss, monkeypatch):
     """At random points, with counts, censoring and a prior."""
     monkeypatch.setattr(FirstFront, "traced", outside)
@@ -65,6 +65,7 @@ def test_density_is_the_objective(loss, monkeypatch):
     np.testing.assert_allclose(-np.asarray(density), problem(theta).value, rtol=1e-9)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_traced_length_is_that_of_the_fit(relaxed):
     inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)

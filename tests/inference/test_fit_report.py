@@ -46,6 +46,7 @@ def two_specimens(scale=(1.0, 1.0), **columns):
 # --- which error to publish ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_an_uneven_interval_is_the_one_to_publish():
     """Where the profile interval and ± differ by more than a fifth, and nowhere else."""
     said = {}
@@ -73,6 +74,7 @@ def test_a_size_of_errors_from_few_lengths_widens_the_interval():
     assert found == pytest.approx([1.32, 1.32], abs=0.06)
 
 
+@pytest.mark.ci
 def test_total_interval_is_that_of_a_fit_with_the_error_stated():
     """A modulus known to 30 %: its error is in the budget of one fit, and in the interval of the other."""
     m = sp.read_measurements(EXAMPLES / "pmma_block/lengths.csv")
@@ -197,6 +199,7 @@ def test_pulls_scatter_as_the_remark_supposes():
     assert seen <= 6  # more than that have a probability of 0.3 %
 
 
+@pytest.mark.ci
 def test_a_pulled_model_factor_is_remarked_on():
     """Lengths that grow with the height less than those of any slider do."""
     m = lengths(provenance=("measured",) * 6)
@@ -210,6 +213,7 @@ def test_a_pulled_model_factor_is_remarked_on():
 # --- blocks -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("held", [None, 1.0, 1.1])
 def test_no_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     """A fit of a block would find another factor; held at one, it has nothing to take up."""
@@ -257,6 +261,7 @@ def test_fronts_are_longer_or_shorter_as_the_report_says():
 EACH = sp.Parameter("stiffness", each="specimen")
 
 
+@pytest.mark.ci
 def test_the_total_of_a_ratio_has_what_specimens_do_not_share():
     """Heights are measured of each specimen; Poisson's ratio is one. By refits with the inputs moved by their usual errors."""
     specimen, noise = np.array(["A"] * 3 + ["B"] * 3), 0.01 * NOISE
@@ -280,6 +285,7 @@ def test_the_total_of_a_ratio_has_what_specimens_do_not_share():
     assert re.search(rf"│ B over A +{re.escape(value_with_error(ratio, whole))}  ", result.report())
 
 
+@pytest.mark.ci
 def test_one_specimen_that_is_not_determined_leaves_the_error_of_the_other():
     """Three lengths of A, one count of whole contacts of B: each as it is alone."""
     m = sp.Measurements(
@@ -304,6 +310,7 @@ def test_one_specimen_that_is_not_determined_leaves_the_error_of_the_other():
     assert np.asarray(sp.exact_lengths(sp.Slider(30.0, ends, 0.3))) == pytest.approx([19, 20, 20, 19], abs=0.05)
 
 
+@pytest.mark.ci
 def test_where_the_scatter_is_larger_than_sigma_one_stiffness_for_each_is_tried():
     """A fit that is not rejected, of two specimens that differ by a little more than chance."""
     table = two_specimens(length_sigma_mm=0.3).drop(columns="young_sigma_GPa")
@@ -328,6 +335,7 @@ def test_what_to_try_next_keeps_the_priors_of_the_fit():
 # --- how intervals were found -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_intervals_by_simulation_are_called_so(tmp_path):
     """By default too, where valleys compete; and not those of counts, which no simulation has."""
     near = sp.Measurements(30.0, 0.3, [27.0, 29.0, 30.0], 1.2)
@@ -346,6 +354,7 @@ def test_intervals_by_simulation_are_called_so(tmp_path):
     assert "(simulated)" not in plain.report(verbose=True)
 
 
+@pytest.mark.ci
 def test_a_block_without_the_like_of_a_slider_has_a_report(monkeypatch):
     """Where no fit of a slider is found to the lengths of a block, the report says so instead of failing."""
     result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
@@ -403,6 +412,7 @@ def test_sigma_is_shown_with_what_is_added_to_it():
     assert "which is added to σ in quadrature" in said
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("verbose", [False, True])
 def test_counts_have_no_best_value_and_no_sigma(verbose):
     result = sp.fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
@@ -416,6 +426,7 @@ def test_counts_have_no_best_value_and_no_sigma(verbose):
     assert f"k/K {value}" not in report
 
 
+@pytest.mark.ci
 def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     """Lengths of a pusher 0.1 H high, fitted as if it covered all above: the factor leads from one stiffness to the other."""
     push, k = np.arange(0.25, 0.56, 0.05), 8e-3
@@ -471,6 +482,7 @@ def test_what_the_errors_come_from_is_said():
     assert "The error does not contain that of the model." in alone.methods()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("made", ["stated", "measured"])
 def test_the_deviance_is_that_of_residuals_and_inputs(made):
     """Where inputs are fitted within their errors χ² is more than the residuals squared: the report says how much more."""
@@ -575,6 +587,7 @@ def test_changes_of_an_offset_are_in_order_too():
 MIXED = {"kind": ["whole", "whole", "length", "length", "at_least", "length"]}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("made", ["counts and limits", "an offset"])
 def test_a_model_factor_moves_the_result_as_one_that_is_held(made):
     if made == "an offset":
@@ -594,6 +607,7 @@ def test_a_model_factor_moves_the_result_as_one_that_is_held(made):
         assert moved == pytest.approx(by, rel=1e-3)
 
 
+@pytest.mark.ci
 def test_fronts_without_arrest_alone_bound_the_stiffness_and_have_no_best_value():
     m = sp.Measurements([200.0, 400.0], 0.3, [100.0, 250.0], 5.0, kind=["at_least"] * 2)
     result = sp.fit(m)
@@ -608,6 +622,7 @@ def test_fronts_without_arrest_alone_bound_the_stiffness_and_have_no_best_value(
     assert "without a best value" in result.methods()
 
 
+@pytest.mark.ci
 def test_each_specimen_has_the_factor_of_a_block_of_its_own_lengths():
     stiffness = np.repeat([3e-4, 1e-3], 6)
     height = np.tile(HEIGHT, 2)

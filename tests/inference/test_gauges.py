@@ -48,6 +48,7 @@ def at_gauges(height, stiffness, prestress, place, beyond, counted):
     return Inputs.of(height, stiffness, 0.3, prestress).given(**dict(zip(names, further, strict=True)))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("height", "stiffness", "prestress"), [(25.0, 0.03, 0.0), (40.0, 0.01, 0.2), (15.0, 0.1, 0.3)])
 def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
     """Whole counts to rounding; between them a smooth step; between contacts a straight line."""
@@ -117,6 +118,7 @@ def test_objective(kind):
         np.testing.assert_allclose(density, -found.value[0], rtol=1e-9)
 
 
+@pytest.mark.ci
 def test_fit_to_what_the_dense_program_makes():
     """Without noise the counted precursors give the truth back, stiffness and strength."""
     m = dataclasses.replace(table(), label=("A", "B"))
@@ -179,6 +181,7 @@ def test_coverage_where_contacts_break_once_and_again():
     assert found["again"].refused.value == 1
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("ratio", [0.05, 0.1])
 def test_gauges_refuse_where_contacts_break_again(ratio):
     """Readings after the whole event do not fit those of its front: no number, whether the best fit lies beyond the onset or not."""

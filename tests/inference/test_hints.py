@@ -48,6 +48,7 @@ def steps_of(m):
     return result.next_steps
 
 
+@pytest.mark.ci
 def test_specimens_of_different_stiffness():
     two = np.where(np.arange(6) % 2, lengths(0.002), lengths(0.008))
     m, steps = rejected(two + NOISE, specimen=tuple("ABABAB"))
@@ -60,6 +61,7 @@ def test_specimens_of_different_stiffness():
     assert [curve.get_color() for curve in curves] == [drawn[0].get_color() for drawn in ax.containers]
 
 
+@pytest.mark.ci
 def test_one_outlier():
     typo = (lengths(0.004) + NOISE) * np.where(np.arange(6) == 2, 1.6, 1)
     m, steps = rejected(typo)
@@ -70,6 +72,7 @@ def test_one_outlier():
     assert sp.fit(m, loss="student").values["stiffness"] == pytest.approx(0.004, rel=0.1)
 
 
+@pytest.mark.ci
 def test_a_trend_in_height():
     _, steps = rejected(lengths(0.004, prestress=0.3) + NOISE)
     assert "too long on low blocks and too short on tall ones" in steps[0]
@@ -77,6 +80,7 @@ def test_a_trend_in_height():
     assert any("columns push_height and push_width" in step for step in steps)
 
 
+@pytest.mark.ci
 def test_mere_scatter():
     _, steps = rejected(lengths(0.004) + 8 * NOISE)
     assert len(steps) == 1
@@ -90,10 +94,25 @@ HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sig
     ("header", "rows", "hint"),
     [
         (HEADER, "14.03,10,0.3,3,25,0.5\n36.2,10,0.3,3,50,0.5\n9,10,0.3,3,20,0.5", "are height_mm and length_mm exchanged"),
-        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "is height_mm in m, or is length_mm in um?"),
-        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "times the longest attainable, 0.0[0-9]+ mm"),
+        pytest.param(
+            HEADER,
+            "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5",
+            "is height_mm in m, or is length_mm in um?",
+            marks=pytest.mark.ci,
+        ),
+        pytest.param(
+            HEADER,
+            "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5",
+            "times the longest attainable, 0.0[0-9]+ mm",
+            marks=pytest.mark.ci,
+        ),
         (HEADER, "25,10,0.3,3,0.01403,0.0005\n50,10,0.3,3,0.0362,0.0005", "is height_mm in um, or is length_mm in m?"),
-        (HEADER, "25,0.01,0.3,3,14.03,0.5", "10 nm is that of no rough interface: is correlation_length_um in mm?"),
+        pytest.param(
+            HEADER,
+            "25,0.01,0.3,3,14.03,0.5",
+            "10 nm is that of no rough interface: is correlation_length_um in mm?",
+            marks=pytest.mark.ci,
+        ),
         (HEADER, "0.025,10,0.3,3,0.01403,0.0005", "every height is below 1 mm: is height_mm in m?"),
         (HEADER, "25,10,0.3,3000,14.03,0.5", "3000 GPa is above diamond's: is young_GPa in MPa?"),
         (HEADER.replace("height_mm", "height_cm"), "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,4,0.5", None),
@@ -193,6 +212,7 @@ def test_without_a_correlation_length_heights_are_in_its_units():
     assert said == "height = 0.025 λc, where height says 25 λc: priors, bounds and held values are in λc"
 
 
+@pytest.mark.ci
 def test_lengths_that_nothing_reaches_and_a_single_one():
     """Where no domino starts no length is so many times the longest; one length is no "1 of 1 lengths"."""
 

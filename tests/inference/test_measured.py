@@ -21,6 +21,7 @@ def lengths():
     return sp.Measurements(HEIGHT, 0.3, length, sigma, provenance=["measured"] * 6)
 
 
+@pytest.mark.ci
 def test_standard_error_is_that_of_correlated_lengths(lengths):
     """By generalised least squares: the two errors are covariances of the lengths."""
     result = sp.fit(lengths)
@@ -37,6 +38,7 @@ def test_standard_error_is_that_of_correlated_lengths(lengths):
     assert 'fixed={"offset": 0, "model_factor": 1} leaves the errors of the lengths alone' in result.report()
 
 
+@pytest.mark.ci
 def test_held_they_leave_the_error_of_the_lengths(lengths):
     plain = sp.fit(dataclasses.replace(lengths, provenance=()))
     held = sp.fit(lengths, fixed={"offset": 0, "model_factor": 1})
@@ -45,6 +47,7 @@ def test_held_they_leave_the_error_of_the_lengths(lengths):
     assert held.stderrs["stiffness"] < 0.2 * sp.fit(lengths).stderrs["stiffness"]
 
 
+@pytest.mark.ci
 def test_a_fit_repeated_from_its_record_is_the_same(lengths):
     from slippulse_jax.inference.record import from_request
 
@@ -64,6 +67,7 @@ def test_only_beside_measured_lengths(lengths, case):
     assert sp.fit(lengths).parameters.names == ["stiffness"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("case", ["relative", "no errors"])
 def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
     """By generalised least squares with σ of the size of the scatter; an offset would need σ for its prior."""
@@ -84,6 +88,7 @@ def test_a_nuisance_needs_a_prior():
         sp.Parameter("offset", nuisance=True)
 
 
+@pytest.mark.ci
 def test_lengths_that_share_a_factor_are_not_too_long():
     """A tenth above the longest of the model is named of exact lengths, and within the model factor of measured ones."""
     longest = sp.fit(sp.Measurements(HEIGHT, 0.3, 0.8 * HEIGHT, 0.02 * HEIGHT), intervals="profile").attainable
@@ -95,6 +100,7 @@ def test_lengths_that_share_a_factor_are_not_too_long():
     assert "above the longest" not in said["measured"]
 
 
+@pytest.mark.ci
 def test_report_names_what_measured_lengths_would_share():
     length = sp.precursor_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)) * (1 + 0.02 * np.array([1, -1, 1, -1, 1, -1]))
     with_sigma = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.03 * length)).report()

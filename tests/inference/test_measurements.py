@@ -328,6 +328,7 @@ def test_what_is_no_dataframe_is_named():
     assert from_dataframe(row.to_frame().T).length == from_dataframe(table).length
 
 
+@pytest.mark.ci
 def test_an_optional_column_of_blanks_is_as_if_absent():
     table = pd.DataFrame({"height_mm": [25.0, 50, 75], "correlation_length_um": 10, "poisson": 0.3, "young_GPa": 3.0})
     table = table.assign(length_mm=[14.0, 34, 59], length_sigma_mm=0.5)

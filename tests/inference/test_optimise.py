@@ -49,9 +49,11 @@ def two_wells():
 LOW, HIGH = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
 STARTS = np.random.default_rng(0).uniform(LOW, HIGH, (20, 2))
 CLOSE = {"lm": 1e-6, "lbfgs": 1e-4, "adam": 1e-2}
+METHODS = [method if method == "lm" else pytest.param(method, marks=pytest.mark.ci) for method in get_args(Method)]
+"""The one that fits use unless told otherwise, and those of optax, which compile."""
 
 
-@pytest.mark.parametrize("method", get_args(Method))
+@pytest.mark.parametrize("method", METHODS)
 def test_bent_valley(method):
     found = minimise(valley(), STARTS, LOW, HIGH, method=method)
     reached = np.abs(found.theta - 1).max(axis=1) < CLOSE[method]
@@ -70,7 +72,7 @@ def test_both_wells_are_found(method):
     assert set(side.ravel()) == {-1, 1}
 
 
-@pytest.mark.parametrize("method", get_args(Method))
+@pytest.mark.parametrize("method", METHODS)
 def test_minimum_on_a_side_of_the_box(method):
     """Beyond x = ½ is forbidden: the valley's least value there is at (½, ¼)."""
     found = minimise(valley(), STARTS, LOW, np.array([0.5, 2.0]), method=method, max_steps=100)
@@ -88,7 +90,7 @@ def test_held_coordinates_stay(method):
     np.testing.assert_allclose(found.theta[:, 1], start[:, 0] ** 2, atol=CLOSE[method])
 
 
-@pytest.mark.parametrize("method", get_args(Method))
+@pytest.mark.parametrize("method", METHODS)
 def test_flat_and_endless_starts_are_named(method):
     """A floor at x < 0 that knows nothing, and no value at all beyond x = 1."""
     function = valley()
@@ -105,6 +107,7 @@ def test_flat_and_endless_starts_are_named(method):
     np.testing.assert_array_equal(found.theta[:2], [[-1.0, 0.0], [1.8, 0.0]])
 
 
+@pytest.mark.ci
 def test_finished_starts_cost_nothing_more():
     """Twenty starts at the minimum beside one that has far to go: no more looks than that one needs."""
     far = np.array([[-1.9, 1.9]])

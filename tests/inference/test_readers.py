@@ -70,6 +70,7 @@ def peak(read, path):
         tracemalloc.stop()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("read", "texts"),
     [

@@ -33,12 +33,15 @@ def two_specimens():
     ("table", "options"),
     [
         (str(LENGTHS), {}),
-        (str(LENGTHS), {"sigma": "relative"}),
-        (two_specimens(), {"free": [sp.Parameter("stiffness", bounds=(1e-4, 0.1), each="specimen"), "offset"], "intervals": "profile"}),
+        pytest.param(str(LENGTHS), {"sigma": "relative"}, marks=pytest.mark.ci),
+        pytest.param(
+            two_specimens(), {"free": [sp.Parameter("stiffness", bounds=(1e-4, 0.1), each="specimen"), "offset"], "intervals": "profile"},
+            marks=pytest.mark.ci,
+        ),
         (sp.Measurements(height=[20, 40], poisson=0.3, length=[15, 60], kind=("whole", "at_least")), {}),
         (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
         (sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}),
-        (two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}),
+        pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.ci),
     ],
 )  # fmt: skip
 def test_a_loaded_fit_is_the_one_saved(tmp_path, table, options):
@@ -54,6 +57,7 @@ def test_a_loaded_fit_is_the_one_saved(tmp_path, table, options):
     )
 
 
+@pytest.mark.ci
 def test_the_commands_json_is_that_of_save(tmp_path):
     path = tmp_path / "fit.json"
     path.write_text(CliRunner().invoke(command, [str(LENGTHS), "--json"]).stdout)
@@ -63,6 +67,7 @@ def test_the_commands_json_is_that_of_save(tmp_path):
     assert json.loads(saved.read_text()) == json.loads(path.read_text())
 
 
+@pytest.mark.ci
 def test_a_fit_of_version_0_2_is_read():
     """With the numbers, verdicts and words of a fit of its table today; what would move it is found anew."""
     loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
@@ -111,6 +116,7 @@ def test_arrays_in_si_are_those_of_a_table():
         sp.Measurements.from_si(height=1e-6, length=1.0, poisson=0.3, correlation_length=1e-5)
 
 
+@pytest.mark.ci
 def test_a_catalogue_as_a_dataframe():
     catalogue = sp.series(sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=30), sp.Steps(0.5), events=4)
     frame = catalogue.to_dataframe()
@@ -126,6 +132,7 @@ def measured(scale=1.0, **columns):
     return sp.Measurements(height, 0.3, length, columns.pop("sigma", 0.3), provenance=("measured",) * 3, **columns)
 
 
+@pytest.mark.ci
 def test_the_request_is_the_arguments_of_the_fit():
     """Without what measuring adds, so that another table gets errors of its own."""
     result = sp.fit(measured())
@@ -136,6 +143,7 @@ def test_the_request_is_the_arguments_of_the_fit():
     assert again.intervals == result.intervals
 
 
+@pytest.mark.ci
 def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path):
     sp.fit(measured()).save(tmp_path / "fit.json")
     pd.DataFrame(
@@ -147,7 +155,9 @@ def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path)
     assert sp.load_fit(tmp_path / "other.json").parameters.named("offset").prior_sigma == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize("name", ["pmma_block", "pushed_block", "threshold_profile"])
+@pytest.mark.parametrize(
+    "name", ["pmma_block", *(pytest.param(name, marks=pytest.mark.ci) for name in ("pushed_block", "threshold_profile"))]
+)
 def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
     result = sp.fit(EXAMPLES / name / "lengths.csv")
     result.save(tmp_path / "fit.json")

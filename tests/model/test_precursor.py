@@ -14,6 +14,7 @@ from slippulse_jax.rules import HardBreak
 from slippulse_jax.status import Outcome
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ["semi-infinite", "free", "clamped"])
 def test_fields_solve_the_chain(right):
     """u and u_t at every front position satisfy the matrix equations of the independent program."""
@@ -45,6 +46,7 @@ def test_front_stress_is_the_stress_ahead():
     assert record.front_stress[s0] < 1
 
 
+@pytest.mark.ci
 def test_record_under_vmap_and_what_it_refuses():
     heights = np.array([10.0, 25.0, 50.0])
     records = jax.vmap(lambda h: first_precursor(Slider(h, 0.03, 0.3), recorded_sites=60))(heights)
@@ -83,6 +85,7 @@ def test_lengths_in_bulk_are_those_one_by_one():
     np.testing.assert_allclose(whole, singly, rtol=1e-12)
 
 
+@pytest.mark.ci
 def test_a_bad_lane_leaves_the_others_alone():
     with pytest.warns(RuntimeWarning, match=r"1 of 3 fronts, the first at index \(2,\)"):
         lengths = precursor_lengths(Slider([10.0, 25.0, 5000.0], [0.03, 0.03, 1e-3], 0.3), max_contacts=100)
@@ -114,6 +117,7 @@ def test_status_messages_are_for_people():
         assert len(status.message) > 20
 
 
+@pytest.mark.ci
 def test_bulk_lengths_equal_the_recursion_everywhere():
     """Two ways of writing the recursion, over the whole domain: lanes without a domino, tall ones, Poisson's ratio below zero."""
     rng = np.random.default_rng(8)

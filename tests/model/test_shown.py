@@ -40,6 +40,7 @@ def test_every_object_has_a_line_and_a_table():
             assert "Array(" not in text
 
 
+@pytest.mark.ci
 def test_batches_and_traced_values():
     assert repr(sp.Slider([[10.0], [25.0]], 0.03, 0.3)) == "Slider(height=[[10], [25]], stiffness=0.03, poisson=0.3)"
     assert "<100 from 10 to 60>" in repr(sp.Slider(np.linspace(10, 60, 100), 0.03, 0.3))

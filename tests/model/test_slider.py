@@ -87,6 +87,7 @@ def test_limits_of_poisson_ratio_are_allowed_where_physical():
     assert np.isfinite(precursor_length(Slider(25, 0.03, -0.5)))
 
 
+@pytest.mark.ci
 def test_slider_is_a_pytree_that_broadcasts():
     heights, stiffnesses = np.array([[10.0], [25.0]]), np.array([0.003, 0.01, 0.03])
     batch = Slider(heights, stiffnesses, 0.3)
@@ -170,6 +171,7 @@ def test_wrong_objects_are_named(bad):
 # --- as JAX takes trees -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci
 def test_trees_of_axes():
     """What `jax.vmap` needs where not every field has an axis; and any other leaves."""
     heights = jnp.array([10.0, 25.0, 50.0])

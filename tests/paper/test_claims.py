@@ -58,7 +58,6 @@ def test_quick_claims():
     check([number for number in CLAIMS if number not in LONG])
 
 
-@pytest.mark.ci
 def test_page_has_a_row_for_each():
     results = list(examine(["C16", "C18"]))
     assert page(results).count("\n| C") == 2

@@ -12,7 +12,6 @@ from slippulse_jax.cli.figures import command
 from slippulse_jax.paper import figures
 
 
-@pytest.mark.ci
 def test_fig2_is_the_papers(tmp_path):
     asked = [str(tmp_path), "--figure", "fig2", "--format", "png", "--format", "svg", "--json"]
     done = CliRunner().invoke(command, asked, catch_exceptions=False)

@@ -37,6 +37,7 @@ def table(unit, *, height=HEIGHTS, correlation_length=1e-5, **columns):
     return pd.DataFrame(made | {"correlation_length_m": correlation_length, "young_GPa": 3.0} | columns)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("unit", "correlation_length"), [("m", 1e-2), ("cm", 1e-4), ("mm", 1e-5), ("um", 1e-5)])
 def test_every_length_is_in_the_unit_of_the_table(unit, correlation_length):
     heights = [2500.0, 5000.0, 7500.0] if unit == "um" else HEIGHTS
@@ -85,6 +86,7 @@ def specimens(**columns):
 EACH = Parameter("stiffness", each="specimen")
 
 
+@pytest.mark.ci
 def test_curve_and_points_of_a_specimen_share_name_and_colour():
     figure = plot.fit(fit(specimens(), [EACH]))
     left = figure.axes[0]
@@ -127,6 +129,7 @@ def test_a_profile_has_the_colour_of_its_specimen_and_is_dashed_for_its_own_leng
     assert "edge breaks again" in texts(second)
 
 
+@pytest.mark.ci
 def test_one_curve_per_condition_and_the_label_says_what_differs():
     result = fit(EXAMPLES / "prestressed_slider/lengths.csv")
     ax = plot.length_versus_stiffness(result)
@@ -156,6 +159,7 @@ def test_a_measured_band_is_inside_the_axes_although_no_stiffness_reaches_it():
     assert top > 24.5 / 20
 
 
+@pytest.mark.ci
 def test_what_a_misfit_is_measured_in():
     """Counts have no σ; theirs is in contacts."""
     height = np.array([20.0, 30.0, 44.0])
@@ -183,6 +187,7 @@ def test_counts_of_several_specimens_are_named():
     assert {"P, counted", "Q ± σ"} <= {*texts(plot.fit_lengths(fit(m)))}
 
 
+@pytest.mark.ci
 def test_each_curve_is_called_by_the_verdict_of_its_specimen():
     """The one length of Q has a second value, at which the edge breaks again."""
     height, specimen = [*HEIGHT_OF_P, 30.0], [*"PPPPQ"]
@@ -201,6 +206,7 @@ def test_the_profile_of_a_rejected_fit_has_no_levels():
     assert [text.get_text() for text in ax.texts] == []
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["counts_and_run_throughs", "own_csv", "prestressed_slider"])
 def test_no_legend_reaches_beyond_the_figure(name):
     figure = plot.fit(fit(EXAMPLES / name / "lengths.csv"))
@@ -209,6 +215,7 @@ def test_no_legend_reaches_beyond_the_figure(name):
     assert max(one.get_window_extent().x1 for one in legends) <= figure.bbox.x1
 
 
+@pytest.mark.ci
 def test_a_legend_of_many_inputs_stays_inside():
     """Heights and prestress differ, so that labels are long; with counts and limits the title has two lines."""
     height = np.array([20.0, 20.0, 35.0, 35.0, 50.0])
@@ -229,6 +236,7 @@ def test_panels_are_lettered_down_the_left_first():
     assert [panel.texts[-1].get_text() for panel in (above, below, right)] == ["(a)", "(b)", "(c)"]
 
 
+@pytest.mark.ci
 def test_no_equation_of_the_title_is_broken(monkeypatch):
     result = fit(table("mm"), "areal_stiffness")
     for width in range(100, 141, 4):
@@ -237,6 +245,7 @@ def test_no_equation_of_the_title_is_broken(monkeypatch):
         assert all(equation in title for equation in ("E = 3 GPa", "ν = 0.3", "λc = 10 µm"))
 
 
+@pytest.mark.ci
 def test_the_title_says_what_was_fitted_beside():
     exact, known = (plot.fit(fit(specimens(**one), [EACH])).get_suptitle() for one in ({}, {"poisson_sigma": 0.02}))
     assert "E = 3 GPa, ν = 0.3, λc = 1000 µm" in exact
@@ -246,6 +255,7 @@ def test_the_title_says_what_was_fitted_beside():
     assert "E = 3.00 ± 0.20 GPa (stated), ν = 0.3" in plot.fit(with_prior).get_suptitle()
 
 
+@pytest.mark.ci
 def test_an_input_with_a_prior_has_no_profile_beside_a_result():
     result = fit(specimens(), [EACH, Parameter("young", prior=(3e9, 2e8))])
     figure = plot.fit(result)
@@ -261,6 +271,7 @@ def test_the_only_parameter_is_drawn_although_a_prior_holds_it():
     assert len(plot.fit(fit(m, [Parameter("stiffness", prior=(0.01, 1e-4))])).axes) == 3
 
 
+@pytest.mark.ci
 def test_fitted_lengths_off_the_curve_are_marked():
     """Where each height has an error of its own."""
     made = specimens(height_sigma_mm=4.0)[:3]
@@ -291,6 +302,7 @@ def test_a_corner_plot_has_points_of_bootstrap_and_posterior():
         assert points["bootstrap"].get_color() != points["posterior"].get_color()
 
 
+@pytest.mark.ci
 def test_a_narrow_region_is_drawn_in_one_piece():
     """Of two parameters that trade off, the regions are thin beside the range of either."""
     height = np.array([12.0, 24.0, 36.0, 48.0, 60.0, 72.0])

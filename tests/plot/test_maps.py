@@ -31,6 +31,7 @@ def labels(axis):
     return [text.get_text() for at, text in ticks if low <= at <= high and text.get_text()]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "length",
     [
@@ -52,6 +53,7 @@ def test_labels_of_contours_are_inside_and_apart(length):
         assert not any(box.overlaps(other) for other in boxes[:i])
 
 
+@pytest.mark.ci
 def test_colours_of_decades_are_logarithmic():
     """Zeros have the lowest colour; what is signed, or spans less, is linear."""
     decades = drawn(swept(lambda height, stiffness: np.where(height < 12, 0, height * stiffness**0.2)))
@@ -63,6 +65,7 @@ def test_colours_of_decades_are_logarithmic():
         assert not isinstance(drawn(swept(length)).collections[0].norm, LogNorm)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("stiffness", [STIFFNESS, np.geomspace(0.002, 0.08, 30)], ids=["decades", "less than two"])
 def test_axes_of_decades_have_two_labels_or_more(stiffness):
     line = swept(lambda height, stiffness: height * stiffness**0.2, stiffness=stiffness).isel(height=[7])
@@ -70,6 +73,7 @@ def test_axes_of_decades_have_two_labels_or_more(stiffness):
     assert len(labels(drawn(swept(lambda height, stiffness: height * stiffness**0.2, stiffness=stiffness)).yaxis)) >= 2
 
 
+@pytest.mark.ci
 def test_lines_have_most_of_the_width():
     made = swept(lambda height, stiffness: height * stiffness**0.2, height=np.geomspace(10, 1000, 6))
     made["status"] = (made.length > 200).astype(int) * 2

@@ -35,6 +35,7 @@ def has_units(ax, across, up):
     return across in ax.get_xlabel() and up in ax.get_ylabel()
 
 
+@pytest.mark.ci
 def test_displacements(ax, event):
     _, found = event
     plot.displacements(found.after, before=found.before, sites=40, ax=ax)

@@ -10,11 +10,9 @@ import tomllib
 from pathlib import Path
 
 import documented
-import nbformat
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from nbclient import NotebookClient
 
 import slippulse_jax
 import slippulse_jax as sp
@@ -81,6 +79,7 @@ def test_benchmarks_import_what_there_is(path):
                     importlib.import_module(f"{node.module}.{one.name}")
 
 
+@pytest.mark.ci
 def test_importing_changes_nothing():
     """Importing the package starts no JAX and flips no flag; every public name is there."""
     code = (
@@ -172,48 +171,6 @@ def test_there_are_examples():
     assert len(EXAMPLES) >= 8
     listed = (ROOT / "fit_examples" / "README.md").read_text(encoding="utf-8")
     assert all(f"({name}/README.md)" in listed for name in EXAMPLES)
-
-
-NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
-
-
-@pytest.fixture(scope="module")
-def client():
-    """A client of one kernel for all notebooks: what one of them has imported and compiled the next need not."""
-    client = NotebookClient(
-        nbformat.v4.new_notebook(),
-        timeout=300,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(ROOT / "notebooks")}},
-    )
-    with client.setup_kernel():
-        yield client
-
-
-AS_NEW = "%reset -f\nimport jax, matplotlib\njax.config.update('jax_enable_x64', False)\nmatplotlib.rcdefaults()\n%reset -f"
-"""A cell that undoes what notebooks set."""
-
-
-@pytest.mark.ci
-@pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
-@pytest.mark.parametrize("name", NOTEBOOKS)
-def test_notebook_runs_and_is_committed_with_its_output(name, client):
-    path = ROOT / "notebooks" / name
-    notebook = nbformat.read(path, as_version=4)
-    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert all(cell.execution_count for cell in code), "commit notebooks executed"
-    assert not any(output.get("name") == "stderr" for cell in code for output in cell.outputs), "commit them without warnings"
-    assert any("image/png" in output.get("data", {}) for cell in code for output in cell.outputs), "commit them with pictures"
-    assert path.stat().st_size < 300_000
-    notebook.cells.append(nbformat.v4.new_code_cell(AS_NEW))
-    client.nb = notebook
-    client.reset_execution_trackers()
-    for number, cell in enumerate(notebook.cells):
-        client.execute_cell(cell, number)
-
-
-def test_there_are_notebooks():
-    assert NOTEBOOKS
 
 
 def test_release_is_one_everywhere():

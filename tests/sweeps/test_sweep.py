@@ -236,6 +236,7 @@ def test_numbers_of_the_slider():
     assert float(found.slow_decay_length.sel(height=25, stiffness=0.01)) == pytest.approx(1 / float(slider.kappa_2), rel=1e-13)
 
 
+@pytest.mark.ci
 def test_an_interface_gives_the_numbers_that_are_not_swept():
     axes = {"height": [10.0, 25.0], "stiffness": 0.03, "poisson": 0.3, "outputs": ["length", "status"]}
     fixed = sp.sweep(**axes, interface=sp.Interface(prestress=0.1, repin_delay=2))

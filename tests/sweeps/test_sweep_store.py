@@ -34,6 +34,7 @@ FIRST = "length/c/0/0/0"
 reference = reference_of(REQUEST, CHUNK)
 
 
+@pytest.mark.ci
 def test_store_reads_back_as_the_sweep_in_memory(reference):
     kept, stored = sp.sweep(**REQUEST), sp.open_sweep(reference)
     xr.testing.assert_equal(stored.load(), kept)
@@ -73,6 +74,7 @@ def test_opened_without_this_package(reference, chunks):
     assert set(found.attrs) >= {"slippulse_jax", "jax", "jaxlib", "processor", "chunk", "request_sha256", "store_format"}
 
 
+@pytest.mark.ci
 def test_flags_and_points_and_scalars_are_labelled(tmp_path):
     given = {"height": [10.0, 25.0, 50.0], "stiffness": [0.03, 0.01, 0.3], "poisson": 0.3, "prestress": 0.1, "points": True}
     given |= {"repin_delay": [0, 1, 0], "outputs": ("status", "length", "contacts_broken")}
@@ -93,6 +95,7 @@ def test_flags_and_points_and_scalars_are_labelled(tmp_path):
         assert few.length.isel({axis: []}).load().shape == shape
 
 
+@pytest.mark.ci
 def test_lengths_that_are_no_number_are_results_too(tmp_path):
     """Zarr leaves out chunks of nothing but the fill value unless it is told otherwise."""
     given = {"height": [25.0, 26.0], "stiffness": 0.03, "poisson": 0.3, "max_contacts": 2, "outputs": ("status", "length")}
@@ -101,6 +104,7 @@ def test_lengths_that_are_no_number_are_results_too(tmp_path):
     assert np.isnan(found.length).all()
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("url", ["memory://sweeps/s.zarr", "file://{}/s.zarr"])
 def test_any_address_that_fsspec_knows(tmp_path, url, reference):
     url = url.format(tmp_path)
@@ -208,6 +212,7 @@ def test_killed_and_resumed_is_the_same_to_the_last_bit(reference, tmp_path, kil
     assert unfinished >= kills * 0.8, "most were killed while they ran"
 
 
+@pytest.mark.ci
 def test_interrupted_and_resumed(reference, tmp_path, monkeypatch):
     """Ctrl-C in any place leaves whole chunks; resuming computes the others and none of these."""
     evaluate, calls = run.evaluate, iter(range(100))
@@ -231,6 +236,7 @@ def test_interrupted_and_resumed(reference, tmp_path, monkeypatch):
     assert len(computed) == CHUNKS - 30
 
 
+@pytest.mark.ci
 def test_full_disk_and_resumed(reference, tmp_path, full_disk):
     part = sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK, share=(0, 3))
     assert part.attrs["complete"] == 0
@@ -273,7 +279,8 @@ def damage(path, at):
     path.write_bytes(bytes(content))
 
 
-@pytest.mark.parametrize("at", [0, 17, -4, -1])
+@pytest.mark.ci
+@pytest.mark.parametrize("at", [-1, 0, *(pytest.param(n, marks=pytest.mark.slow) for n in (17, -4))])
 def test_one_flipped_bit_is_found_refused_and_mended(reference, tmp_path, at):
     store = tmp_path / "s"
     sp.sweep(**REQUEST, store=store, chunk=CHUNK)
@@ -285,6 +292,7 @@ def test_one_flipped_bit_is_found_refused_and_mended(reference, tmp_path, at):
     assert contents(store) == contents(reference)
 
 
+@pytest.mark.ci
 def test_cut_off_chunk_and_missing_output(tmp_path):
     given = {**REQUEST, "outputs": ("length", "status")}
     store = tmp_path / "s"
@@ -328,6 +336,7 @@ def rewrite(store, change):
     (store / "zarr.json").write_text(json.dumps(content))
 
 
+@pytest.mark.ci
 def test_another_processor_or_release_resumes_with_one_warning(reference, tmp_path):
     """It names both. The attributes keep what began the store; where nothing is left to compute, nothing is said."""
     store = Path(shutil.copytree(reference, tmp_path / "s"))
@@ -366,6 +375,7 @@ def test_a_later_format_is_refused(reference, tmp_path):
         sp.open_sweep(store)
 
 
+@pytest.mark.ci
 def test_any_damage_to_the_manifest_is_a_store_error(reference, tmp_path):
     """Bytes changed, cut and put in; values of other types: a store of the same sweep, or a `StoreError`."""
     rng = np.random.default_rng(3)
@@ -463,6 +473,7 @@ def test_killed_while_the_store_was_made(reference, tmp_path, monkeypatch):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
 
 
+@pytest.mark.ci
 def test_shares_together_are_the_whole(reference, tmp_path):
     for index in (2, 0, 1):
         part = sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK, share=(index, 3))

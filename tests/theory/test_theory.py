@@ -79,6 +79,7 @@ def frozen_worst(sliders):
 frozen = jax.jit(theory.frozen_stress)
 
 
+@pytest.mark.ci
 def test_corrected_appendix_is_the_solution_of_the_frozen_equations():
     assert frozen_worst(random_sliders(40, 1)) < 1e-8
 
@@ -96,6 +97,7 @@ def test_printed_appendix_is_not():
     assert np.min(np.abs(printed / direct - 1)) > 0.05
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("x", [(25.0, 0.03, 0.3), (8.0, 0.2, 0.1), (400.0, 1e-4, 0.4)])
 def test_continuum_front_stress_against_direct_integration(x):
     H, q, nu = x
@@ -200,6 +202,7 @@ def test_lattice_converges_to_the_continuum_at_first_order():
     np.testing.assert_allclose(order, -0.5, atol=0.05)
 
 
+@pytest.mark.ci
 def test_macroscopic_law():
     np.testing.assert_allclose(theory.macroscopic_length(1.0, 0.3), 0.7177, atol=5e-5)
     np.testing.assert_allclose(theory.length_ceiling(0.3), 1.118, atol=5e-4)
@@ -233,6 +236,7 @@ def test_macroscopic_law_with_prestress_against_its_differential_equation(phi):
     assert np.isinf(theory.macroscopic_length(b, nu, prestress=0.5))
 
 
+@pytest.mark.ci
 def test_macroscopic_prestress_is_the_limit_of_the_lattice():
     phi = np.array([0.2, 0.4])
     expected = theory.macroscopic_length(1.0, 0.3, prestress=phi)
@@ -269,6 +273,7 @@ def test_areal_stiffness_map():
     np.testing.assert_allclose(theory.areal_stiffness_from_b(b, 0.075, poisson=0.3, young=3e9), 1e10, rtol=1e-13)
 
 
+@pytest.mark.ci
 def test_envelope_formula():
     random = random_sliders(4000, 4)
     corners = np.array([(H, q, nu) for H in (5, 20, 300, 1e5) for q in (1e-6, 1e-3, 1) for nu in (0, 0.5)], float)
@@ -296,6 +301,7 @@ OF_B = {
 LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.ci, "envelope_length": pytest.mark.ci}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", [pytest.param(name, marks=LONG.get(name, ())) for name in FIG2_LENGTHS])
 def test_values_derivatives_and_batches(name):
     function = OF_B.get(name, getattr(theory, name))
@@ -322,6 +328,7 @@ def test_asymptote():
     np.testing.assert_allclose(theory.asymptotic_decay_length(tall), 1 / tall.kappa_2, rtol=1e-4)
 
 
+@pytest.mark.ci
 def test_refused_values():
     with pytest.raises(ValueError, match="b = -1"):
         theory.macroscopic_length(-1.0, 0.3)

@@ -44,6 +44,7 @@ def law(b, nu, phi):
     return z * unit, z, beta
 
 
+@pytest.mark.ci
 def test_macroscopic_law_and_its_correction():
     found = theory.macroscopic_length(SMALL_AND_LARGE, 0.3)
     corrections = theory.macroscopic_correction(SMALL_AND_LARGE, 0.3)
@@ -63,6 +64,7 @@ def test_macroscopic_law_and_its_correction():
         assert relative(correction, (layer - lag) / g(z) * expected / z) < 1e-10, b
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("phi", [1e-9, 0.3, -0.4])
 def test_macroscopic_law_with_prestress(phi):
     for b in (1e-6, 1.0, 1e9):
