@@ -44,6 +44,7 @@ def balance_bound(chains, found, floor=1e-12):
     return np.maximum(floor, 4 * np.asarray(chains.upper).max(-1) * digit / load)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 @pytest.mark.parametrize("sites", [2, 120, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 17))])
 def test_against_dense_matrices(sites, right):
@@ -60,6 +61,7 @@ def test_against_dense_matrices(sites, right):
         np.testing.assert_allclose(found.push[n], d.push(), rtol=0, atol=1e-10)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_forces_are_slopes_of_the_energy(right):
     """Of displacements out of balance, and of the pinning points: then of all that the contacts carry, prestress included."""
@@ -93,6 +95,7 @@ def test_driver_before_the_first_site(right):
     np.testing.assert_allclose([found.push, alone.push], spring, rtol=1e-9)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_uniform_chain_against_its_lattice_modes(right):
     sites = None if right == "semi-infinite" else 100
@@ -355,6 +358,7 @@ def with_cut(cut_upper, detached_from, sites=8):
     return chain(FIG2, sites=sites, right="free", contact=contact, upper=upper, layer=layer)
 
 
+@pytest.mark.ci
 def test_detaching_everything_moves_the_chain_as_one():
     c = with_cut(None, 0)
     found = equilibrium(c, c.relaxed(2.0))
@@ -437,6 +441,7 @@ def test_an_equilibrium_between_two_sides_of_a_small_jump_is_none():
     assert equilibrium(c, c.relaxed(0.7)).status == Outcome.NOT_CONVERGED
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_residual_compares_with_what_the_springs_exert_by_themselves(right):
     """Of chains without an equilibrium, from the stiffness matrix and its absolute values; the largest often at the end."""

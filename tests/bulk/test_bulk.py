@@ -129,6 +129,7 @@ def test_smooth_rule_in_bulk():
         sp.precursor_lengths(slider, rule=sp.SmoothBreak(width), interface=sp.Interface(0.1, repin_delay=2))
 
 
+@pytest.mark.ci
 def test_rank_follows_the_length():
     """Neighbours in rank are neighbours in length; ranks span the domain without saturating."""
     points = random_lanes(4000, 6, 6.0)

@@ -31,6 +31,7 @@ def invoke(*arguments):
     return CliRunner().invoke(slippulse, ["sweep", *arguments])
 
 
+@pytest.mark.ci
 def test_csv_and_json_on_stdout():
     exact = sp.sweep(**SAME)
     done = invoke(*GRID)

@@ -17,6 +17,7 @@ FIG2 = sp.Slider(*PAPER.slider)
 CHAIN = sp.chain(FIG2, sites=SITES)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("law", ["exponential", "logarithmic"])
 def test_crossings_against_a_root_finder(law):
     rng = np.random.default_rng(1)

@@ -113,6 +113,7 @@ def test_1000_random_chains_break_as_the_dense_program_does():
     check(*compare(seed=2, shapes=SITES, per_shape=112), chains=112 * len(SITES))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 @pytest.mark.parametrize("sites", [9, *(pytest.param(n, marks=pytest.mark.ci) for n in (2, 50))])
 def test_response_is_the_inverse_of_the_stiffness_matrix(sites, right):

@@ -31,6 +31,7 @@ CASES = [
 ]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("protocol", "right", "ageing"), CASES)
 def test_against_dense_program(protocol, right, ageing):
     rng = np.random.default_rng(len(protocol))
@@ -225,6 +226,7 @@ def test_endings_are_reported():
     assert int(long_series(sp.chain(slider, sites=SITES, contact=0.0)).status) == Outcome.NOTHING_LEFT
 
 
+@pytest.mark.ci
 def test_refusals():
     slider = sp.Slider(*FIG2)
     with pytest.raises(ValueError, match="events = 0"):

@@ -346,6 +346,7 @@ def test_table_of_a_slider_does_not_depend_on_its_neighbours():
     assert fewest < together.last
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("n", range(4))
 def test_moments_of_a_decay_are_integrals(n):
     z = np.array([-0.9, 0.0, 1e-9, 0.5, np.nextafter(1, 0), 1.0, 1.5, 10.0, 50.0])
@@ -466,6 +467,7 @@ def test_no_crossing_is_leapt_over_and_no_dip_between_contacts_taken():
         assert below[1:].index(True) + 1 == expected if expected else not any(below[1:])
 
 
+@pytest.mark.ci
 def test_newton_is_kept_within_its_bracket():
     """On a step whose slope fades on both sides, where plain Newton steps leap away; from every start, within twenty steps."""
 

@@ -92,6 +92,7 @@ def test_hessian_in_every_order_of_modes(points):
             np.testing.assert_allclose(hessian[i], column, rtol=1e-5, atol=1e-6 * np.abs(hessian * t[i] / t).max())
 
 
+@pytest.mark.ci
 def test_one_sided_derivative_at_a_kink():
     """Where ℓ passes a whole number the derivative is that of the longer side, as documented."""
     theta = np.array([25.0, 0.03, 0.3])

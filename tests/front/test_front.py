@@ -55,6 +55,7 @@ def test_against_dense_chain(right, number):
         assert got.status[i] == expected
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("right", "count", "length"), [("free", 28, 27.616), ("clamped", 25, 24.278)])
 def test_right_end_changes_the_answer(right, count, length):
     front = first_precursor(Slider(25, 0.03, 0.3), right=right, sites=100)
@@ -79,6 +80,7 @@ def test_length_of_the_chain_order_of_breaks_and_stress_behind_by_dense_solves()
         assert len(broken) == len(set(broken)) == count
 
 
+@pytest.mark.ci
 def test_long_chains_agree_with_the_endless_one():
     endless = precursor_length(Slider(25, 0.03, 0.3))
     for right in ("free", "clamped"):

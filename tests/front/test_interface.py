@@ -112,6 +112,7 @@ def test_no_prestress_no_slope_no_delay_is_the_papers_interface():
     assert abs(precursor_length(sliders, interface=Interface()) - precursor_length(sliders)).max() < 1e-11
 
 
+@pytest.mark.ci
 def test_uniform_thresholds_rescale():
     """Twice the thresholds and twice the prestress: the same front at twice the load."""
     theta = np.linspace(1, 1.2, 60)
@@ -157,6 +158,7 @@ def test_above_the_threshold_a_soft_short_slider_may_still_stop_the_front():
             assert abs(length - dense_chain.crossing(excess)) < 1e-6
 
 
+@pytest.mark.ci
 def test_falling_thresholds_run_away_where_nothing_holds():
     falling = Interface(threshold_slope=-0.02)
     record = first_precursor(FIG2, interface=falling, recorded_sites=80)
@@ -277,6 +279,7 @@ def test_errors_of_a_profile_name_the_field(wrong, message):
         Profile(**wrong)
 
 
+@pytest.mark.ci
 def test_a_delay_may_be_a_whole_number_of_numpy():
     """Without the warning of Equinox of arrays in static fields, which is an error here."""
     given = Interface(repin_delay=np.int64(2))
@@ -305,6 +308,7 @@ def test_lengths_in_bulk_refuse_a_profile_by_name():
             bulk(FIG2, interface=Profile(np.ones(3)))
 
 
+@pytest.mark.ci
 def test_traced_interface_outside_its_domain_is_nan():
     lengths = jax.vmap(lambda p: precursor_length(FIG2, interface=Interface(p)))(np.array([0.1, -0.5, 1.2, -1.0, np.nan]))
     assert np.isfinite(lengths[:2]).all()

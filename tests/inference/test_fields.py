@@ -55,6 +55,7 @@ def test_a_known_threshold_profile_is_recovered_within_its_error(recovered):
     assert 3 < recovered.degrees < len(HEIGHTS)
 
 
+@pytest.mark.ci
 def test_a_length_reads_the_threshold_at_its_arrest():
     """θ(ℓ)/θ_0 = t(ℓ), with t that of uniform thresholds: what a contact gives up does not depend on when it breaks."""
     theta = 1.3 * wave()
@@ -141,6 +142,7 @@ def test_gaussian_algebra_against_the_textbook():
     np.testing.assert_allclose(spread, covariance + np.outer(mean, mean))
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", [pytest.param("threshold", marks=pytest.mark.ci), "prestress"])
 def test_one_length_is_never_a_profile(kind):
     one = sp.Measurements(height=25, poisson=POISSON, length=26.0, length_sigma=0.3)

@@ -37,6 +37,7 @@ def study(height, stiffness, relative_sigma, rng=None, poisson=0.3):
     return Measurements(height=np.atleast_1d(height), poisson=poisson, length=length + noise, length_sigma=sigma)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("height", [10.0, 25.0, 50.0])
 def test_both_roots_of_one_length(height):
     """A length below the peak belongs to two stiffnesses; each, put back into the model, gives it."""
@@ -134,6 +135,7 @@ def test_tiny_sigma_keeps_the_minimum(sigma):
     assert result.values["stiffness"] == pytest.approx(0.0031, rel=0.05)
 
 
+@pytest.mark.ci
 def test_many_rows_of_few_heights_cost_little():
     """3 000 measurements at three heights are three curves."""
     rng = np.random.default_rng(5)
@@ -175,6 +177,7 @@ def test_plateau_without_domino_is_never_called_converged(monkeypatch):
     assert result.identifiability is not Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_bounds_cut_off_the_minimum():
     """Far below it nothing fits, which is said before anything else; near it the best fit is the end."""
     m = study(np.array([15.0, 30.0, 60.0]), 0.01, 0.01)
@@ -287,6 +290,7 @@ def test_hardly_any_scatter_is_one_search(monkeypatch):
     assert len(searches) == 1
 
 
+@pytest.mark.ci
 def test_lengths_without_scatter_have_no_error():
     """Computed lengths without σ give their stiffness, and no error of 1e-11; rounded ones an error."""
     height = np.array([15.0, 30.0, 60.0])
@@ -505,6 +509,7 @@ def test_inputs_with_errors_of_their_own_are_not_taken_as_exact():
     assert known.stderrs["areal_stiffness"] == pytest.approx(total(exact, "areal_stiffness", of_both), rel=0.05)
 
 
+@pytest.mark.ci
 def test_report_adds_what_usual_errors_of_the_inputs_do():
     result = fit(read_measurements(PMMA), "areal_stiffness")
     whole = total(result, "areal_stiffness", result.changes)

@@ -24,6 +24,7 @@ def fitted(stiffness=0.01, free=("stiffness",), **columns):
     return sp.fit(m, free, fixed={"model_factor": FACTOR, "offset": OFFSET}, intervals="profile")
 
 
+@pytest.mark.ci
 def test_lengths_at_other_heights_are_exact():
     result = fitted()
     curve = result.curve([0, 1, 2], OTHERS)

@@ -100,6 +100,7 @@ def test_the_traced_density_is_that_of_the_fit():
     assert float(slope) == pytest.approx(-at.gradient[0, 0], rel=1e-5)
 
 
+@pytest.mark.ci
 def test_a_front_that_ran_through_the_block():
     """A length at least that of the block: certain where the model's front runs through, impossible elsewhere."""
     ran = measured(np.append(dense_lengths()[:2], 80.0), block_length=LENGTH, kind=["length", "length", "at_least"])
@@ -133,6 +134,7 @@ def read(tmp_path, header, *rows):
     return sp.read_measurements(path)
 
 
+@pytest.mark.ci
 def test_columns_of_ends_and_their_units(tmp_path):
     """L over λc; the machine's stiffness over the width of the block, and M/K that over E, whatever λc."""
     more = "block_length_mm,machine_stiffness_N_per_m,block_width_mm"

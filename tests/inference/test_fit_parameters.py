@@ -296,6 +296,7 @@ def test_whole_contacts_without_blur_allow_the_interval_of_stiffness():
     np.testing.assert_allclose(found, ends, rtol=2e-3)
 
 
+@pytest.mark.ci
 def test_all_censored_is_one_sided_and_never_a_number():
     result = fit(Measurements(height=[20.0, 30.0], poisson=0.3, length=[8, 12], length_sigma=1.0, kind=["at_least"] * 2))
     assert result.identifiability is not Identifiability.IDENTIFIED
@@ -560,6 +561,7 @@ def test_simulated_intervals_are_refused_before_the_search(monkeypatch):
             fit(given, free, intervals="calibrated", **more)
 
 
+@pytest.mark.ci
 def test_contacts_broken_are_those_of_the_front_itself():
     """Not of the length as it would be measured, with a factor and an offset of all lengths."""
     height = np.array([20.0, 40.0, 60.0])

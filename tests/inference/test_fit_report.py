@@ -397,6 +397,7 @@ def test_the_deviance_is_that_of_the_residuals_shown(name):
         assert len(report.splitlines()) <= 30
 
 
+@pytest.mark.ci
 def test_sigma_is_shown_with_what_is_added_to_it():
     """Of short sliders the definition of a length between contacts counts; the error shown is the one that was used."""
     height = np.array([6.0, 7.0, 8.0, 9.0, 10.0])

@@ -29,6 +29,7 @@ def two_specimens():
     )
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("table", "options"),
     [
@@ -155,6 +156,7 @@ def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path)
     assert sp.load_fit(tmp_path / "other.json").parameters.named("offset").prior_sigma == pytest.approx(0.6)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "name", ["pmma_block", *(pytest.param(name, marks=pytest.mark.ci) for name in ("pushed_block", "threshold_profile"))]
 )

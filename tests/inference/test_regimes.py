@@ -53,6 +53,7 @@ def test_a_count_of_one_holds_where_no_domino_starts():
     assert result.identifiability is Identifiability.ONE_SIDED
 
 
+@pytest.mark.ci
 def test_a_root_in_the_last_cell():
     length = float(sp.precursor_length(sp.Slider(60.0, 0.97, 0.3)))
     result = sp.fit(sp.Measurements(height=60.0, poisson=0.3, length=length, length_sigma=0.01))
@@ -140,6 +141,7 @@ def test_regimes(regime):
             assert share.value > level - slack
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("b", "again"), [(1.0, False), (2.9, True)])
 def test_no_standard_error_where_the_edge_breaks_again(b, again):
     """b of the middle height; that of the tallest reaches beyond b* = 3.09 in the second case."""

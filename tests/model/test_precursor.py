@@ -93,6 +93,7 @@ def test_a_bad_lane_leaves_the_others_alone():
     assert np.isnan(lengths[2])
 
 
+@pytest.mark.ci
 def test_break_rules_behind_one_name():
     """The smooth rule is reached by precursor_length, with its derivative in the width; its length tends to the hard one."""
     slider = Slider(25.0, 0.01, 0.3)

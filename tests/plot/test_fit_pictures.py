@@ -51,6 +51,7 @@ def test_every_length_is_in_the_unit_of_the_table(unit, correlation_length):
     np.testing.assert_allclose(points[0].get_xdata(), heights)
 
 
+@pytest.mark.ci
 def test_lengths_without_a_unit_are_in_correlation_lengths():
     height = np.array([20.0, 40.0, 80.0])
     m = Measurements(height=height, poisson=0.3, length=lengths_of(height, 0.01), length_sigma=0.3)
@@ -104,6 +105,7 @@ def test_curve_and_points_of_a_specimen_share_name_and_colour():
     assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("count", [2, 5, 8])
 def test_no_colour_stands_for_two_things(count):
     ax = plot.fit_lengths(fit(table("mm", height=np.linspace(2.5, 7.5, count), specimen=[f"block {i}" for i in range(count)])))
@@ -112,6 +114,7 @@ def test_no_colour_stands_for_two_things(count):
     assert len({*colours}) == len(colours) == count + 1
 
 
+@pytest.mark.ci
 def test_a_profile_has_the_colour_of_its_specimen_and_is_dashed_for_its_own_lengths():
     height, poisson = np.repeat([[20.0, 60.0, 100.0]], 2, axis=0).ravel(), 0.3
     length = lengths_of(height, np.repeat([0.006, 0.2], 3))
@@ -153,6 +156,7 @@ def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end():
     assert marked["^"] == 2
 
 
+@pytest.mark.ci
 def test_a_measured_band_is_inside_the_axes_although_no_stiffness_reaches_it():
     m = Measurements(height=[20.0, 40.0], poisson=0.3, length=[24.0, 46.0], length_sigma=0.5)
     top = plot.length_versus_stiffness(fit(m)).get_ylim()[1]
@@ -230,6 +234,7 @@ def test_a_legend_of_many_inputs_stays_inside():
     assert max(widths) < 1.2 * min(widths)
 
 
+@pytest.mark.ci
 def test_panels_are_lettered_down_the_left_first():
     figure = plot.fit(fit(table("mm"), "areal_stiffness"))
     above, right, below = figure.axes

@@ -83,11 +83,13 @@ def test_lines_have_most_of_the_width():
     assert [text.get_text() for text in drawn(made).get_legend().get_texts()][:3] == ["10", "25.1", "63.1"]
 
 
+@pytest.mark.ci
 def test_values_of_lines_are_told_apart():
     made = swept(lambda height, stiffness: height * stiffness, height=np.array([1000.0, 1001.0, 1002.0]))
     assert [text.get_text() for text in drawn(made).get_legend().get_texts()] == ["1000", "1001", "1002"]
 
 
+@pytest.mark.ci
 def test_a_map_on_a_panel_of_a_larger_figure():
     from matplotlib.figure import Figure
 

@@ -44,6 +44,7 @@ def test_displacements(ax, event):
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), found.after.layer[:40])
 
 
+@pytest.mark.ci
 def test_stress(ax, event):
     c, found = event
     plot.stress(found.after, chain=c, before=found.before, ax=ax)

@@ -111,6 +111,7 @@ def test_unknown_name_is_an_attribute_error():
         slippulse_jax.precurser_length  # noqa: B018
 
 
+@pytest.mark.ci
 def test_readme_examples_run(monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     blocks = documented.blocks(ROOT / "README.md", "python")
@@ -221,6 +222,7 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.ci)])
 def test_a_newcomer_reaches_the_physics_in_few_frames(name):
     """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""

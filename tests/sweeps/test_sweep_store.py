@@ -43,6 +43,7 @@ def test_store_reads_back_as_the_sweep_in_memory(reference):
     assert stored.attrs["complete"] == 1
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("where", "chunks"),
     [
@@ -63,6 +64,7 @@ def test_reading_is_lazy_and_right(reference, where, chunks, monkeypatch):
     assert len(opened) == chunks
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("chunks", [None, {}], ids=["xarray", "dask"])
 def test_opened_without_this_package(reference, chunks):
     """Labels, units, the meaning of flags and the request are Zarr's and xarray's; whole numbers stay whole."""

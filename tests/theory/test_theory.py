@@ -251,6 +251,7 @@ def test_small_b_without_cancellation():
         np.testing.assert_allclose(z / (b / 2), 1, rtol=2 * b + 1e-10)
 
 
+@pytest.mark.ci
 def test_runaway_prestress():
     critical = float(theory.runaway_prestress(FIG2))
     np.testing.assert_allclose([critical, 2 * critical - 1], [0.5365, 0.0730], atol=5e-5)  # φ_c and G_00
