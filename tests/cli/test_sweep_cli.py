@@ -54,6 +54,7 @@ def test_a_front_that_never_stops_is_null_in_json():
     assert one.stdout.split() == ["length", str(float(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3))))]
 
 
+@pytest.mark.ci
 def test_files(tmp_path):
     done = invoke(*GRID, "--out", str(tmp_path / "sweep.nc"), "--figure", str(tmp_path / "sweep.svg"))
     assert done.exit_code == 0
@@ -137,7 +138,7 @@ def test_store_that_vanishes(tmp_path, monkeypatch):
         ([*GRID, "--outputs", "len"], "output 'len': must be one of length,"),
         ([*GRID, "--chunk", "4"], "go with --store"),
         ([*GRID, "--share", "0/2"], "go with --store"),
-        ([*GRID, "--scheduler", "127.0.0.1:1"], "no Dask scheduler answers at 127.0.0.1:1"),
+        pytest.param([*GRID, "--scheduler", "127.0.0.1:1"], "no Dask scheduler answers at 127.0.0.1:1", marks=pytest.mark.ci),
         ([*GRID, "--scheduler", "s", "--store", "s", "--share", "0/2"], "--share is for processes without a scheduler"),
         ([*GRID, "--store", "s4://bucket/s"], "s4://bucket/s: Protocol not known: s4"),
         ([*GRID, "--store", "s", "--share", "half"], "'half' is not index/number"),

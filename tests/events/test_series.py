@@ -107,6 +107,7 @@ def test_stored_energy_is_that_of_the_springs():
     assert abs(got.stored[-1] - (springs + 0.03 * ((u - got.state.pinning) ** 2).sum()) / 2) < 1e-12
 
 
+@pytest.mark.ci
 def test_first_event_is_the_first_precursor():
     got = long_series(CHAIN)
     assert (int(got.breaks[0]), int(got.extent[0]), int(got.kind[0])) == (26, 26, EventClass.EDGE)

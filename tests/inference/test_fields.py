@@ -173,6 +173,7 @@ def test_one_length_is_never_a_profile(kind):
     np.testing.assert_allclose(found.resolution, expected, atol=1e-6 * abs(expected).max())
 
 
+@pytest.mark.ci
 def test_a_constant_is_recovered_as_a_constant():
     found = sp.recover_profile(measured(dense_lengths(np.ones(SITES), 0 * X), 0.1), stiffness=STIFFNESS)
     inside = found.position < 35

@@ -264,6 +264,7 @@ def test_the_command_reads_it_and_a_request_repeats_it(study, tmp_path):
     assert "semi-infinite slider" in slider.stdout
 
 
+@pytest.mark.ci
 def test_interpolated_lengths_that_bend_are_not_at_their_maximum():
     """Two blocks far below the longest lengths, each with a modulus of its own: the curvature is that of the interpolation."""
     height, sigma = np.repeat([2400.0, 6000], 4), np.repeat([40.0, 150], 4)
@@ -380,6 +381,7 @@ def test_lengths_by_finite_elements_that_share_nothing_with_the_package():
     assert found == pytest.approx(program.precursor(push, response), rel=1e-2)  # the coarser mesh is ours
 
 
+@pytest.mark.ci
 def test_counts_and_run_throughs_of_blocks(study):
     stiffness, m = study
     whole = dataclasses.replace(m, length=np.ceil(m.length), length_sigma=0 * m.length, kind=("whole",) * 5)
@@ -409,6 +411,7 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
         assert found.identifiability is not Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
     length = np.array([float(sp.precursor_length(one, event="full")) for one in block])

@@ -19,12 +19,14 @@ def shown_length(text):
     return float(re.search(r"ℓ = ([\d.]+)", text)[1])
 
 
+@pytest.mark.ci
 def test_it_starts_at_the_papers_slider(widget):
     assert shown_length(widget.numbers.value) == pytest.approx(25.79, abs=0.005)
     assert bytes(widget.picture.value).startswith(b"\x89PNG")
     assert (widget.position.value, widget.position.max) == (26, 26)
 
 
+@pytest.mark.ci
 def test_everything_follows_without_compiling_again(widget):
     before, compiled = widget.picture.value, explorer.view._cache_size()
     for control, value in (("height", 40.0), ("stiffness", 0.01), ("poisson", 0.2), ("prestress", 0.2), ("slope", 0.001)):

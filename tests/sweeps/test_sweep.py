@@ -77,6 +77,7 @@ def test_points_are_taken_together():
     np.testing.assert_array_equal(found.length, sp.precursor_lengths(sp.Slider(h, q, 0.3)))
 
 
+@pytest.mark.ci
 def test_dataset_says_what_it_is(tmp_path):
     found = sp.sweep(**AXES)
     assert found.length.attrs["units"] == "lambda_c"
@@ -105,6 +106,7 @@ def test_bits_do_not_depend_on_chunks_order_or_company():
     assert all(float(alone[name]) == float(whole[name][5]) for name in asked)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("chunk", [None, 5])
 @pytest.mark.parametrize("points", [False, True])
 def test_lazy_dataset_is_the_same_once_computed(points, chunk):

@@ -7,17 +7,20 @@ import sys
 import time
 from pathlib import Path
 
-import dask
 import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from distributed import Client, LocalCluster, WorkerPlugin
 from stores import contents, reference_of, written
 
 import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
 from slippulse_jax.sweeps import dataset, run
+
+dask = pytest.importorskip("dask", reason="needs the extra ci")
+Client, LocalCluster, WorkerPlugin = (
+    getattr(pytest.importorskip("distributed"), name) for name in ("Client", "LocalCluster", "WorkerPlugin")
+)
 
 pytestmark = pytest.mark.ci
 

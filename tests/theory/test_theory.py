@@ -261,6 +261,7 @@ def test_runaway_prestress():
         assert np.isfinite(fronts([*x, critical - 1e-6])[0])
 
 
+@pytest.mark.ci
 def test_runaway_prestress_is_not_sufficient_for_soft_interfaces():
     soft = sp.Slider(6.84029016, 3.56033954e-03, 0.297661153)
     assert theory.runaway_prestress(soft) < 0.6085
