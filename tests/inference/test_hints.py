@@ -94,27 +94,11 @@ HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sig
 @pytest.mark.parametrize(
     ("header", "rows", "hint"),
     [
-        (
-            HEADER,
-            "14.03,10,0.3,3,25,0.5\n36.2,10,0.3,3,50,0.5\n9,10,0.3,3,20,0.5",
-            "are height_mm and length_mm exchanged",
-        ),
-        (
-            HEADER,
-            "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5",
-            "is height_mm in m, or is length_mm in um?",
-        ),
-        (
-            HEADER,
-            "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5",
-            "times the longest attainable, 0.0[0-9]+ mm",
-        ),
+        (HEADER, "14.03,10,0.3,3,25,0.5\n36.2,10,0.3,3,50,0.5\n9,10,0.3,3,20,0.5", "are height_mm and length_mm exchanged"),
+        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "is height_mm in m, or is length_mm in um?"),
+        (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "times the longest attainable, 0.0[0-9]+ mm"),
         (HEADER, "25,10,0.3,3,0.01403,0.0005\n50,10,0.3,3,0.0362,0.0005", "is height_mm in um, or is length_mm in m?"),
-        (
-            HEADER,
-            "25,0.01,0.3,3,14.03,0.5",
-            "10 nm is that of no rough interface: is correlation_length_um in mm?",
-        ),
+        (HEADER, "25,0.01,0.3,3,14.03,0.5", "10 nm is that of no rough interface: is correlation_length_um in mm?"),
         (HEADER, "0.025,10,0.3,3,0.01403,0.0005", "every height is below 1 mm: is height_mm in m?"),
         (HEADER, "25,10,0.3,3000,14.03,0.5", "3000 GPa is above diamond's: is young_GPa in MPa?"),
         (HEADER.replace("height_mm", "height_cm"), "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,4,0.5", None),
