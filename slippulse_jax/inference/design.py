@@ -95,7 +95,7 @@ class Design:
         several = len(k.roots) > 1
         known = (f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots)
         wide = max(map(len, names))
-        apart = f" {'told apart':>11}" if several else ""
+        apart = f" {'roots apart':>11}" if several else ""
         lines = [
             f"Known: {k.symbol} {' or '.join(known)}",
             f"       standard deviation of ln k, over all roots: {k.log_sd:.3g}",
@@ -117,7 +117,7 @@ class Design:
         if len(self.sequence) > 1:
             lines.append("Sequence, each adding most to those before it:")
             for place, (i, information, error, log_stderr, told_apart) in enumerate(self.sequence, 1):
-                last = f", roots told apart {told_apart:.0%}" if several else ""
+                last = f", roots apart {told_apart:.0%}" if several else ""
                 together = _bits(information, error)
                 lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {log_stderr:.3g}{last}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])

@@ -17,7 +17,7 @@ import slippulse_jax as sp
 
 ROOT = Path(__file__).resolve().parents[2]
 TOKEN = "slippulse"
-# the one thing that the extra `test` cannot install; a package of it that is missing is a failure, not a reason to skip
+# the one thing that the extra `ci` cannot install; a package of it that is missing is a failure, not a reason to skip
 MISSING = [x for x in ("chromium", "chromedriver") if shutil.which(x) is None]
 pytestmark = [
     pytest.mark.ci,

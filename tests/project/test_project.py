@@ -244,3 +244,9 @@ def test_a_newcomer_reaches_the_physics_in_few_frames(name):
         sys.setprofile(None)
     assert depths, "traced before: the test must be the first to ask for these shapes"
     assert max(depths) <= most
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", ["dask", "distributed"])
+def test_what_tests_of_ci_are_skipped_without_is_there(name):
+    assert importlib.util.find_spec(name) is not None, "install the extra ci"

@@ -17,7 +17,7 @@ import slippulse_jax as sp
 from slippulse_jax.cli.main import slippulse
 from slippulse_jax.sweeps import dataset, run
 
-dask = pytest.importorskip("dask", reason="needs the extra ci")
+dask = pytest.importorskip("dask")  # of the extra ci; tests/project/test_project.py fails where CI lacks it
 Client, LocalCluster, WorkerPlugin = (
     getattr(pytest.importorskip("distributed"), name) for name in ("Client", "LocalCluster", "WorkerPlugin")
 )
