@@ -133,7 +133,6 @@ def test_critical_width_of_the_papers_slider():
         assert abs(below.surroundings - (1 - middle) / middle) < 1e-6
 
 
-@pytest.mark.ci
 def test_smallest_smooth_width_of_a_stiff_slider():
     """A normal law as wide as its mean falls more steeply than one half as wide; and no width will do on a very stiff slider."""
     stiff, stiffest = sp.Slider(25.0, 3.0, 0.3), sp.Slider(25.0, 30.0, 0.3)

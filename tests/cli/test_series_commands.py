@@ -83,7 +83,6 @@ def test_netcdf_read_back(tmp_path, catalogue):
     assert [p.name for p in tmp_path.iterdir()] == ["series.nc"]
 
 
-@pytest.mark.ci
 def test_files_instead_of_stdout(tmp_path):
     done = run(series_command, *SMALL, "--out", str(tmp_path / "series.csv"), "--step", "0.3", "--repin-delay", "1")
     assert (done.exit_code, done.stdout) == (0, "")

@@ -43,7 +43,6 @@ def test_whole_events_against_dense_solves():
     assert (found[again] > 1.1 * front[again]).sum() > 5
 
 
-@pytest.mark.ci
 def test_known_events():
     slider = sp.Slider(np.array([25.0, 50.0, 50.0, 50.0]), np.array([1.0, 0.1, 0.3, 1.0]), 0.3)
     found = sp.precursor_lengths(slider, event="full")

@@ -147,7 +147,6 @@ def test_chain_and_recursion_give_the_same_smooth_length():
         np.testing.assert_allclose(found.length, length(height, 0.03, 0.3, width)[0], rtol=1e-9)
 
 
-@pytest.mark.ci
 def test_rupture_of_a_chain_approaches_the_hard_one():
     rng = np.random.default_rng(7)
     threshold = jnp.asarray(1 + 0.01 * rng.uniform(-1, 1, 120))
@@ -203,7 +202,6 @@ def test_derivatives_of_a_smooth_rupture_in_every_threshold(quantity):
     assert (np.abs(reverse[:20]) > 0).all()  # contacts passed by the front, too, hold it back a little
 
 
-@pytest.mark.ci
 def test_broadcasting_and_statuses():
     slider = sp.Slider(height=np.array([10.0, 25.0])[:, None], stiffness=np.array([0.03, 0.01, 0.003]), poisson=0.3)
     rule = SmoothBreak(width=0.01)

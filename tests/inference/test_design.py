@@ -237,7 +237,6 @@ def test_a_fit_is_the_knowledge_of_its_measurements():
         sp.Knowledge.from_fit(sp.fit(each, [sp.Parameter("stiffness", each="specimen")]))
 
 
-@pytest.mark.ci
 def test_designs_take_lengths_as_the_fit_did():
     """Of whole events where contacts break again; no design predicts cracks or smooth fronts."""
     height, stiffness = np.array([20.0, 40.0]), 0.1

@@ -153,7 +153,6 @@ def test_tall_blocks_whose_event_does_not_stop_are_refused(b, prestress):
         sp.precursor_length(*at_prestress(5000.0, b, 0.1, prestress))
 
 
-@pytest.mark.ci
 def test_a_tall_block_on_falling_thresholds_is_refused():
     """Its length was NaN."""
     block, _ = at_prestress(5000.0, 1.0, 0.1, 0.0)
@@ -180,7 +179,6 @@ def test_events_that_do_not_stop_are_inf_in_bulk():
     assert np.isfinite(found.block_precursor_length.sel(prestress=0.3)).all()
 
 
-@pytest.mark.ci
 def test_a_fit_of_lengths_where_no_event_stops():
     m = sp.Measurements(
         height=[30.0, 40.0], poisson=0.3, length=[20.0, 30.0], length_sigma=0.5, push_height=[3.0, 4.0], prestress=0.8
@@ -411,7 +409,6 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
         assert found.identifiability is not Identifiability.IDENTIFIED
 
 
-@pytest.mark.ci
 def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
     length = np.array([float(sp.precursor_length(one, event="full")) for one in block])

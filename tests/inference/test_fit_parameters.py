@@ -402,7 +402,6 @@ def test_force_and_displacement_give_the_strength():
     assert result.identifiability is Identifiability.IDENTIFIED
 
 
-@pytest.mark.ci
 def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
     load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)

@@ -29,19 +29,20 @@ def two_specimens():
     )
 
 
-@pytest.mark.ci
 @pytest.mark.parametrize(
     ("table", "options"),
     [
-        (str(LENGTHS), {}),
+        pytest.param(str(LENGTHS), {}, marks=pytest.mark.ci),
         pytest.param(str(LENGTHS), {"sigma": "relative"}, marks=pytest.mark.ci),
         pytest.param(
             two_specimens(), {"free": [sp.Parameter("stiffness", bounds=(1e-4, 0.1), each="specimen"), "offset"], "intervals": "profile"},
             marks=pytest.mark.ci,
         ),
-        (sp.Measurements(height=[20, 40], poisson=0.3, length=[15, 60], kind=("whole", "at_least")), {}),
+        pytest.param(
+            sp.Measurements(height=[20, 40], poisson=0.3, length=[15, 60], kind=("whole", "at_least")), {}, marks=pytest.mark.ci
+        ),
         (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
-        (sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}),
+        pytest.param(sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}, marks=pytest.mark.ci),
         pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.ci),
     ],
 )  # fmt: skip
@@ -117,7 +118,6 @@ def test_arrays_in_si_are_those_of_a_table():
         sp.Measurements.from_si(height=1e-6, length=1.0, poisson=0.3, correlation_length=1e-5)
 
 
-@pytest.mark.ci
 def test_a_catalogue_as_a_dataframe():
     catalogue = sp.series(sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=30), sp.Steps(0.5), events=4)
     frame = catalogue.to_dataframe()

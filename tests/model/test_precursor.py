@@ -85,7 +85,6 @@ def test_lengths_in_bulk_are_those_one_by_one():
     np.testing.assert_allclose(whole, singly, rtol=1e-12)
 
 
-@pytest.mark.ci
 def test_a_bad_lane_leaves_the_others_alone():
     with pytest.warns(RuntimeWarning, match=r"1 of 3 fronts, the first at index \(2,\)"):
         lengths = precursor_lengths(Slider([10.0, 25.0, 5000.0], [0.03, 0.03, 1e-3], 0.3), max_contacts=100)

@@ -53,7 +53,6 @@ def test_page_states_the_claims_criteria_and_verdicts_of_the_code():
     assert [int(x) for x in told.groups()] == [list(VERDICTS.values()).count(v) for v in (HOLDS, WITHIN, FAILS)]
 
 
-@pytest.mark.ci
 def test_quick_claims():
     check([number for number in CLAIMS if number not in LONG])
 

@@ -18,7 +18,6 @@ def found():
         return sp.first_precursor(BLOCK)
 
 
-@pytest.mark.ci
 def test_stresses_from_nucleation_to_the_end(found):
     with jax.enable_x64(True):
         first, half, last = range(3)
@@ -35,8 +34,7 @@ def test_stresses_from_nucleation_to_the_end(found):
     assert np.abs(shear[:, :, -1]).max() < 0.1 * np.abs(shear).max()
 
 
-@pytest.mark.ci
-def test_pictures(found, tmp_path):
+def test_pictures(found):
     with jax.enable_x64(True):
         for breaks in (0, None):
             ax = sp.plot.block_stress(found, breaks, ax=Figure().subplots())
@@ -45,6 +43,11 @@ def test_pictures(found, tmp_path):
             sp.plot.block_stress(found, 999)
         with pytest.raises(ValueError, match="not the event of this interface"):
             sp.plot.block_stress(found, interface=sp.Interface(prestress=0.2))
+
+
+@pytest.mark.ci
+def test_a_movie(tmp_path):
+    with jax.enable_x64(True):
         sp.plot.animate(sp.first_precursor(sp.Block(6.0, 0.1, 0.3, sp.Push(0.4))), tmp_path / "block.gif")
     assert (tmp_path / "block.gif").read_bytes().startswith(b"GIF")
 

@@ -47,6 +47,22 @@ def test_stress_is_all_that_the_contacts_carry():
     assert seen.stress[-1] == pytest.approx(0.3, abs=0.01), "far away its prestress alone"
 
 
+def test_the_drawing_shows_length_front_and_slopes():
+    """Of the paper's slider after ten breaks, and of a front that does not stop."""
+    draw = explorer.Drawing(dark=False)
+    theta = np.array([25.0, 0.03, 0.3, 0.0, 0.0])
+    first = draw(explorer.view(theta, np.asarray(10)), theta)
+    assert first.startswith(b"\x89PNG")
+    assert draw.arrest.get_xdata()[0] == pytest.approx(float(sp.precursor_length(sp.Slider(25.0, 0.03, 0.3))))
+    assert {mark.get_xdata()[0] for mark in draw.marks} == {9.5}
+    assert draw.words.get_text() == ""
+    slopes = dict(zip(explorer.STEPS, (bar.get_width() for bar in draw.bars), strict=True))
+    assert all(slopes.values()), "every parameter changes the length"
+    theta[3] = 0.7
+    assert draw(explorer.view(theta, np.asarray(10)), theta) != first
+    assert draw.words.get_text() == "the front does not stop"
+
+
 @pytest.mark.ci
 def test_slopes_are_those_of_the_length():
     theta = np.array([25.0, 0.03, 0.3, 0.1, 0.001])

@@ -38,6 +38,18 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     assert "u_s" in above.get_ylabel()
 
 
+def test_frames_go_from_nucleation_to_arrest(front, tmp_path):
+    """The first is drawn at once, the last is where the front stopped; between them is a frame for every break."""
+    short = sp.first_precursor(sp.Slider(5.0, 0.2, 0.3))
+    broken = int(short.contacts_broken)
+    movie = sp.plot.animate(short, tmp_path / "front.gif", hold=0.1)
+    with Image.open(tmp_path / "front.gif") as gif:
+        assert gif.n_frames == broken + 1
+    upper, below = movie._fig.axes
+    np.testing.assert_allclose(below.lines[2].get_ydata(), short.arrest.stress[: below.lines[2].get_ydata().size], atol=1e-12)
+    assert f"{broken} contacts broken: it stops" in below.texts[0].get_text()
+
+
 @pytest.mark.ci
 def test_html_and_notebooks(front, tmp_path):
     movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)

@@ -35,7 +35,6 @@ def has_units(ax, across, up):
     return across in ax.get_xlabel() and up in ax.get_ylabel()
 
 
-@pytest.mark.ci
 def test_displacements(ax, event):
     _, found = event
     plot.displacements(found.after, before=found.before, sites=40, ax=ax)
@@ -44,7 +43,6 @@ def test_displacements(ax, event):
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), found.after.layer[:40])
 
 
-@pytest.mark.ci
 def test_stress(ax, event):
     c, found = event
     plot.stress(found.after, chain=c, before=found.before, ax=ax)

@@ -44,7 +44,6 @@ def law(b, nu, phi):
     return z * unit, z, beta
 
 
-@pytest.mark.ci
 def test_macroscopic_law_and_its_correction():
     found = theory.macroscopic_length(SMALL_AND_LARGE, 0.3)
     corrections = theory.macroscopic_correction(SMALL_AND_LARGE, 0.3)
