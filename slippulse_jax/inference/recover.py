@@ -35,12 +35,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
+from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
 from slippulse_jax.domains import check_choice, check_domain, check_whole
 from slippulse_jax.files import plain
-from slippulse_jax.inference.heterogeneous import ProfileKind, ProfileProblem, followed, fronts, profile_problem
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used
+from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, fronts, profile_problem
+from slippulse_jax.inference.measurements import Measurements, check_used
+from slippulse_jax.shown import plural
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
@@ -150,13 +152,13 @@ class RecoveredProfile:
     def report(self) -> str:
         """Report as text."""
         n = len(self.measurements)
-        low, high = self.interval(0.95)
+        low, high = self.interval()
         where = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in self.stretches) or "nowhere"
         symbol = "θ/θ_0" if self.kind == "threshold" else "φ"
         lines = [
-            f"{self.kind.capitalize()} profile from {n} length{'s' * (n > 1)}: {self.determination.value}",
+            f"{self.kind.capitalize()} profile from {plural(n, 'length')}: {self.determination.value}",
             f"  independent values that the lengths determine: {self.degrees:.2f}, of {len(self.position)} knots",
-            f"  determined (standard error at most 0.4 of the prior's, and checked by simulation) at x/λc: {where}",
+            f"  determined (standard error at most {WITHIN} of the prior's, and checked by simulation) at x/λc: {where}",
             f"  χ² = {self.chi2:.4g} for {n} lengths; prior misfit {self.prior_misfit:.4g}; {self.steps} steps",
             f"  prior: {self._prior()}",
             f"  {self._starts()}",
@@ -165,7 +167,11 @@ class RecoveredProfile:
         if self.log_stiffness_shift:
             lines.append(f"  ln k moved by {self.log_stiffness_shift:+.3g}")
         lines.append(f"  {'x/λc':>8} {symbol:>9} {'± se':>9} {'95 % interval':>20} {'prior se':>9}  from")
-        for x in self._rows():
+        # evenly spaced, and at the arrests where they are few
+        length = self.measurements.length
+        arrests = np.unique(length.round())
+        listed = [*np.linspace(0, length.max(), 6).round(), *arrests[: len(arrests) * (len(arrests) <= 8)]]
+        for x in np.unique(listed):
             i = int(np.argmin(abs(self.position - x)))
             origin = "lengths" if self.determined[i] else "definition" if self.prior_stderr[i] < 1e-6 else "prior"
             lines.append(
@@ -200,12 +206,6 @@ class RecoveredProfile:
             text += "; if they were seen to start inside, do not rely on it"
         return text
 
-    def _rows(self) -> np.ndarray:
-        """Positions listed in the report: evenly spaced, and the arrests where they are few."""
-        length = self.measurements.length
-        arrests = np.unique(length.round())
-        return np.unique(np.concatenate([np.linspace(0, length.max(), 6).round(), arrests if len(arrests) <= 8 else []]))
-
     def __str__(self) -> str:
         return self.report()
 
@@ -214,21 +214,20 @@ class RecoveredProfile:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values, ready for JSON; numbers that are not finite are None."""
-        same = ("degrees", "chi2", "prior_misfit", "log_stiffness_shift", "agreement")
-        arrays = ("position", "profile", "stderr", "prior_stderr", "fitted")
-        content = {
-            "kind": self.kind,
-            "determination": self.determination.name.lower(),
-            "statement": self.determination.value,
-            **{name: getattr(self, name) for name in same},
-            "determined": self.stretches,
-            "smoothness": {name: self.smoothness[name] for name in ("amplitude", "length_scale")},
-            "settings": self.settings,
-            "nucleation": {name: self.nucleation[name] for name in ("contact", "at_edge", "length")},
-            "units": {"position": "λc", "profile": "θ_0" if self.kind == "threshold" else "σ_s", "fitted": "λc"},
-            **{name: getattr(self, name) for name in arrays},
-        }
-        return plain(content)
+        names = ("degrees", "chi2", "prior_misfit", "log_stiffness_shift", "agreement")
+        names += ("position", "profile", "stderr", "prior_stderr", "fitted", "settings")
+        return plain(
+            {
+                "kind": self.kind,
+                "determination": self.determination.name.lower(),
+                "statement": self.determination.value,
+                "determined": self.stretches,
+                "smoothness": {name: self.smoothness[name] for name in ("amplitude", "length_scale")},
+                "nucleation": {name: self.nucleation[name] for name in ("contact", "at_edge", "length")},
+                "units": {"position": "λc", "profile": "θ_0" if self.kind == "threshold" else "σ_s", "fitted": "λc"},
+                **{name: getattr(self, name) for name in names},
+            }
+        )
 
 
 def recover_profile(
@@ -274,29 +273,34 @@ def recover_profile(
     ValueError
         If an argument lies outside its domain, or a measurement is neither a length nor a count.
     """
-    m = measurements
-    _check(m, kind, log_stiffness_sd, amplitude, length_scale, max_steps)
+    m, of_threshold = measurements, kind == "threshold"
+    check_choice("kind", kind, ProfileKind)
+    check_domain("log_stiffness_sd", log_stiffness_sd, lambda x: x >= 0, "must be 0 or more")
+    for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
+        check_domain(name, 1.0 if value is None else value, lambda x: x > 0, "must be positive")
+    check_whole("max_steps", max_steps, 1)
     check_used(m, "recover_profile")
-    problem = profile_problem(m, kind, stiffness, mean=mean, log_stiffness_sd=log_stiffness_sd)
-    measured, sigma, k = problem.measured, problem.sigma, len(problem.knots)
+    problem = profile_problem(m, kind, stiffness)
+    k, level = len(problem.knots), 0.0 if of_threshold else LEVEL
     amplitudes = _AMPLITUDES[kind] if amplitude is None else [amplitude]
-    length_scales = _LENGTH_SCALES * measured.max() if length_scale is None else [length_scale]
+    length_scales = _LENGTH_SCALES * problem.measured.max() if length_scale is None else [length_scale]
     settings = np.array([(s, scale) for s in amplitudes for scale in length_scales])
-    priors = np.stack([prior_covariance(problem, *setting) for setting in settings])
-    found = invert(problem, priors, settings[:, 0], max_steps)
+    of_profile = (squared_exponential(problem.knots, *one, level=level, pinned=of_threshold) for one in settings)
+    priors = np.array([block_diag(one, log_stiffness_sd**2) for one in of_profile])
+    middle = np.append(np.full(k, 0.0 if of_threshold else mean), 0.0)
+    found = invert(problem, middle, priors, settings[:, 0], max_steps)
     u, covariance = mixture(found.mean, found.covariance, found.weight)
     covariance, resolution = covariance[:k, :k], np.tensordot(found.weight, found.resolution, 1)[:k, :k]
     prior_variance = found.weight @ np.diagonal(priors, axis1=1, axis2=2)[:, :k]
     # better knowledge of the mean prestress does not determine it at any place
-    varying = prior_variance - (LEVEL**2 if kind == "prestress" else 0)
-    fitted, _, stress, slope = problem.lengths(u)
-    at_arrest = np.array([np.interp(x, np.arange(len(t)), t) for x, t in zip(measured, stress, strict=True)])
-    profile = np.exp(u[:k]) if kind == "threshold" else u[:k]
-    unit = profile if kind == "threshold" else 1.0
+    varying = prior_variance - level**2
+    model = problem.linearised(u)
+    profile = np.exp(u[:k]) if of_threshold else u[:k]
+    unit = profile if of_threshold else 1.0
     error = _stderr(covariance)
     determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
     nucleation, agreement = _simulated(problem, found, u)
-    determination = _judge(problem, found, fitted, determined, nucleation, agreement)
+    determination = _judge(problem, found, model.length, determined, nucleation, agreement)
     determined &= determination in (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
     return RecoveredProfile(
         kind=kind,
@@ -308,13 +312,13 @@ def recover_profile(
         covariance=covariance,
         determined=determined,
         resolution=resolution,
-        fitted=fitted,
-        chi2=float(problem.chi2(fitted)),
+        fitted=model.length,
+        chi2=float(problem.chi2(model.length)),
         prior_misfit=found.prior_misfit,
         settings=_table(amplitude=settings[:, 0], length_scale=settings[:, 1], weight=found.weight),
-        arrest=measured,
-        at_arrest=at_arrest if kind == "threshold" else None,
-        at_arrest_stderr=sigma * abs(slope) if kind == "threshold" else None,
+        arrest=problem.measured,
+        at_arrest=model.stress if of_threshold else None,
+        at_arrest_stderr=problem.sigma * abs(model.slope) if of_threshold else None,
         nucleation=nucleation,
         agreement=agreement,
         determination=determination,
@@ -326,11 +330,11 @@ def recover_profile(
 
 def _simulated(problem: ProfileProblem, found: "Posterior", u: np.ndarray) -> tuple[np.recarray, float]:
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
-    ruptured, contact = followed(problem.sliders_at(u), *problem.contacts(u))
+    ruptured, contact = followed(*problem.lanes(u))
     draws = _draws(found)
-    those = [fronts(problem.sliders_at(part), *problem.contacts(part)) for part in np.split(draws, PARTS)]
+    those = [fronts(*problem.lanes(part)) for part in np.split(draws, PARTS)]
     length, start = (np.concatenate(column) for column in zip(*those, strict=True))
-    linear = found.length + (draws - found.at) @ found.derivative.T
+    linear = found.model.length + (draws - found.at) @ found.model.by_length.T
     with np.errstate(invalid="ignore"):
         chi2, linear_chi2 = problem.chi2(length), problem.chi2(linear)
     log_weight = np.where(np.isfinite(chi2), linear_chi2 - chi2, -np.inf) / 2
@@ -354,18 +358,6 @@ def _draws(found: "Posterior") -> np.ndarray:
         spread = covariance + JITTER * np.diag(covariance).max() * np.eye(len(covariance))
         draws[own] = found.mean[setting] + draws[own] @ np.linalg.cholesky(spread).T
     return draws
-
-
-def _check(
-    m: Measurements, kind: str, log_stiffness_sd: float, amplitude: float | None, length_scale: float | None, max_steps: int
-) -> None:
-    check_choice("kind", kind, ProfileKind)
-    check_domain("log_stiffness_sd", log_stiffness_sd, lambda x: x >= 0, "must be 0 or more")
-    for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
-        check_domain(name, 1.0 if value is None else value, lambda x: x > 0, "must be positive")
-    check_whole("max_steps", max_steps, 1)
-    if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
-        raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
 
 
 def _stderr(covariance: np.ndarray) -> np.ndarray:
@@ -411,39 +403,19 @@ class Posterior(NamedTuple):
     mean: np.ndarray  # (h, k + 1)
     covariance: np.ndarray  # (h, k + 1, k + 1)
     resolution: np.ndarray  # (h, k + 1, k + 1)
-    prior_misfit: float  # (u − m)ᵀK⁻¹(u − m) where the search ended
     converged: bool
     steps: int
     at: np.ndarray  # (k + 1,) u where the search ended
-    length: np.ndarray  # (n,) ℓ there
-    derivative: np.ndarray  # (n, k + 1)
-
-
-def prior_covariance(problem: ProfileProblem, amplitude: float, length_scale: float) -> np.ndarray:
-    """Covariance of u: of the knots, and of the shift of ln k."""
-    k, pinned = len(problem.knots), problem.kind == "threshold"
-    covariance = np.zeros((k + 1, k + 1))
-    level = 0.0 if pinned else LEVEL
-    covariance[:k, :k] = squared_exponential(problem.knots, amplitude, length_scale, level=level, pinned=pinned)
-    covariance[k, k] = problem.log_stiffness_sd**2
-    return covariance
+    model: Linearised  # there
+    prior_misfit: float  # (u − m)ᵀK⁻¹(u − m) there
 
 
 def squared_exponential(
     position: Float[np.ndarray, " k"], amplitude: float, length_scale: float, *, level: float = 0.0, pinned: bool = False
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance s² exp[−(x − x')²/2L²] of a smooth function.
+    """Covariance s² exp[−(x − x')²/2L²] of a smooth function at positions x in λc; s is its amplitude, L its length scale.
 
-    Parameters
-    ----------
-    position : array, shape (k,)
-        Knots, in λc.
-    amplitude, length_scale : float
-        s, the standard deviation of the function about its mean; and L in λc, the distance over which it varies.
-    level : float
-        Standard deviation of an unknown constant added to the function.
-    pinned : bool
-        Whether the function is known at the first knot.
+    `level` is the standard deviation of an unknown constant added to it; a `pinned` function is known at the first position.
     """
     apart = (position[:, None] - position[None, :]) / length_scale
     kernel = amplitude**2 * np.exp(-(apart**2) / 2) + level**2
@@ -460,15 +432,7 @@ def condition(
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k k"], float]:
     """Posterior of u − m given z = G (u − m) + noise: c, whose mean is K c, covariance, resolution and ln evidence.
 
-    Parameters
-    ----------
-    z : array, shape (n,)
-    design : array, shape (n, k)
-        G.
-    noise : array, shape (n,)
-        Standard errors of z.
-    prior : array, shape (k, k)
-        K.
+    G is the `design`, K the covariance of the `prior`, and `noise` the standard errors of z.
     """
     gain = prior @ design.T
     factor = np.linalg.cholesky(design @ gain + np.diag(noise**2))
@@ -500,48 +464,53 @@ def quantile(
     return (low + high) / 2
 
 
-def invert(problem: ProfileProblem, priors: np.ndarray, amplitude: np.ndarray, max_steps: int) -> Posterior:
+def invert(problem: ProfileProblem, middle: np.ndarray, priors: np.ndarray, amplitude: np.ndarray, max_steps: int) -> Posterior:
     """Fit with the setting of most evidence, weight all settings where the search ended, and repeat until it stays.
 
-    Of the settings `priors` are the covariances, shape (h, k + 1, k + 1), and `amplitude` the amplitudes.
+    The priors have the mean `middle`, shape (k + 1,), and the covariances `priors`, shape (h, k + 1, k + 1), one for each
+    setting; `amplitude` are the amplitudes of the settings.
     """
     weight = np.full(len(priors), 1 / len(priors))
     best, total, tried = len(priors) // 2, 0, set()
     while True:
-        c, steps, converged = _descend(problem, priors[best], max_steps)
+        tried.add(best)
+        c, model, steps, converged = _descend(problem, middle, priors[best], max_steps)
         total += steps
         place = priors[best] @ c
-        length, derivative, *_ = problem.lengths(problem.mean + place)
-        z = problem.measured - length + derivative @ place
-        each = [condition(z, derivative, problem.sigma, prior) for prior in priors]
+        z = problem.measured - model.length + model.by_length @ place
+        each = [condition(z, model.by_length, problem.sigma, prior) for prior in priors]
         if len(z) >= ENOUGH:
             # a prior flat in the amplitude: the settings lie evenly along its logarithm
             evidence = np.array([log_evidence for *_, log_evidence in each]) + np.log(amplitude)
             weight = np.exp(evidence - evidence.max())
             weight /= weight.sum()
-        tried.add(best)
-        best = int(np.argmax(weight)) if len(z) >= ENOUGH else best
+            best = int(np.argmax(weight))
         if best in tried:
-            mean = [problem.mean + prior @ own for prior, (own, *_) in zip(priors, each, strict=True)]
-            covariance, resolution = (np.stack([one[i] for one in each]) for i in (1, 2))
-            at = problem.mean + place
-            misfit = float(c @ place)
-            return Posterior(weight, np.stack(mean), covariance, resolution, misfit, converged, total, at, length, derivative)
+            break
+    misfit = float(c @ place)
+    own, covariance, resolution, _ = zip(*each, strict=True)
+    mean = np.stack([middle + prior @ c for prior, c in zip(priors, own, strict=True)])
+    return Posterior(weight, mean, np.stack(covariance), np.stack(resolution), converged, total, middle + place, model, misfit)
 
 
-def _descend(problem: ProfileProblem, prior: np.ndarray, max_steps: int) -> tuple[np.ndarray, int, bool]:
-    """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend."""
+def _descend(
+    problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray, max_steps: int
+) -> tuple[np.ndarray, Linearised, int, bool]:
+    """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend.
 
-    def tried(c: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        length, derivative, *_ = problem.lengths(problem.mean + prior @ c)
-        value = float(problem.chi2(length) + c @ prior @ c)
-        return (value if np.isfinite(value) else np.inf), c, length, derivative
+    Returns c, the model there, the number of steps, and whether the search arrived.
+    """
 
-    starts = np.zeros(len(problem.mean)), _by_excess(problem, prior)
-    value, c, length, derivative = min(map(tried, starts), key=lambda found: found[0])
+    def tried(c: np.ndarray) -> tuple[float, np.ndarray, Linearised]:
+        model = problem.linearised(middle + prior @ c)
+        value = float(problem.chi2(model.length) + c @ prior @ c)
+        return (value if np.isfinite(value) else np.inf), c, model
+
+    starts = np.zeros(len(middle)), _by_excess(problem, middle, prior)
+    value, c, model = min(map(tried, starts), key=lambda found: found[0])
     for step in range(1, max_steps + 1):
-        z = problem.measured - length + derivative @ (prior @ c)
-        move = condition(z, derivative, problem.sigma, prior)[0] - c
+        z = problem.measured - model.length + model.by_length @ (prior @ c)
+        move = condition(z, model.by_length, problem.sigma, prior)[0] - c
         size = move @ prior @ move
         for fraction in 0.5 ** np.arange(14):
             trial = tried(c + fraction * move)
@@ -549,21 +518,21 @@ def _descend(problem: ProfileProblem, prior: np.ndarray, max_steps: int) -> tupl
                 break
         else:
             # no lower along the step: rounding if the step is small, else a kink of ℓ at a site
-            return c, step, bool(size < KINK)
+            return c, model, step, bool(size < KINK)
         gained = value - trial[0]
-        value, c, length, derivative = trial
+        value, c, model = trial
         if size < 1e-8 or gained < 1e-6:
-            return c, step, True
-    return c, max_steps, False
+            return c, model, step, True
+    return c, model, max_steps, False
 
 
-def _by_excess(problem: ProfileProblem, prior: np.ndarray, steps: int = 6) -> np.ndarray:
+def _by_excess(problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray, steps: int = 6) -> np.ndarray:
     """Start of a search: c for which the stress equals the threshold at the measured arrests."""
-    c = np.zeros(len(problem.mean))
+    c = np.zeros(len(middle))
     for _ in range(steps):
-        excess, derivative, _, slope = problem.excess(problem.mean + prior @ c)
-        noise = problem.sigma * np.maximum(abs(slope), 1e-4)
-        if not np.isfinite(excess).all():
+        model = problem.linearised(middle + prior @ c)
+        noise = problem.sigma * np.maximum(abs(model.slope), 1e-4)
+        if not np.isfinite(model.excess).all():
             break
-        c = condition(derivative @ (prior @ c) - excess, derivative, noise, prior)[0]
+        c = condition(model.by_excess @ (prior @ c) - model.excess, model.by_excess, noise, prior)[0]
     return c
