@@ -7,16 +7,26 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from slippulse_jax.block import Control, Push, has_push
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, check_choice, check_domain
+from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, Domain, check_choice, check_domain
 from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.fronts import FRONTS, pushed
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.knowledge import GAIN, Kind, Knowledge, expected_gain, greedy, moments
+from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
 from slippulse_jax.shown import html
 
 BIT = np.log(2)
 MOST_EXPERIMENTS = 12
+
+DOMAINS = {
+    "correlation_length": Domain(0, np.inf, "must be positive, in m"),
+    "young": Domain(0, np.inf, "must be positive, in Pa"),
+    "poisson": POISSON,
+    "prestress": PRESTRESS,
+    "threshold_slope": THRESHOLD_SLOPE,
+}
+OVER_UNIT = Domain(1, np.inf, "must exceed 1")
+"""Domain of a height over λc."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,9 +119,11 @@ class Design:
                 f"{place:3}. {names[i]:{wide}} {span:{17 + len(length_unit)}} "
                 f"{_bits(self.information[i], self.information_error[i], 6)} {self.log_stderr[i]:11.3g}{last}"
             )
+        lengths = self.length[:, self.best, None]
+        expected, _ = moments(lengths, k.by_root * np.isfinite(lengths))
         by_root = ", ".join(
             f"{length * scale[self.best]:.4g} {length_unit} if {k.symbol} = {value:.3g}"
-            for length, (_, value, _) in zip(self._by_root(self.best), k.roots, strict=True)
+            for length, (_, value, _) in zip(np.nan_to_num(expected, nan=np.inf), k.roots, strict=True)
         )
         lines.append(f"Next: {names[self.best]}; expect {by_root}.")
         if len(self.sequence) > 1:
@@ -121,12 +133,6 @@ class Design:
                 together = _bits(information, error)
                 lines.append(f"{place:3}. {names[i]:{wide}} together {together}, se of ln k {log_stderr:.3g}{last}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
-
-    def _by_root(self, i: int) -> np.ndarray:
-        """Length expected of a candidate under each root, in λc; inf where its front never stops."""
-        length = self.length[:, i, None]
-        mean, _ = moments(length, self.knowledge.by_root * np.isfinite(length))
-        return np.nan_to_num(mean, nan=np.inf)
 
     def __str__(self) -> str:
         return self.report()
@@ -151,15 +157,10 @@ class Design:
         """Plain Python values of everything but the samples, ready for JSON; information in nats."""
         k = self.knowledge
         mean, sd = self.expected_length.T
-        results = {
-            "label": self.names,
-            "rank": np.argsort(self.ranking) + 1,
-            "length": mean,
-            "length_sd": sd,
-            **{name: getattr(self, name) for name in ("never_stops", "information", "information_error", "log_stderr")},
-            "told_apart": self.told_apart,
-        }
-        rows = zip(*results.values(), strict=True)
+        names = ("never_stops", "information", "information_error", "log_stderr", "told_apart")
+        results = {"label": self.names, "rank": np.argsort(self.ranking) + 1, "length": mean, "length_sd": sd}
+        results |= {name: getattr(self, name) for name in names}
+        candidates = enumerate(plain(self.candidates))
         return plain(
             {
                 "knowledge": {
@@ -169,9 +170,7 @@ class Design:
                     "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
                 },
                 "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
-                "candidates": [
-                    one | dict(zip(results, row, strict=True)) for one, row in zip(plain(self.candidates), rows, strict=True)
-                ],
+                "candidates": [one | {name: column[i] for name, column in results.items()} for i, one in candidates],
                 "sequence": self.sequence,
                 "notes": self.notes,
             }
@@ -276,28 +275,19 @@ def design(
             f"the knowledge is from measurements of a {knowledge.body}, the candidates are {body}s "
             "(push_height makes them blocks)"
         )
-    if knowledge.in_si != (correlation_length is not None):
-        known, needed = ("areal stiffness in Pa/m", "give correlation_length and young") if knowledge.in_si else (
-            "k/K", "it must be areal (in_si=True) where the material is given"
-        )  # fmt: skip
-        raise ValueError(f"the knowledge is about {known}: {needed}")
+    if knowledge.in_si and correlation_length is None:
+        raise ValueError("the knowledge is about areal stiffness in Pa/m: give correlation_length and young")
+    if not knowledge.in_si and correlation_length is not None:
+        raise ValueError("the knowledge is about k/K: it must be areal (in_si=True) where the material is given")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
     length = lengths_of(candidates, knowledge.log_stiffness, knowledge.event)
     error = candidates.sigma / np.nan_to_num(candidates.correlation_length, nan=1.0)
     gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, error, strict=True)]
-    information, information_error, log_stderr, told_apart = np.transpose(gains)
-    sequence = greedy(knowledge, length, error, kind, gains, experiments, seed)
-    return Design(
-        knowledge=knowledge,
-        candidates=candidates,
-        information=information,
-        information_error=information_error,
-        log_stderr=log_stderr,
-        told_apart=told_apart,
-        length=length,
-        sequence=np.rec.fromrecords(sequence, dtype=[("candidate", int), *((name, float) for name in GAIN)]),
-    )
+    chosen = greedy(knowledge, length, error, kind, gains, experiments, seed)
+    kinds = [("candidate", int), *((name, float) for name in Gain._fields)]
+    sequence = np.rec.fromrecords([(i, *gain) for i, gain in chosen], dtype=kinds)
+    return Design(knowledge, candidates, *np.transpose(gains), length=length, sequence=sequence)
 
 
 def _candidates(given: dict[str, Any]) -> np.recarray:
@@ -315,36 +305,28 @@ def _candidates(given: dict[str, Any]) -> np.recarray:
     count = columns["height"].size
     if columns["height"].ndim != 1 or count == 0:
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
-    _check(columns, given["kind"])
-    if has_push(columns, given["push_control"]):
-        _check_push(columns)
+    _check(columns, given["kind"], given["push_control"])
     columns |= {name: np.full(count, np.nan if x is None else x) for name, x in given.items() if name not in columns}
     return np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
 
 
-def _check(columns: dict[str, np.ndarray], kind: str) -> None:
-    """Check that every number lies in its domain."""
-    for name, requirement in (("correlation_length", "must be positive, in m"), ("young", "must be positive, in Pa")):
-        check_domain(name, columns.get(name, np.ones(1)), lambda x: x > 0, requirement)
+def _check(columns: dict[str, np.ndarray], kind: Kind, push_control: Control) -> None:
+    """Check every number, and that every pusher lies on the side of its block and covers more than a contact's length."""
+    for name in (name for name in DOMAINS if name in columns):
+        DOMAINS[name].check(name, columns[name])
     if kind == "length":
         check_domain("sigma", columns["sigma"], lambda x: x > 0, "must be positive: the standard error of a length")
     check_domain("sigma", columns["sigma"], lambda x: x >= 0, "cannot be negative: a standard error")
-    ratio = columns["height"] / columns.get("correlation_length", 1.0)
-    check_domain("height over correlation length", ratio, lambda x: x > 1, "must exceed 1")
-    for name, domain in (("poisson", POISSON), ("prestress", PRESTRESS), ("threshold_slope", THRESHOLD_SLOPE)):
-        domain.check(name, columns[name])
-
-
-def _check_push(columns: dict[str, np.ndarray]) -> None:
-    """Check that every pusher lies on the side of its block, and covers more than a contact's length of it."""
+    height = columns["height"] / columns.get("correlation_length", 1.0)
+    OVER_UNIT.check("height over correlation length", height)
+    if not has_push(columns, push_control):
+        return
     if columns["threshold_slope"].any():
         raise ValueError("threshold_slope: the thresholds under a block are level here")
     for name, symbol in (("push_height", "h/H"), ("push_width", "w/H")):
-        if name in columns:
-            over = f"must lie in (0, 1), as it is over the height of the block, {symbol}"
-            check_domain(name, columns[name], lambda x: (x > 0) & (x < 1), over)
-    at = columns["push_height"] * columns["height"] / columns.get("correlation_length", 1.0)
-    check_domain("height of the push over correlation length", at, lambda x: x > 1, "must exceed 1")
+        over = f"must lie in (0, 1), as it is over the height of the block, {symbol}"
+        check_domain(name, columns.get(name, 0.5), lambda x: (x > 0) & (x < 1), over)
+    OVER_UNIT.check("height of the push over correlation length", columns["push_height"] * height)
     for at, width in zip(columns["push_height"], columns.get("push_width", ()), strict=False):
         Push(at, width)
 

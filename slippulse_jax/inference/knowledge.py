@@ -14,7 +14,7 @@ p(y) being an exact sum over the samples, that estimate has no bias, and scrambl
 
 import dataclasses
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -39,11 +39,6 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.fitted import Fitted
 
 Kind = Literal["length", "whole"]
-
-GAIN = ("information", "error", "log_stderr", "told_apart")
-Gain = tuple[float, float, float, float]
-"""Expected of one experiment, or of several together: the information in nats; its error, of the quadrature or a standard one;
-the standard deviation of θ afterwards; and the probability that one root will have a posterior of `SURE` or more."""
 
 NODES = 1201
 """Samples of a grid."""
@@ -318,6 +313,15 @@ def _roots(density: np.ndarray) -> np.ndarray:
 # --- information ---------------------------------------------------------------------------------------------------------
 
 
+class Gain(NamedTuple):
+    """What one experiment, or several together, are expected to add to the knowledge."""
+
+    information: float  # in nats
+    error: float  # of it: of the quadrature, or a standard error
+    log_stderr: float  # standard deviation of θ afterwards
+    told_apart: float  # probability that one root will have a posterior of `SURE` or more
+
+
 def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
     """Logarithms ln p(y | ℓ) of the density that a fit has, without its constant; shape (n, m).
 
@@ -349,14 +353,14 @@ def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -
 
 def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
     """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
-    information, log_stderr, told_apart = _quadrature(known, length, sigma, kind, STEP)
+    information, *afterwards = _quadrature(known, length, sigma, kind, STEP)
     # every other sample of each root, with the probability of the root
     kept = np.sort(np.concatenate([np.flatnonzero(own)[::2] for own in known.by_root.T]))
     root = known.root[kept]
     share, left = (weight.sum(axis=0)[root] for weight in (known.by_root, known.by_root[kept]))
     thin = Knowledge(known.log_stiffness[kept], known.weight[kept] * (share / left), root)
     coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(known, length, sigma, kind, 2 * STEP)
-    return information, max(abs(information - other[0]) for other in coarse), log_stderr, told_apart
+    return Gain(information, max(abs(information - other[0]) for other in coarse), *afterwards)
 
 
 def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, step: float) -> tuple[float, float, float]:
@@ -417,15 +421,15 @@ def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
     own = log_p[np.arange(len(log_p)), truth]
     means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
     sd, sure = _afterwards(known, np.exp(joint - total[:, None]))
-    return float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean())
+    return Gain(float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean()))
 
 
 def greedy(
     known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
-) -> list[tuple[int, *Gain]]:
+) -> list[tuple[int, Gain]]:
     """Choose experiments one by one, each adding most to those before it; the first by what each gains alone."""
-    best = int(np.argmax([gain[0] for gain in gains]))
-    sequence, so_far = [(best, *gains[best])], 0.0
+    best = int(np.argmax([gain.information for gain in gains]))
+    sequence, so_far = [(best, gains[best])], 0.0
     if experiments == 1:
         return sequence
     truth, noise = draw(known, experiments, seed)
@@ -434,6 +438,6 @@ def greedy(
         columns = zip(length.T, error, strict=True)
         each = (so_far + log_likelihoods(truth, noise[:, step], one, sigma, kind) for one, sigma in columns)
         gains = [joint_gain(known, truth, log_p) for log_p in each]
-        best = int(np.argmax([gain[0] for gain in gains]))
-        sequence.append((best, *gains[best]))
+        best = int(np.argmax([gain.information for gain in gains]))
+        sequence.append((best, gains[best]))
     return sequence
