@@ -13,6 +13,7 @@ from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.fronts import FRONTS, pushed
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
+from slippulse_jax.inference.measurements import numbers
 from slippulse_jax.shown import html
 
 BIT = np.log(2)
@@ -93,9 +94,8 @@ class Design:
             if endless > 1e-3:
                 said.append(f"Note: {name}: with probability {endless:.0%} the front never stops.")
         if self.information.max() < 0.1:
-            said.append(
-                "Note: no candidate adds much information: the lengths are on their plateau, or already known to within σ."
-            )
+            why = "the lengths are on their plateau, or already known to within σ"
+            said.append(f"Note: no candidate adds much information: {why}.")
         return said
 
     def report(self) -> str:
@@ -139,16 +139,11 @@ class Design:
 
     def _repr_html_(self) -> str:
         unit = "mm" if self.knowledge.in_si else "λc"
-        rows = [
-            (
-                self.names[i],
-                "{:.4g} ± {:.2g} {}".format(*self.expected_length[i] * self.scale[i], unit),
-                f"{self.information[i] / BIT:.3f} bit",
-                f"{self.log_stderr[i]:.3g}",
-            )
-            for i in self.ranking
-        ]
-        return html("Design, the most informative first", rows, ("candidate", "length", "information", "se of ln k"))
+        length = ["{:.4g} ± {:.2g} {}".format(*x, unit) for x in self.expected_length * self.scale[:, None]]
+        columns = self.names, length, self.information / BIT, self.log_stderr
+        rows = [(name, span, f"{bits:.3f} bit", f"{sd:.3g}") for name, span, bits, sd in zip(*columns, strict=True)]
+        heads = ("candidate", "length", "information", "se of ln k")
+        return html("Design, the most informative first", [rows[i] for i in self.ranking], heads)
 
     def __repr__(self) -> str:
         return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"
@@ -295,18 +290,17 @@ def _candidates(given: dict[str, Any]) -> np.recarray:
     check_choice("kind", given["kind"], Kind)
     if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
-    numbers = {name: x for name, x in given.items() if x is not None and name not in ("kind", "push_control")}
-    columns = {name: np.atleast_1d(np.asarray(x, dtype=np.float64)) for name, x in numbers.items()}
+    columns = {name: numbers(x) for name, x in given.items() if x is not None and name not in ("kind", "push_control")}
     try:
         columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
     except ValueError:
         shapes = ", ".join(f"{name} {x.shape}" for name, x in columns.items())
         raise ValueError(f"the conditions of the candidates must broadcast together: {shapes}") from None
-    count = columns["height"].size
-    if columns["height"].ndim != 1 or count == 0:
+    shape = columns["height"].shape
+    if len(shape) != 1 or shape == (0,):
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
     _check(columns, given["kind"], given["push_control"])
-    columns |= {name: np.full(count, np.nan if x is None else x) for name, x in given.items() if name not in columns}
+    columns |= {name: np.full(shape, np.nan if x is None else x) for name, x in given.items() if name not in columns}
     return np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
 
 

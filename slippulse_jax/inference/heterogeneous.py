@@ -5,10 +5,10 @@ prestress rises away from the edge, contact i breaks first, at the load
 
     A = min_i (θ_i − φ_i)/D(i),    D(i) = Σ_m C_m r_m^i,
 
-the stress that the edge puts on contact 0. From there the event spreads both ways. Here the contacts break from the edge on
-under that load (`fronts`, many profiles at once), which gives ℓ to some 0.01 λc where the event starts within a few λc of the
-edge. `followed` breaks the most overloaded contact again and again, wherever it lies (`slippulse_jax.events.event`), and so
-finds what that leaves out: events that start far inside, stop short of the edge, or break a contact twice.
+the stress that the edge puts on contact 0. From there the event spreads both ways. In the model the contacts break from the
+edge on under that load, which gives ℓ to some 0.01 λc where the event starts within a few λc of the edge. Breaking the most
+overloaded contact each time (`slippulse_jax.events.event`) shows what that leaves out: events that start far inside, stop short
+of the edge, or break a contact twice.
 
 Two functions of the unknown u, which is the profile at its knots (ln(θ/θ_0), or φ in σ_s) followed by the shift of ln k:
 
@@ -17,7 +17,6 @@ Two functions of the unknown u, which is the profile at its knots (ln(θ/θ_0), 
   stops, so a search starts with it. Near the solution both are equivalent: ℓ − measured = −e/e'.
 """
 
-from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import jax
@@ -61,9 +60,9 @@ class ProfileProblem(NamedTuple):
     between: np.ndarray  # (sites, k), share of each knot in the profile at each contact, a straight line between knots
     measured: np.ndarray  # (n,) lengths, in λc
     sigma: np.ndarray  # (n,) their standard errors, in λc
-    sliders: tuple[np.ndarray, np.ndarray, np.ndarray]  # (n,) H/λc, k/K and ν
+    sliders: tuple[np.ndarray, ...]  # (n,) H/λc, k/K and ν
     threshold: np.ndarray  # (n, sites), known factor of the threshold
-    prestress: np.ndarray  # (n, sites), known part of the prestress
+    prestress: np.ndarray  # (n, 1), known part of the prestress
 
     def chi2(self, length: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "..."]:
         """Σ [(ℓ − measured)/σ]²."""
@@ -96,25 +95,20 @@ class ProfileProblem(NamedTuple):
 
 
 def profile_problem(m: Measurements, kind: ProfileKind, stiffness: ArrayLike) -> ProfileProblem:
-    """Set up the problem of these measurements, with their prestress and threshold slope as known parts of the interface.
+    """Set up the problem of these measurements, with k/K of shape () or (n,).
 
-    Parameters
-    ----------
-    m : Measurements
-    kind : {"threshold", "prestress"}
-    stiffness : array_like, shape () or (n,)
-        k/K.
+    Their prestress and threshold slope are known parts of the interface.
 
     Raises
     ------
     MeasurementError
-        If a measurement is neither a length nor a count with its standard error, or they are not of one interface.
+        If one is neither a length nor a count, a standard error is missing, or they are not of one interface under sliders.
     """
     measured, sigma = _lengths(m)
     sites = 64 * int(np.ceil((1.3 * (measured + 4 * sigma).max() + 16) / 64))
     phi, slope = (m.or_zero(name)[:, None] for name in ("prestress", "threshold_slope"))
     slider = Slider(m.height, np.asarray(stiffness, dtype=np.float64), m.poisson)
-    height, ratio, poisson = (np.broadcast_to(x, (len(m),)) for x in (slider.height, slider.stiffness, slider.poisson))
+    sliders = tuple(np.broadcast_to(x, (len(m),)) for x in (slider.height, slider.stiffness, slider.poisson))
     knots = np.linspace(0, sites - 1, min(sites, MOST_KNOTS))
     return ProfileProblem(
         kind=kind,
@@ -122,9 +116,9 @@ def profile_problem(m: Measurements, kind: ProfileKind, stiffness: ArrayLike) ->
         between=np.stack([np.interp(np.arange(sites), knots, one) for one in np.eye(len(knots))], axis=1),
         measured=measured,
         sigma=sigma,
-        sliders=(height, ratio, poisson),
+        sliders=sliders,
         threshold=1 + slope * np.arange(sites),
-        prestress=phi + np.zeros((len(m), sites)),
+        prestress=phi,
     )
 
 
@@ -133,9 +127,8 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
         raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
     if m.push_height is not None:
-        raise MeasurementError(
-            f"{m.source}, column {m.columns.get('push_height', 'push_height')}: recover_profile takes sliders"
-        )
+        column = m.columns.get("push_height", "push_height")
+        raise MeasurementError(f"{m.source}, column {column}: recover_profile takes sliders")
     if not np.isfinite(m.sigma).all():
         raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
     whole = np.array(m.kind) == "whole"
@@ -144,35 +137,34 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     return m.length - 0.5 * whole, np.sqrt(m.sigma**2 + whole / 12)
 
 
-Followed = tuple[Float[np.ndarray, "..."], Int[np.ndarray, "..."]]
-"""ℓ of each event in λc, NaN where it does not stop within the contacts followed; and the contact that breaks first."""
-
-
-def fronts(height: ArrayLike, stiffness: ArrayLike, poisson: ArrayLike, theta: np.ndarray, phi: np.ndarray) -> Followed:
-    """Follow fronts whose contacts break from the edge on, under the load at which the first contact breaks.
+def followed(
+    height: ArrayLike,
+    stiffness: ArrayLike,
+    poisson: ArrayLike,
+    theta: Float[np.ndarray, "*batch sites"],
+    phi: Float[np.ndarray, "*batch sites"],
+    *,
+    next_break: Literal["neighbour", "most overloaded"],
+) -> tuple[Float[np.ndarray, "*batch"], Int[np.ndarray, "*batch"]]:
+    """Follow events from the load at which the first contact breaks.
 
     Parameters
     ----------
     height, stiffness, poisson : array_like
-        H/λc, k/K and ν, of shapes that broadcast with those of the profiles without their contacts.
+        H/λc, k/K and ν, which broadcast with the batch of profiles.
     theta, phi : array, shape (..., sites)
         Threshold and prestress of every contact, in σ_s.
+    next_break : {"neighbour", "most overloaded"}
+        Whether contacts break one after another from the edge on, or each time the most overloaded.
+
+    Returns
+    -------
+    length, start : array, shape (...)
+        ℓ of each event in λc, NaN where it does not stop within the sites; and the contact that breaks first.
     """
-    return _each(_fronts, height, stiffness, poisson, theta, phi)
-
-
-def followed(height: ArrayLike, stiffness: ArrayLike, poisson: ArrayLike, theta: np.ndarray, phi: np.ndarray) -> Followed:
-    """Follow events in the order in which their contacts break, the most overloaded next.
-
-    Parameters as for `fronts`.
-    """
-    return _each(_ruptures, height, stiffness, poisson, theta, phi)
-
-
-def _each(program: Callable[..., tuple[Array, Array]], *lanes: ArrayLike) -> Followed:
-    *sliders, theta, phi = map(np.asarray, lanes)
     shape, sites = theta.shape[:-1], theta.shape[-1]
-    numbers = [np.broadcast_to(x, shape).ravel() for x in sliders]
+    numbers = [np.broadcast_to(x, shape).ravel() for x in (height, stiffness, poisson)]
+    program = _fronts if next_break == "neighbour" else _ruptures
     with jax.enable_x64(True):
         found = program(*numbers, theta.reshape(-1, sites), phi.reshape(-1, sites))
     length, start = (np.asarray(x).reshape(shape) for x in found)

@@ -25,14 +25,7 @@ from slippulse_jax.front.front import EventKind, check_event
 from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.fronts import front_of
 from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
-from slippulse_jax.inference.measurements import (
-    MeasurementError,
-    Measurements,
-    check_used,
-    held,
-    numbers,
-    table,
-)
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used, held, numbers, table
 from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, parameter_set
 
 if TYPE_CHECKING:
@@ -40,29 +33,14 @@ if TYPE_CHECKING:
 
 Kind = Literal["length", "whole"]
 
-NODES = 1201
-"""Samples of a grid."""
-
-NEGLIGIBLE = 1e-9
-"""Weight, relative to the largest, below which a sample is left out."""
-
-FAINT = 40.0
-"""Fall of ln p from its largest beyond which a grid need not be fine."""
-
-VALLEY = 0.5
-"""Two peaks of a density count as two roots where it falls between them below this fraction of the lower one."""
-
-REACH = 7.0
-"""Range of the outcomes summed over, in standard errors beyond the lengths."""
-
-STEP = 0.25
-"""Spacing of the outcomes summed over, in standard errors."""
-
-SURE = 0.95
-"""Smallest posterior of one root from which the roots count as distinguished."""
-
-REPLICATES, POINTS = 8, 512
-"""Number of scrambled Sobol sequences, and points of each."""
+NODES = 1201  # samples of a grid
+NEGLIGIBLE = 1e-9  # weight, relative to the largest, below which a sample is left out
+FAINT = 40.0  # fall of ln p from its largest beyond which a grid need not be fine
+VALLEY = 0.5  # two peaks of a density are two roots where it falls between them below this fraction of the lower one
+REACH = 7.0  # range of the outcomes summed over, in standard errors beyond the lengths
+STEP = 0.25  # spacing of the outcomes summed over, in standard errors
+SURE = 0.95  # smallest posterior of one root from which the roots count as distinguished
+REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
 
 UNUSED = (
     "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma",
@@ -142,18 +120,13 @@ class Knowledge:
         nodes : int
             Samples of the grid.
         """
-        middle, sd, share = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (stiffness, log_sd, share)))
+        middle, sd, share = np.broadcast_arrays(*map(numbers, (stiffness, log_sd, share)))
         check_domain("stiffness", middle, lambda x: x > 0, "must be positive")
         check_domain("log_sd", sd, lambda x: x > 0, "must be positive: the standard deviation of ln(stiffness)")
         check_domain("share", share, lambda x: x > 0, "must be positive")
-        each = max(nodes // len(middle), 3)
-        x = np.linspace(-5, 5, each)
-        return cls(
-            np.concatenate([np.log(k) + s * x for k, s in zip(middle, sd, strict=True)]),
-            np.concatenate([p * np.exp(-(x**2) / 2) for p in share]),
-            np.repeat(np.arange(len(middle)), each),
-            in_si,
-        )
+        x = np.linspace(-5, 5, max(nodes // len(middle), 3))
+        theta, weight = np.log(middle)[:, None] + np.outer(sd, x), np.outer(share, np.exp(-(x**2) / 2))
+        return cls(theta.ravel(), weight.ravel(), np.repeat(np.arange(len(middle)), len(x)), in_si)
 
     @classmethod
     def from_measurements(
@@ -237,8 +210,8 @@ class Knowledge:
             raise ValueError(f"the fit has {len(asked)} stiffnesses ({', '.join(asked)}): one is needed")
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
-        event = result.parameters.front.event
-        if event == "crack":
+        front = result.parameters.front
+        if front.event == "crack":
             raise ValueError("the fit is of crack-like fronts: designs predict self-healing ones only")
         curve = result.curves[asked[0]]
         low = np.flatnonzero(curve.deviance < result.deviance - 2 * np.log(NEGLIGIBLE))
@@ -247,9 +220,8 @@ class Knowledge:
         theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
         deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
         density = np.exp((deviance.min() - deviance) / 2)
-        return cls(
-            theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, result.parameters.front.body
-        )
+        weight, in_si = density * np.gradient(theta), result.measurements.in_si
+        return cls(theta, weight, _roots(density), in_si, front.event, front.body)
 
     @property
     def symbol(self) -> str:

@@ -1,17 +1,7 @@
 r"""A threshold or prestress that varies along the interface, from the lengths of precursors that stop at different places.
 
-Under the hard rule a contact releases the stress it carries as the front passes, whatever its threshold. So for a given
-prestress the front stress t(s) depends on one threshold only, that of contact 0, which sets the load; and a front that stops at
-ℓ measures one more:
-
-    θ(ℓ)/θ_0 = t(ℓ),
-
-to within σ |t' − θ'|. Of the contacts before ℓ the length implies only that their thresholds were below t. A prestress is
-released all along the way: t is linear in it, and a length determines a weighted mean of it, with most weight near the arrest
-(`docs/model/gradients.md`).
-
-The load is that at which the first contact reaches its threshold, contact 0 or another
-(`slippulse_jax.inference.heterogeneous`).
+Under the hard rule a front that stops at ℓ measures one threshold, θ(ℓ)/θ_0 = t(ℓ), or one weighted mean of the prestress
+(docs/fit/profile.md); `slippulse_jax.inference.heterogeneous` follows the fronts.
 
 Between the arrests the profile is assumed smooth: ln(θ/θ_0), or φ, is a Gaussian process of standard deviation s and length
 scale L. The unknown u is the profile at its knots, followed by the shift of ln k. Linear data d = μ + G (u − m) + noise of
@@ -24,9 +14,8 @@ the data, rather than the prior, determine. K is never inverted, so it may be si
 steps find where to linearise, by the derivatives in every contact; s and L are weighted by their evidence, and the posterior is
 the mixture.
 
-Two checks follow, without which no place is called determined: on the recovered profile the events are followed in the order
-in which the contacts break, and the lengths on profiles drawn from the posterior are compared with those of the straight lines
-by which it was found.
+No place is called determined before two checks: on the recovered profile the events are followed in the order in which the
+contacts break, and lengths on profiles drawn from the posterior are compared with the straight lines by which it was found.
 """
 
 import dataclasses
@@ -40,39 +29,21 @@ from scipy.special import chdtrc, ndtr
 
 from slippulse_jax.domains import check_choice, check_domain, check_whole
 from slippulse_jax.files import plain
-from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, fronts, profile_problem
+from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
 from slippulse_jax.inference.measurements import Measurements, check_used
 from slippulse_jax.shown import plural
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length
-
-ENOUGH = 4
-"""Fewest lengths whose evidence chooses amplitude and length scale; with fewer all settings have the same weight."""
-
-LEVEL = 0.3
-"""Standard deviation of the unknown mean prestress, in σ_s."""
-
-KINK = 0.1
-"""Square of the last step, in the prior's standard deviations, below which a search that cannot descend further has arrived."""
-
-WITHIN = 0.4
-"""Largest standard error of a determined place, over the standard deviation by which the prior lets the profile vary."""
-
-DRAWS = 400
-"""Profiles drawn from the posterior, on which lengths are simulated."""
-
-AGREEMENT = 0.3
-"""Effective share of the draws below which the errors are too rough to call any place determined."""
-
-ORDER = 0.5
-"""Errors of a measured length by which the order of the breaks may move it."""
-
-JITTER = 1e-10
-"""Share of the largest variance added to every variance of a posterior from which profiles are drawn."""
-
-PARTS = 20
-"""Parts in which lengths on the draws are simulated: of equal size, so that they share a compiled program."""
+LEVEL = 0.3  # standard deviation of the unknown mean prestress, in σ_s
+ENOUGH = 4  # fewest lengths whose evidence weights the settings; with fewer all have the same weight
+KINK = 0.1  # square of the last step, in the prior's standard deviations, below which a search that cannot descend has arrived
+WITHIN = 0.4  # largest standard error of a determined place, over the standard deviation by which the prior lets it vary
+DRAWS = 400  # profiles drawn from the posterior, on which lengths are simulated
+PARTS = 20  # in which the draws are simulated: of equal size, so that they share a compiled program
+JITTER = 1e-10  # share of the largest variance added to every variance of a posterior from which profiles are drawn
+AGREEMENT = 0.3  # effective share of the draws below which the errors are too rough to call any place determined
+ORDER = 0.5  # errors of a measured length by which the order of the breaks may move it
 
 
 class Determination(enum.Enum):
@@ -167,11 +138,9 @@ class RecoveredProfile:
         if self.log_stiffness_shift:
             lines.append(f"  ln k moved by {self.log_stiffness_shift:+.3g}")
         lines.append(f"  {'x/λc':>8} {symbol:>9} {'± se':>9} {'95 % interval':>20} {'prior se':>9}  from")
-        # evenly spaced, and at the arrests where they are few
         length = self.measurements.length
-        arrests = np.unique(length.round())
-        listed = [*np.linspace(0, length.max(), 6).round(), *arrests[: len(arrests) * (len(arrests) <= 8)]]
-        for x in np.unique(listed):
+        spaced, arrests = np.linspace(0, length.max(), 6).round(), np.unique(length.round())
+        for x in np.unique([*spaced, *arrests] if len(arrests) <= 8 else spaced):
             i = int(np.argmin(abs(self.position - x)))
             origin = "lengths" if self.determined[i] else "definition" if self.prior_stderr[i] < 1e-6 else "prior"
             lines.append(
@@ -300,7 +269,7 @@ def recover_profile(
     error = _stderr(covariance)
     determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
     nucleation, agreement = _simulated(problem, found, u)
-    determination = _judge(problem, found, model.length, determined, nucleation, agreement)
+    determination = _judge(problem, found, model.length, determined, nucleation.length, agreement)
     determined &= determination in (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
     return RecoveredProfile(
         kind=kind,
@@ -330,9 +299,9 @@ def recover_profile(
 
 def _simulated(problem: ProfileProblem, found: "Posterior", u: np.ndarray) -> tuple[np.recarray, float]:
     """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
-    ruptured, contact = followed(*problem.lanes(u))
-    draws = _draws(found)
-    those = [fronts(*problem.lanes(part)) for part in np.split(draws, PARTS)]
+    ruptured, contact = followed(*problem.lanes(u), next_break="most overloaded")
+    draws = found.draws()
+    those = [followed(*problem.lanes(part), next_break="neighbour") for part in np.split(draws, PARTS)]
     length, start = (np.concatenate(column) for column in zip(*those, strict=True))
     linear = found.model.length + (draws - found.at) @ found.model.by_length.T
     with np.errstate(invalid="ignore"):
@@ -347,19 +316,6 @@ def _table(**columns: np.ndarray) -> np.recarray:
     return np.rec.fromarrays(list(columns.values()), dtype=[(name, x.dtype) for name, x in columns.items()])
 
 
-def _draws(found: "Posterior") -> np.ndarray:
-    """Draws of u from the posterior, shape (DRAWS, k + 1); the same in every call."""
-    rng = np.random.default_rng(0)
-    chosen = rng.choice(len(found.weight), DRAWS, p=found.weight)
-    draws = rng.standard_normal((DRAWS, found.mean.shape[1]))
-    for setting in np.unique(chosen):
-        own, covariance = chosen == setting, found.covariance[setting]
-        # the covariance is singular to rounding; this makes it positive
-        spread = covariance + JITTER * np.diag(covariance).max() * np.eye(len(covariance))
-        draws[own] = found.mean[setting] + draws[own] @ np.linalg.cholesky(spread).T
-    return draws
-
-
 def _stderr(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0))
 
@@ -369,7 +325,7 @@ def _judge(
     found: "Posterior",
     fitted: np.ndarray,
     determined: np.ndarray,
-    nucleation: np.recarray,
+    ruptured: np.ndarray,
     agreement: float,
 ) -> Determination:
     """Say how much the lengths determine; `determined` has the knots whose error is small enough."""
@@ -383,7 +339,7 @@ def _judge(
         return Determination.NOT_EXPLAINED
     if degrees < 2:
         return Determination.UNDERDETERMINED
-    if not (abs(nucleation.length - fitted) <= ORDER * problem.sigma).all():
+    if not (abs(ruptured - fitted) <= ORDER * problem.sigma).all():
         return Determination.ORDER
     if not determined.any():
         return Determination.AVERAGES
@@ -408,6 +364,18 @@ class Posterior(NamedTuple):
     at: np.ndarray  # (k + 1,) u where the search ended
     model: Linearised  # there
     prior_misfit: float  # (u − m)ᵀK⁻¹(u − m) there
+
+    def draws(self) -> np.ndarray:
+        """`DRAWS` of u, the same in every call."""
+        rng = np.random.default_rng(0)
+        chosen = rng.choice(len(self.weight), DRAWS, p=self.weight)
+        draws = rng.standard_normal((DRAWS, self.mean.shape[1]))
+        for setting in np.unique(chosen):
+            own, covariance = chosen == setting, self.covariance[setting]
+            # the covariance is singular to rounding; this makes it positive
+            spread = covariance + JITTER * np.diag(covariance).max() * np.eye(len(covariance))
+            draws[own] = self.mean[setting] + draws[own] @ np.linalg.cholesky(spread).T
+        return draws
 
 
 def squared_exponential(

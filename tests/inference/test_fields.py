@@ -16,7 +16,7 @@ from slippulse_jax.bodies.response import of_slider
 from slippulse_jax.events.event import first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference import heterogeneous
-from slippulse_jax.inference.heterogeneous import followed, fronts, profile_problem
+from slippulse_jax.inference.heterogeneous import followed, profile_problem
 from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.recover import LEVEL, Determination, condition, mixture, quantile, squared_exponential
 from slippulse_jax.interface import Profile
@@ -236,7 +236,7 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     length, start, left = ruptures(theta, phi)
     of = HEIGHTS, STIFFNESS, POISSON
     profiles = [np.tile(x, (len(HEIGHTS), 1)) for x in (theta, phi)]
-    of_events, start_of_events = followed(*of, *profiles)
+    of_events, start_of_events = followed(*of, *profiles, next_break="most overloaded")
     np.testing.assert_allclose(of_events, length, atol=1e-9)
     assert start_of_events.tolist() == start.tolist()
     for height, leftmost in zip(HEIGHTS, left, strict=True):
@@ -244,7 +244,7 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
         event, *_ = first_event(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi), kind="full")
         assert int(event.leftmost) == leftmost
         assert int(event.contacts.times.max()) == 1
-    of_fronts, start_of_fronts = fronts(*of, *profiles)
+    of_fronts, start_of_fronts = followed(*of, *profiles, next_break="neighbour")
     assert start_of_fronts.tolist() == start.tolist()
     assert abs(of_fronts - length).max() < apart
     assert (start.max() == 0) == (apart < 1e-6)
@@ -260,7 +260,7 @@ def test_fronts_are_those_of_the_model(kind):
     found = model.linearised(u)
     height, stiffness, poisson, theta, phi = model.lanes(u)
     np.testing.assert_array_equal(stiffness, np.full(len(HEIGHTS), STIFFNESS * np.exp(0.05)))
-    length, start = fronts(height, stiffness, poisson, theta, phi)
+    length, start = followed(height, stiffness, poisson, theta, phi, next_break="neighbour")
     assert start.max() > 2
     np.testing.assert_allclose(found.length, length, rtol=1e-10)
     for j in (1, 3, 8, 12, SITES):
@@ -289,7 +289,8 @@ def test_an_event_that_starts_inside_is_recovered_and_reported():
 def test_nothing_is_determined_where_the_order_of_the_breaks_matters(recovered):
     """Lengths that only a weak place far inside explains: the contacts there break first, and not one after another."""
     theta = 1 - 0.25 * np.exp(-(((X - 14) / 4) ** 2))
-    length, _ = fronts(HEIGHTS, STIFFNESS, POISSON, np.tile(theta, (len(HEIGHTS), 1)), np.zeros((len(HEIGHTS), len(X))))
+    profiles = np.tile(theta, (len(HEIGHTS), 1)), np.zeros((len(HEIGHTS), len(X)))
+    length, _ = followed(HEIGHTS, STIFFNESS, POISSON, *profiles, next_break="neighbour")
     assert abs(ruptures(theta, 0 * X)[0] - length).max() > 1
     found = sp.recover_profile(measured(length, 0.1), stiffness=STIFFNESS, amplitude=0.2, length_scale=6.0)
     assert found.determination in (Determination.ORDER, Determination.CURVED)
