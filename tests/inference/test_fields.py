@@ -362,6 +362,7 @@ def test_report_json_and_pictures(recovered):
         ({"length_scale": np.inf}, "length_scale = inf"),
         ({"max_steps": 0}, "max_steps = 0"),
         ({"stiffness": -1.0}, "Slider.stiffness = -1"),
+        ({"stiffness": [0.01, 0.02, 0.03]}, r"stiffness has shape \(3,\): one k/K for all, or one for each of 1 measurements"),
     ],
 )
 def test_errors_name_the_argument(wrong, message):
