@@ -249,7 +249,8 @@ def recover_profile(
         check_domain(name, 1.0 if value is None else value, lambda x: x > 0, "must be positive")
     check_whole("max_steps", max_steps, 1)
     if np.shape(stiffness) not in ((), (1,), (len(m),)):
-        raise ValueError(f"stiffness has shape {np.shape(stiffness)}: one k/K for all, or one for each of {len(m)} measurements")
+        wanted = f"one k/K for all, or one for each of {len(m)} measurements"
+        raise ValueError(f"stiffness has shape {np.shape(stiffness)}: {wanted}")
     check_used(m, "recover_profile")
     problem = profile_problem(m, kind, stiffness)
     k, level = len(problem.knots), 0.0 if of_threshold else LEVEL
