@@ -14,10 +14,9 @@ from slippulse_jax.precursor import FirstPrecursor
 
 @pytest.fixture(scope="module")
 def front():
-    return sp.first_precursor(sp.Slider(10.0, 0.03, 0.3))
+    return sp.first_precursor(sp.Slider(5.0, 0.2, 0.3))  # of few contacts: drawing takes longest
 
 
-@pytest.mark.ci
 def test_gif_has_a_frame_for_every_break(front, tmp_path):
     path = tmp_path / "front.gif"
     movie = sp.plot.animate(front, path, fps=10, hold=1.0)
@@ -26,28 +25,17 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
         for frame in range(gif.n_frames):
             gif.seek(frame)
             durations.append(gif.info["duration"])
+    broken = int(front.contacts_broken)
     # frames that do not differ are one, shown for longer
-    assert len(durations) == int(front.contacts_broken) + 1
-    assert sum(durations) == pytest.approx(1000 * ((int(front.contacts_broken) + 1) / 10 + 1.0))
+    assert len(durations) == broken + 1
+    assert sum(durations) == pytest.approx(1000 * ((broken + 1) / 10 + 1.0))
     assert path.stat().st_size < 1_000_000
     assert list(tmp_path.iterdir()) == [path]
     above, below = movie._fig.axes
     stress = below.lines[2].get_ydata()
     np.testing.assert_allclose(stress, front.arrest.stress[: len(stress)], atol=1e-12)
-    assert "10 contacts broken: it stops" in below.texts[0].get_text()
-    assert "u_s" in above.get_ylabel()
-
-
-def test_frames_go_from_nucleation_to_arrest(front, tmp_path):
-    """The first is drawn at once, the last is where the front stopped; between them is a frame for every break."""
-    short = sp.first_precursor(sp.Slider(5.0, 0.2, 0.3))
-    broken = int(short.contacts_broken)
-    movie = sp.plot.animate(short, tmp_path / "front.gif", hold=0.1)
-    with Image.open(tmp_path / "front.gif") as gif:
-        assert gif.n_frames == broken + 1
-    upper, below = movie._fig.axes
-    np.testing.assert_allclose(below.lines[2].get_ydata(), short.arrest.stress[: below.lines[2].get_ydata().size], atol=1e-12)
     assert f"{broken} contacts broken: it stops" in below.texts[0].get_text()
+    assert "u_s" in above.get_ylabel()
 
 
 @pytest.mark.ci
@@ -55,7 +43,7 @@ def test_html_and_notebooks(front, tmp_path):
     movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)
     page = (tmp_path / "front.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
-    assert page.count("data:image/png") >= 11
+    assert page.count("data:image/png") >= int(front.contacts_broken) + 1
     assert "data:image/png" in movie._repr_html_()
 
 
