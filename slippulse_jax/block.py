@@ -12,13 +12,20 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.domains import HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
+from slippulse_jax.domains import FRICTION, HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity_field
 
 Control = Literal["displacement", "force"]
 Plane = Literal["stress", "strain"]
+ContactLaw = Literal["amontons", "multicontact"]
+Top = Literal["free", "held"]
+
+USUAL_NORMAL_STIFFNESS = 1.2
+"""k_n/k where thresholds follow the pressure and none is given: (2 − ν)/(2 − 2ν) of rough elastic contacts, 1.21 at ν = 0.3."""
+RIGID = 1e12
+"""k_n/k so large that no digit tells it from infinity, where the pressure is still to be read."""
 
 LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
@@ -122,7 +129,7 @@ def has_push(given: Container[str], control: Control) -> bool:
 class Block(eqx.Module):
     """An elastic block on an interface of λ-contacts, pushed at its left side.
 
-    Its top is free, and so is its right end, if it has one.
+    Its right end, if it has one, is free. With a friction coefficient, thresholds follow the pressure, which the push tilts.
 
     Parameters
     ----------
@@ -139,7 +146,16 @@ class Block(eqx.Module):
         L/λc, the number of contacts; ≥ 2. Without it the block is half-infinite to the right.
     normal_stiffness : float, optional
         k_n/k, by which the interface resists its bottom moving up or down, per area that of shear; > 0. Without it, and at inf,
-        the bottom may neither leave the track nor enter it (u_y = 0).
+        the bottom may neither leave the track nor enter it (u_y = 0). With a friction coefficient it is 1.2 by default, the
+        (2 − ν)/(2 − 2ν) of rough elastic contacts at ν = 0.3.
+    friction : float, optional
+        μ ≥ 0: a contact breaks at the shear stress μp. The load that presses the block alone gives a uniform pressure p̄;
+        stresses are then in σ_s = μp̄. Without it every contact breaks at σ_s.
+    contact_law : {"amontons", "multicontact"}
+        What follows the pressure: the threshold; or the threshold and both stiffnesses, p = p̄ exp(−u_y/ℓ_n), as of rough
+        surfaces in contact, which then break at a constant displacement.
+    top : {"free", "held"}
+        Whether the top is free under a dead load, or held level and at its height (u_y = 0 once pressed).
 
     Raises
     ------
@@ -159,6 +175,9 @@ class Block(eqx.Module):
     plane: Plane = eqx.field(default="stress", static=True)
     length: Int[Array | np.ndarray, ""] | None = None
     normal_stiffness: Float[Real, ""] | None = None
+    friction: Float[Real, ""] | None = None
+    contact_law: ContactLaw = eqx.field(default="amontons", static=True)
+    top: Top = eqx.field(default="free", static=True)
 
     def __init__(
         self,
@@ -169,20 +188,34 @@ class Block(eqx.Module):
         plane: Plane = "stress",
         length: Numbers | None = None,
         normal_stiffness: Numbers | None = None,
+        friction: Numbers | None = None,
+        contact_law: ContactLaw = "amontons",
+        top: Top = "free",
     ) -> None:
         self.height, self.stiffness, self.poisson = floats_or_axes(height, stiffness, poisson)
         axes = not are_numbers(self.height, self.stiffness, self.poisson)
         self.push, self.plane = push, plane  # pyright: ignore[reportAttributeAccessIssue] - an axis, in a tree of axes
         self.length = length if axes else _whole_or_none(length)  # pyright: ignore[reportAttributeAccessIssue]
+        if friction is not None and not axes:
+            friction = as_float(friction)
+            given = _finite_or_none(normal_stiffness)
+            rigid = given is None and normal_stiffness is not None
+            normal_stiffness = given if given is not None else as_float(RIGID if rigid else USUAL_NORMAL_STIFFNESS)
         self.normal_stiffness = normal_stiffness if axes else _finite_or_none(normal_stiffness)  # pyright: ignore
+        self.friction = friction  # pyright: ignore[reportAttributeAccessIssue]
+        self.contact_law, self.top = contact_law, top
 
     def __check_init__(self) -> None:
-        check_choice("Block.plane", self.plane, Plane)
+        for name, choices in (("plane", Plane), ("contact_law", ContactLaw), ("top", Top)):
+            check_choice(f"Block.{name}", getattr(self, name), choices)
+        if self.friction is None and self.contact_law != "amontons":
+            raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         if not are_numbers(self.height, self.stiffness, self.poisson):
             return
         check_kind("Block.push", self.push, Push)
         self.push.check()
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
+        domains["friction"] = FRICTION
         for name, domain in domains.items():
             value = getattr(self, name)
             if value is None:
@@ -208,6 +241,9 @@ class Block(eqx.Module):
         plane: Plane = "stress",
         length: Real | None = None,
         normal_stiffness: Real | None = None,
+        friction: Real | None = None,
+        contact_law: ContactLaw = "amontons",
+        top: Top = "free",
     ) -> "Block":
         """Block from material constants in SI units.
 
@@ -219,7 +255,7 @@ class Block(eqx.Module):
             Height of the middle of the pusher over the interface, in m; without `push_width`, of its lower end.
         push_width : float, optional
             Height of the pusher itself, in m; by default it covers everything above `push_height`.
-        push_control, plane, normal_stiffness
+        push_control, plane, normal_stiffness, friction, contact_law, top
             As for `Push` and `Block`.
         length : float, optional
             L, in m; rounded to whole contacts.
@@ -238,7 +274,7 @@ class Block(eqx.Module):
             *(lengths[name] / height for name in ("push_height", "push_width") if name in lengths), control=push_control
         )
         whole = None if length is None else np.rint(lengths["length"])
-        return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness)
+        return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness, friction, contact_law, top)
 
     def __repr__(self) -> str:
         return in_a_line(self)

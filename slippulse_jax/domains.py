@@ -25,6 +25,7 @@ class Domain(NamedTuple):
 HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
 STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in units of K = Eλc")
 NORMAL_STIFFNESS = Domain(0, np.inf, "must be positive: the normal stiffness of the interface over that in shear")
+FRICTION = Domain(-1e-300, np.inf, "must be 0 or more, and finite: the friction coefficient μ of a contact")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
 MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
 CORRELATION_LENGTH = Domain(

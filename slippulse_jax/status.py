@@ -46,3 +46,4 @@ class Outcome(Status):
     DONE = 12, "done: reached the requested number of events or load"
     SPANNED = 13, "ended by an event that broke the last contact of the chain"
     NOTHING_LEFT = 14, "ended early: no load brings a further contact to its threshold"
+    LIFT_OFF = 15, "lifts off: a contact lost its pressure, beyond which the model does not go (length NaN)"

@@ -52,6 +52,9 @@ class Response(NamedTuple):
     spill: Float[Array, "B 4"]  # most that any contact of another block receives, per unit that leaves this block
     edge_stiffness: Float[Array, ""]  # force on the pusher per load, in K
     links: tuple[Array, Array, Array, Array] | None = None  # arguments of `within`, of all blocks
+    # where thresholds follow the pressure, what a contact loses of it, over the initial one; of a single block
+    relief: Float[Array, "B M M"] | None = None  # per stress released at j, source j first
+    push_relief: Float[Array, "B M"] | None = None  # per load
 
 
 class Propagators(NamedTuple):

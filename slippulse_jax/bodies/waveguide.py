@@ -2,16 +2,20 @@ r"""A half-infinite uniform waveguide on contacts that are attached at all times
 
 Columns of n freedoms x_0, x_1 … lie one λc apart. Between two of them is a slab with one contact, whose spring k holds their
 mean along the interface, ⟨u⟩_i = w_l·x_i + w_r·x_{i+1} (and s times its own force), to a pinning point. A break only moves that
-point, so the stiffness stays as it is. With the driving-point stiffness X of the half-infinite guide, Y = (X + D_11)⁻¹, the
-transfer T = −Y D_01ᵀ from column to column, and Y_0, the inverse of X on what the pusher leaves free,
+point, so the stiffness stays as it is. With the driving-point stiffness X of the half-infinite guide, Y = (X + D_11)⁻¹, and the
+transfer T = −Y D_01ᵀ from column to column,
 
     q_0 = w_r,    q_{a+1} = (Tᵀ)^a (w_l + Tᵀ w_r),
-    t_i = q_{i+1}·u_0,    A_ij = q_{i+1}ᵀ Y_0 q_{j+1} + Σ_{l=1}^{min(i,j)+1} q_{i+1−l}ᵀ Y q_{j+1−l} + s δ_ij,    R = k A:
+    t_i = q_i·u_1,    A_ij = q_iᵀ G_1 q_j + Σ_{l=1}^{min(i,j)} q_{i−l}ᵀ Y q_{j−l} + s δ_ij,    R = k A:
 
-stretches of the contacts are U t + (R − 1) u_b. The slider is the case n = 2; its columns are u_t and u.
+stretches of the contacts are U t + (R − 1) u_b. Here i, j ≥ 1: what lies left of column 1, the pusher and contact 0, is
+eliminated, and gives G_1, the response of column 1 to a force on itself, u_1, its displacement per load, and the row of
+contact 0. The slider is the case n = 2; its columns are u_t and u.
+
+A second reading of the same columns is the mean across the interface, ⟨u_y⟩, of which nothing but the pressure takes notice.
 
 A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X. With
-G_L = Σ_{m<L} T^m Y (Tᵀ)^m + T^L Y_0 (Tᵀ)^L, the response of that column to a force on itself, a force X (1 − G_L X)⁻¹ x_L on it
+G_L = Σ_{m<L−1} T^m Y (Tᵀ)^m + T^{L−1} G_1 (Tᵀ)^{L−1}, the response of that column to a force on itself, a force X (1 − G_L X)⁻¹ x_L on it
 takes X away, x_L being its displacement in the half-infinite guide: so the end sends back whatever arrives.
 """
 
@@ -35,19 +39,41 @@ class Slab(NamedTuple):
     left: Float[Array, "n n"]  # D_00
     across: Float[Array, "n n"]  # D_01
     right: Float[Array, "n n"]  # D_11
-    reading_left: Float[Array, " n"]  # w_l
-    reading_right: Float[Array, " n"]  # w_r
-    own: Float[Array, ""]  # s, response of a contact within its slab
+    reading_left: Float[Array, "r n"]  # w_l: along the interface, which the contact holds, and perhaps across it
+    reading_right: Float[Array, "r n"]  # w_r
+    own: Float[Array, "r r"]  # s, response of a contact within its slab
+
+
+class Layers(NamedTuple):
+    """Layers of the slab over contact 0, eliminated one after another from the pusher on."""
+
+    displaced: Float[Array, "m n"]  # left column per unit of the load, where the pusher holds it
+    free: Float[Array, "m n n"]  # left column per force on it, the right one held
+    load: Float[Array, "m n"]  # force on it per unit of the load
+    across: Float[Array, "m n n"]  # D_01
+    reading: Float[Array, "m r n"]  # of contact 0, up to the left column
+
+
+class Edge(NamedTuple):
+    """What lies left of column 1: the pusher and contact 0."""
+
+    stiffness: Array  # that column 1 feels
+    load: Array  # force on column 1, held, per unit of the load
+    reading: Float[Array, "r n"]  # of contact 0 per displacement of column 1
+    own: Float[Array, "r r"]  # and per force of its own, column 1 held
+    direct: Float[Array, " r"]  # and per unit of the load
+    layers: Layers
 
 
 class Guide(NamedTuple):
     """A waveguide that is pushed at column 0, in the quantities of this module."""
 
+    edge: Edge
     slab: Slab
     step: Array  # Y
     transfer: Array  # T
-    free: Array  # Y_0
-    pushed: Array  # u_0, column 0 per unit of the load
+    free: Array  # G_1, column 1 per force on it
+    pushed: Array  # u_1, column 1 per unit of the load
     # of a free end: L, the number of contacts before it, and X (1 − G_L X)⁻¹, force on column L per its displacement in the
     # half-infinite guide
     end: tuple[Array, Array] | None = None
@@ -79,24 +105,26 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
 def joined_slabs(a: Slab, b: Slab) -> Slab:
     """Join two slabs in a row; readings of the column between them are passed on to the outer columns."""
     between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
-    moved = between @ read
+    moved = read @ between
     left, right = a.left - a.across @ between @ a.across.T, b.right - b.across.T @ between @ b.across
     return Slab(
         (left + left.T) / 2, -a.across @ between @ b.across, (right + right.T) / 2,
-        a.reading_left - a.across @ moved, b.reading_right - b.across.T @ moved, a.own + b.own + read @ moved,
+        a.reading_left - moved @ a.across.T, b.reading_right - moved @ b.across, a.own + b.own + read @ moved.T,
     )  # fmt: skip
 
 
 def attached(slab: Slab, contact: Array) -> Slab:
     """Attach the contact of a slab, of stiffness k; its readings are then those per displacement of the pinning point."""
-    share = 1 / (1 + contact * slab.own)
-    left, right, k = slab.reading_left, slab.reading_right, contact * share
+    own = slab.own[:, 0]
+    left, right, k = slab.reading_left[0], slab.reading_right[0], contact / (1 + contact * own[0])
     return Slab(
         slab.left + k * jnp.outer(left, left),
         slab.across + k * jnp.outer(left, right),
         slab.right + k * jnp.outer(right, right),
-        share * left, share * right, share * slab.own,
-    )  # fmt: skip
+        slab.reading_left - k * jnp.outer(own, left),
+        slab.reading_right - k * jnp.outer(own, right),
+        slab.own - k * jnp.outer(own, own),
+    )
 
 
 @jax.custom_jvp
@@ -136,27 +164,81 @@ def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Arr
     return X, lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
 
 
-@in_full
-def guide(slab: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"], length: Int[Array, ""] | None = None) -> Guide:
-    """The guide of a slab with its contact attached; half-infinite, or of `length` slabs with a free end.
+def edge(layers: Slab, contact: Array, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
+    """Eliminate what lies left of column 1.
 
     Parameters
     ----------
-    slab : Slab
+    layers : Slab
+        Over contact 0 from the pusher on, without its spring; each number has a leading axis.
+    contact : array, shape ()
+        k, in K.
     displaced : array, shape (n,)
         1 for the freedoms of column 0 that move with the pusher.
     force : array, shape (n,)
         Force on the others per unit of the load.
-    length : int, optional
     """
+    readings, n = layers.reading_left.shape[1:]
+    none = jnp.zeros((n, n), force.dtype)
+    begin = Edge(none, force, none[:readings], none[:readings, :readings], none[0, :readings], Layers(*(none[0],) * 5))
+
+    def pass_layer(so_far: tuple[Edge, Array], layer: Slab) -> tuple[tuple[Edge, Array], Layers]:
+        behind, held = so_far
+        keep, reading = 1 - held, behind.reading + layer.reading_left
+        # freedoms that the pusher displaces are cut out, and held at one instead
+        inner = keep[:, None] * (behind.stiffness + layer.left) * keep[None] + jnp.diag(held)
+        free = keep[:, None] * inverse(inner) * keep[None]
+        load = behind.load - layer.left @ held
+        moved, back = held + free @ load, free @ layer.across
+        found = behind._replace(
+            stiffness=layer.right - layer.across.T @ back,
+            load=-layer.across.T @ moved,
+            reading=layer.reading_right - reading @ back,
+            own=behind.own + layer.own + reading @ free @ reading.T,
+            direct=behind.direct + reading @ moved,
+        )
+        return (found, 0 * held), Layers(held, free, load, layer.across, reading)
+
+    (found, _), passed = lax.scan(pass_layer, (begin, displaced), layers)
+    own, row = found.own[:, 0], found.reading[0]
+    k = contact / (1 + contact * own[0])
+    return Edge(
+        found.stiffness + k * jnp.outer(row, row),
+        found.load - k * found.direct[0] * row,
+        found.reading - k * jnp.outer(own, row),
+        found.own - k * jnp.outer(own, own),
+        found.direct - k * found.direct[0] * own,
+        passed,
+    )
+
+
+@in_full
+def guide(
+    slab: Slab,
+    contact: Array,
+    displaced: Float[Array, " n"],
+    force: Float[Array, " n"],
+    length: Int[Array, ""] | None = None,
+    layers: Slab | None = None,
+) -> Guide:
+    """The guide of a slab on contacts; half-infinite, or of `length` slabs with a free end.
+
+    Parameters
+    ----------
+    slab : Slab
+        Without the spring of its contact.
+    contact, displaced, force
+        As for `edge`.
+    length : int, optional
+        At least 2.
+    layers : Slab, optional
+        Those over contact 0, as for `edge`; one like the others by default.
+    """
+    at_edge = edge(jax.tree.map(lambda x: x[None], slab) if layers is None else layers, contact, displaced, force)
+    slab = attached(slab, contact)
     X = driving_point(slab)
-    step = inverse(X + slab.right)
-    keep = 1 - displaced
-    # freedoms that the pusher displaces are cut out, and held at one instead
-    inner = keep[:, None] * X * keep[None] + jnp.diag(displaced)
-    free = keep[:, None] * inverse(inner) * keep[None]
-    pushed = displaced + free @ (force - X @ displaced)
-    found = Guide(slab, step, -step @ slab.across.T, free, pushed)
+    step, free = inverse(X + slab.right), inverse(X + at_edge.stiffness)
+    found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load)
     if length is None:
         return found
     back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - _column_response(found, jnp.asarray(length)) @ X)
@@ -164,79 +246,140 @@ def guide(slab: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"], 
 
 
 def _column_response(guide: Guide, column: Int[Array, ""]) -> Float[Array, "n n"]:
-    """G_L of one column of the half-infinite guide, by doubling: as many columns at a time as the bits of L say."""
+    """G_L of one column of the half-infinite guide, by doubling: as many columns at a time as the bits of L − 1 say."""
 
     def twice(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         bits, T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
         G = jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
         return bits // 2, T @ T, steps + T @ steps @ T.T, G
 
-    return lax.while_loop(lambda state: state[0] > 0, twice, (column, guide.transfer, guide.step, guide.free))[-1]
+    return lax.while_loop(lambda state: state[0] > 0, twice, (column - 1, guide.transfer, guide.step, guide.free))[-1]
 
 
 @in_full
-def readings(guide: Guide, sites: int) -> Float[Array, "N+1 n"]:
-    """q_0 … q_N."""
+def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
+    """q_0 … q_{N−1} of the uniform guide, which begins at column 1."""
     slab, T = guide.slab, guide.transfer
     first = slab.reading_left + slab.reading_right @ T
-    rest = lax.scan(lambda q, _: (q @ T, q), first, length=sites)[1]
+    rest = lax.scan(lambda q, _: (q @ T, q), first, length=sites - 1)[1]
     return jnp.concatenate([slab.reading_right[None], rest])
 
 
 @in_full
-def response(guide: Guide, contact: Array, sites: int) -> Response:
-    """Response of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and nothing beyond."""
-    slab, T, q = guide.slab, guide.transfer, readings(guide, sites)
-    behind, ahead = q[:-1], q[1:]
+def compliance(
+    guide: Guide, sites: int, read: int = 1, sources: int = 1
+) -> tuple[Float[Array, "s r N N"], Float[Array, "r N"]]:
+    """A and t of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and 0 beyond.
+
+    Parameters
+    ----------
+    guide : Guide
+    sites : int
+    read, sources : int
+        Number of readings wanted, and of those along which forces act.
+
+    Returns
+    -------
+    A : array, shape (sources, read, sites, sites)
+        Reading per force, that of the source first.
+    t : array, shape (read, sites)
+        Reading per load.
+    """
+    slab, q = guide.slab, readings(guide, sites)[:, :read]
+    behind, ahead = (jnp.moveaxis(x, 1, 0) for x in (q[:-1], q[1:]))
+
+    def between(matrix: Array, at: Float[Array, "r N n"]) -> Float[Array, "s r N N"]:
+        return jnp.einsum("sim,rjm->srij", at[:sources] @ matrix, at)
+
     # sums along the diagonals: each row adds the one above, shifted by a contact
-    direct = lax.scan(lambda above, row: (jnp.pad(row + above, (1, 0))[:-1], row + above), jnp.zeros_like(q[1:, 0]),
-                      behind @ guide.step @ behind.T)[1]  # fmt: skip
-    A = ahead @ guide.free @ ahead.T + direct + slab.own * jnp.eye(sites, dtype=q.dtype)
-    t = ahead @ guide.pushed
+    rows = jnp.moveaxis(between(guide.step, behind), 2, 0)
+    direct = lax.scan(lambda above, row: (jnp.pad(row + above, ((0, 0), (0, 0), (1, 0)))[..., :-1], row + above),
+                      jnp.zeros_like(rows[0]), rows)[1]  # fmt: skip
+    each = slab.own[:sources, :read, None, None] * jnp.eye(sites - 1, dtype=q.dtype)[None, None]
+    A, t = jnp.moveaxis(direct, 0, 2) + between(guide.free, ahead) + each, ahead @ guide.pushed
+    # contact 0 on itself, on the others, and they on it
+    own, reading = guide.edge.own[:sources, :read], guide.edge.reading[:read]
+    from_next = reading @ guide.free
+    itself = from_next[:sources] @ reading.T + own
+    onto, back = jnp.einsum("sm,rjm->srj", from_next[:sources], ahead), jnp.einsum("rm,sjm->srj", from_next, ahead[:sources])
+    first = jnp.concatenate([itself[..., None], onto], -1)
+    A = jnp.concatenate([first[..., None, :], jnp.concatenate([back[..., None], A], -1)], -2)
+    t = jnp.concatenate([(reading @ guide.pushed + guide.edge.direct[:read])[:, None], t], -1)
     if guide.end is None:
-        # the pusher carries all contacts, beyond those of the response too
-        every = ahead[0] @ inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T) @ guide.pushed
-        return of_matrix(contact * A, t, contact * every)
+        return A, t
     length, back = guide.end
-    pushed, reached = _at_column(guide, length, q)
-    there = jnp.arange(sites, dtype=length.dtype) < length
-    t = jnp.where(there, t + reached @ back @ pushed, 0)
-    A = jnp.where(there[:, None] & there[None], A + reached @ back @ reached.T, 0)
-    return of_matrix(contact * A, t, contact * t.sum())
+    pushed, reached = _at_column(guide, length, q, from_next)
+    there = (jnp.arange(sites, dtype=length.dtype) < length).astype(q.dtype)
+    returned = jnp.einsum("sim,rjm->srij", reached[:sources] @ back, reached)
+    return (A + returned) * jnp.outer(there, there)[None, None], (t + reached @ back @ pushed) * there[None]
 
 
-def _at_column(guide: Guide, column: Int[Array, ""], q: Float[Array, "N+1 n"]) -> tuple[Array, Float[Array, "N n"]]:
+@in_full
+def held_by_all(guide: Guide, t: Float[Array, "r N"]) -> Array:
+    """Sum of t over all contacts, beyond those resolved too."""
+    if guide.end is not None:
+        return t[0].sum()
+    slab, T = guide.slab, guide.transfer
+    first = slab.reading_left[0] + slab.reading_right[0] @ T
+    return t[0, 0] + first @ inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T) @ guide.pushed
+
+
+def response(guide: Guide, contact: Array, sites: int, relief: Array | None = None) -> Response:
+    """Response of the first `sites` contacts of stiffness `contact`, in K.
+
+    With `relief`, the pressure that a contact loses per displacement across it, that of their pressure too.
+    """
+    A, t = compliance(guide, sites, 1 if relief is None else 2)
+    found = of_matrix(contact * A[0, 0], t[0], contact * held_by_all(guide, t))
+    return found if relief is None else found._replace(relief=relief * contact * A[0, 1:], push_relief=relief * t[1:])
+
+
+def _at_column(
+    guide: Guide, column: Int[Array, ""], q: Float[Array, "N r n"], from_next: Float[Array, "r n"]
+) -> tuple[Array, Float[Array, "r N n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
-    T, one, sites = guide.transfer, jnp.eye(q.shape[1], dtype=q.dtype), jnp.arange(q.shape[0] - 1, dtype=column.dtype)
+    T, one, sites = guide.transfer, jnp.eye(q.shape[-1], dtype=q.dtype), jnp.arange(q.shape[0], dtype=column.dtype)
 
     def beside(state: tuple[Array, Array], ahead: Array) -> tuple[tuple[Array, Array], Array]:
         power, direct = state  # T^i, and G_i q_1 but for its last term
-        found = guide.step @ q[0] + T @ (direct + power @ (guide.free @ ahead))
-        return (power @ T, direct + power @ (guide.step @ ahead)), found
+        found = q[0] @ guide.step.T + (direct + ahead @ guide.free.T @ power.T) @ T.T
+        return (power @ T, direct + ahead @ guide.step.T @ power.T), found
 
-    next_to = lax.scan(beside, (one, jnp.zeros_like(q[0])), q[1:])[1]  # column i + 1 per force on contact i
+    next_to = lax.scan(beside, (one, jnp.zeros_like(q[0])), q[1:])[1]  # column i + 1 per force on contact i, from 1 on
+    next_to = jnp.concatenate([from_next[None], next_to])
 
     def on(power: Array, distance: Array) -> tuple[Array, tuple[Array, Array]]:
-        return power @ T, (power @ next_to[column - 1 - distance], power @ guide.pushed)
+        return power @ T, (next_to[column - 1 - distance] @ power.T, power @ guide.pushed)
 
     far, pushed = lax.scan(on, one, sites)[1]
-    return T @ pushed[column - 1], jnp.where((sites < column)[:, None], far[column - 1 - sites], 0)
+    reached = jnp.where((sites < column)[:, None, None], far[column - 1 - sites], 0)
+    return pushed[column - 1], jnp.moveaxis(reached, 1, 0)
 
 
 @in_full
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
     """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
-    slab, T = guide.slab, guide.transfer
-    force = jnp.outer(jnp.pad(pinning, (0, 1)), slab.reading_left) + jnp.outer(jnp.pad(pinning, (1, 0)), slab.reading_right)
+    edge, slab, T = guide.edge, guide.slab, guide.transfer
+    left, right = (jnp.outer(pinning[1:], x[0]) for x in (slab.reading_left, slab.reading_right))
+    force = jnp.pad(left, ((0, 1), (0, 0))) + jnp.pad(right, ((1, 0), (0, 0)))
+    force = contact * force.at[0].add(pinning[0] * edge.reading[0])
 
-    def under(load: Array, force: Float[Array, "N+1 n"]) -> Float[Array, "N+1 n"]:
+    def under(load: Array, force: Float[Array, "N n"]) -> Float[Array, "N n"]:
         arriving = lax.scan(lambda g, f: (f + g @ T, f + g @ T), jnp.zeros_like(force[0]), force, reverse=True)[1]
         first = guide.pushed * load + guide.free @ arriving[0]
         rest = lax.scan(lambda x, g: ((y := T @ x + guide.step @ g), y), first, arriving[1:])[1]
         return jnp.concatenate([first[None], rest])
 
-    found = under(load, contact * force)
-    if guide.end is None:
-        return found
-    length, back = guide.end
-    return found + under(0 * load, jnp.zeros_like(force).at[length].set(back @ found[length]))
+    found = under(load, force)
+    if guide.end is not None:
+        length, back = guide.end
+        found = found + under(0 * load, jnp.zeros_like(force).at[length - 1].set(back @ found[length - 1]))
+    # back through the layers over contact 0, which pulls at all of them
+    own = edge.reading[0] @ found[0] + edge.direct[0] * load + edge.own[0, 0] * contact * pinning[0]
+    pull = contact * (pinning[0] - own)
+
+    def back_to(right: Array, layer: Layers) -> tuple[Array, None]:
+        return layer.displaced * load + layer.free @ (layer.load * load + layer.reading[0] * pull - layer.across @ right), None
+
+    first = lax.scan(back_to, found[0], edge.layers, reverse=True)[0]
+    return jnp.concatenate([first[None], found])

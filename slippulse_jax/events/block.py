@@ -24,11 +24,13 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
 from slippulse_jax.bodies import elements, waveguide
+from slippulse_jax.bodies.pressed import balance, pressed
+from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bodies.waveguide import Guide
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import NORMAL_STIFFNESS
-from slippulse_jax.events.event import Relaxed, first_event, nucleated
+from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
+from slippulse_jax.events.event import Relaxed, first_event, nucleated, overload
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
@@ -53,6 +55,8 @@ class BlockPrecursor(eqx.Module):
     status: Int[Array, ""]  # an `Outcome`
     stress_before: Float[Array, " sites"]  # at nucleation
     stress: Float[Array, " sites"]  # when the event is over
+    pressure_before: Float[Array, " sites"] | None  # over the initial one, where thresholds follow it; at nucleation
+    pressure: Float[Array, " sites"] | None  # when the event is over
     slip: Float[Array, " sites"]  # of the interface while it ran
     pinning: Float[Array, " sites"]
     event: EventKind = eqx.field(static=True)  # the first front, or the whole event
@@ -114,15 +118,22 @@ def as_type(x: Any, dtype: Any) -> Any:
 
 def guide_of(block: Block, finer: int = 0) -> Guide:
     """The block as a waveguide, its contacts attached; on a mesh that is `finer` by so many halvings."""
-    contact, length = jnp.asarray(block.stiffness), None if block.length is None else jnp.asarray(block.length)
-    slab = waveguide.attached(elements.slab(block, finer), contact)
-    return waveguide.guide(slab, *elements.loaded(block, finer), length)
+    length = None if block.length is None else jnp.asarray(block.length)
+    layers, slab = elements.slabs(block, finer)
+    return waveguide.guide(slab, jnp.asarray(block.stiffness), *elements.loaded(block, finer), length, layers)
 
 
 def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> Relaxed:
     """The first contacts of a block, and their response."""
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
-    response = waveguide.response(guide_of(block), jnp.asarray(block.stiffness), sites)
+    guide, k, body = guide_of(block), jnp.asarray(block.stiffness), None
+    if block.friction is None or block.normal_stiffness is None:
+        response = waveguide.response(guide, k, sites)
+    elif block.contact_law == "amontons":
+        response = waveguide.response(guide, k, sites, jnp.asarray(block.friction * block.normal_stiffness))
+    else:
+        body = pressed(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
+        response = of_matrix(body.matrix[:sites, :sites], body.push[:sites], body.edge_stiffness)
     threshold, prestress = jnp.ones_like(response.push[0]), jnp.zeros_like(response.push[0])
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
@@ -130,20 +141,28 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
     valid = in_domain(block)
     if block.normal_stiffness is not None:
         valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
-    return Relaxed(response, threshold, prestress, jnp.asarray(block.stiffness), last, valid)
+    if block.friction is not None:
+        valid = valid & FRICTION.holds(block.friction)
+    return Relaxed(response, threshold, prestress, k, last, valid, pressed=body)
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
 @in_full
 def record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts."""
-    response, threshold, prestress, _, last, valid, _ = contacts_of(block, interface, sites)
-    found, first, load, before = first_event(response, threshold, prestress, last, kind=kind)
-    stress, pinning = found.contacts.stress[0], found.contacts.released[0]
-    excess = stress - threshold
+    body = contacts_of(block, interface, sites)
+    found, start = first_event(body, kind=kind)
+    after, last = jax.tree.map(lambda x: x[0], found.contacts), body.last
+    excess, pinning = overload(after.stress, body.threshold, after.pressure), after.released
+    before, stress, pressure = start.stress, after.stress, after.pressure
+    if body.pressed is not None:
+        ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
+        before, stress, pressure = start.stress * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
+    lifted = [(x < 0).any() for x in (start.pressure, pressure) if x is not None]
     again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(sites, bool)
     endings = {
-        Outcome.INVALID: ~(valid & jnp.isfinite(excess).all()),
+        Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
+        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
         Outcome.RAN_THROUGH: found.broken[last],
         Outcome.LIMIT: ((excess >= 0) & ~again).any(),
         Outcome.NO_DOMINO: found.rightmost == 0,
@@ -152,15 +171,17 @@ def record(block: Block, interface: Interface | Profile | None, sites: int, kind
     status = first_of(endings)
     return BlockPrecursor(
         block=block,
-        nucleation=first.astype(jnp.int32),
+        nucleation=start.first.astype(jnp.int32),
         contacts_broken=found.broken.sum().astype(jnp.int32),
         breaks=found.record.breaks,
-        length=length_or_reason(status, found.length(stress, sites - 1)),
-        load=load,
+        length=length_or_reason(status, found.length(excess, sites - 1)),
+        load=start.load,
         status=status,
         stress_before=before,
         stress=stress,
-        slip=response.near[0] @ pinning,
+        pressure_before=start.pressure,
+        pressure=pressure,
+        slip=start.response.near[0].T @ pinning,
         pinning=pinning,
         event=kind,
     )
@@ -168,19 +189,23 @@ def record(block: Block, interface: Interface | Profile | None, sites: int, kind
 
 def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
-    response, threshold, prestress, _, last, valid, _ = contacts
-    push, near = response.push[0], response.near[0]
-    first, load = nucleated(push, threshold, prestress)
+    threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
+    near, relief = start.response.near[0], start.response.relief
 
     def ahead(front: Front) -> tuple[Array, Array]:
-        return front.stress[front.position], threshold[front.position]
+        stress, pressure = front.stress
+        return stress[front.position], threshold[front.position] * (1 if pressure is None else pressure[front.position])
 
-    def release(front: Front, part: Any, stress: Array) -> Front:
-        return front._replace(stress=front.stress + near[front.position] * (part * stress), position=front.position + 1)
+    def release(front: Front, part: Any, released: Array) -> Front:
+        stress, pressure = front.stress
+        stress = stress + near[front.position] * (part * released)
+        if pressure is not None and relief is not None:
+            pressure = pressure - relief[0, front.position] * (part * released)
+        return front._replace(stress=(stress, pressure), position=front.position + 1)
 
-    start = release(Front(prestress + load * push, None, None, jnp.int32(0)), 1, threshold[0])
-    _, _, part, length = follow(rule, start, ahead, release, last)
-    valid = valid & (first == 0) & rule.in_domain()
+    at_edge = Front((start.stress, start.pressure if relief is not None else None), None, None, jnp.int32(0))
+    _, _, part, length = follow(rule, release(at_edge, 1, start.stress[0]), ahead, release, last)
+    valid = contacts.valid & (start.first == 0) & rule.in_domain()
     return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
 
 
@@ -257,15 +282,15 @@ def stages(
         σ_xy in the block over each contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the
         prestress.
     """
-    response, threshold, prestress, _, last, *_ = contacts_of(block, interface, sites)
-    _, _, load, before = first_event(response, threshold, prestress, last, 1, kind)
+    body = contacts_of(block, interface, sites)
+    start = nucleated(body)
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array]:
-        now = first_event(response, threshold, prestress, last, limit, kind)[0].contacts
-        field = _fields(block, load, jnp.where(limit > 0, now.released[0], 0), guide)
+        now = first_event(body, limit, kind)[0].contacts
+        field = _fields(block, start.load, jnp.where(limit > 0, now.released[0], 0), guide)
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
-        return jnp.where(limit > 0, now.stress[0], before), shear
+        return jnp.where(limit > 0, now.stress[0], start.stress), shear
 
     return lax.map(at, breaks.astype(jnp.int32))

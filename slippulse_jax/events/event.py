@@ -10,6 +10,10 @@ The contacts of one block then break one after another, in a *burst*, until anot
 The order of breaks is exactly the same as if all contacts were checked after every break; the cost is O(√N) per break or less.
 A body whose response is a matrix is a single block.
 
+Where the threshold of a contact follows its pressure, a break changes that too, by one more known amount: a contact breaks
+where its stress reaches threshold times pressure, and releases the stress. The first contact whose pressure is used up lifts
+off, which ends the event.
+
 A contact may repin some breaks after it broke. Until then it is detached and carries no stress: its pinning point follows the
 layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
 """
@@ -23,6 +27,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from slippulse_jax.bodies.pressed import Pressed, balance, frozen
 from slippulse_jax.bodies.response import Response, carried, within
 from slippulse_jax.bulk.compiler import solve_without_pivots
 from slippulse_jax.front.front import EventKind
@@ -42,10 +47,11 @@ class Relaxed(NamedTuple):
     response: Response
     threshold: Float[Array, "*B M"]  # of contacts that never broke; inf where there is none
     prestress: Float[Array, "*B M"]  # the only stress
-    stiffness: Array  # k, in K
-    last: Int[Array, ""] | int  # index of the last contact, or of the last one resolved
-    valid: Bool[Array, ""]  # whether all numbers lie in their domains
+    stiffness: Array | float = 1.0  # k, in K
+    last: Int[Array, ""] | int = -1  # index of the last contact, or of the last one resolved
+    valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
     driver: int = 0  # sites before those of the body: the driver's
+    pressed: Pressed | None = None  # where stiffness and threshold follow the pressure; stresses are then stretches, in u_s
 
 
 class Contacts(NamedTuple):
@@ -56,6 +62,29 @@ class Contacts(NamedTuple):
     released: Float[Array, "*B M"]  # stress released in the event: how far the pinning point moved, as a stress
     overload: Float[Array, "*B M"]  # excess over the threshold as the contact first broke
     times: Int[Array, "*B M"]  # how often it broke
+    pressure: Float[Array, "*B M"] | None = None  # over the initial one, where thresholds follow it
+
+    @property
+    def excess(self) -> Float[Array, "*B M"]:
+        """How far each is over its threshold."""
+        return overload(self.stress, self.threshold, self.pressure)
+
+
+def overload(stress: Array, threshold: Array, pressure: Array | None) -> Array:
+    """How far contacts are over their threshold, which follows the pressure where there is one."""
+    if pressure is None:
+        return stress - threshold
+    return stress - threshold * jnp.maximum(pressure, jnp.finfo(stress.dtype).tiny)  # of threshold inf too
+
+
+class Nucleation(NamedTuple):
+    """Contacts of one block as the first of them reaches its threshold."""
+
+    first: Int[Array, ""]
+    load: Array
+    stress: Float[Array, " N"]  # in σ_s; of a `Pressed` body the stretch in u_s
+    pressure: Float[Array, " N"] | None  # over the initial one, where anything follows it
+    response: Response  # what breaks do from here on
 
 
 class Record(NamedTuple):
@@ -64,7 +93,7 @@ class Record(NamedTuple):
     breaks: Int[Array, ""]
     stretched: Float[Array, ""]  # Σ t² (k/k_i) over the breaks: twice the energy of the broken contacts' stretch over k
     relaxed: Float[Array, ""]  # Σ t t' (k/k_i), with t' the stress on the contact after its break
-    ended: Bool[Array, ""]  # whether the contact broke that ends the event
+    ended: Bool[Array, ""]  # whether the contact broke that ends the event, or one lifted off
     order: Int[Array, " L+1"] | None  # sites in order of breaking, −1 where none; the last entry is scratch space
     each: Float[Array, " L+1"] | None  # stress each break released
 
@@ -96,13 +125,13 @@ class Event(NamedTuple):
     def _sites(self) -> Int[Array, "B M"]:
         return jnp.arange(self.contacts.times.size, dtype=jnp.int32).reshape(self.contacts.times.shape)
 
-    def length(self, stress: Float[Array, " N"], last: int | Array) -> Float[Array, ""]:
+    def length(self, excess: Float[Array, " N"], last: int | Array) -> Float[Array, ""]:
         """ℓ: where a straight line of the excess over the threshold, from the rightmost contact that broke, falls to zero.
 
         Parameters
         ----------
-        stress : array, shape (N,)
-            When the event is over.
+        excess : array, shape (N,)
+            Of the stress over the threshold, when the event is over.
         last : int
             Index of the last contact.
 
@@ -114,8 +143,8 @@ class Event(NamedTuple):
         at, ahead = jnp.maximum(self.rightmost, 0), jnp.minimum(self.rightmost + 1, last)
         # rounding may leave a contact that was made to break just below its threshold
         behind = jnp.maximum(self.contacts.overload.reshape(-1)[at], 0)
-        short_by = jnp.minimum(stress[ahead] - self.contacts.threshold.reshape(-1)[ahead], 0)
-        return at.astype(stress.dtype) + behind / (behind - short_by)
+        short_by = jnp.minimum(excess[ahead], 0)
+        return at.astype(excess.dtype) + behind / (behind - short_by)
 
 
 class Turn(NamedTuple):
@@ -137,6 +166,7 @@ def event(
     trigger: int | Array = -1,
     last: int | Array = -1,
     delay: int = 0,
+    pressure: Float[Array, "B M"] | None = None,
     log: tuple[Int[Array, " L+1"], Float[Array, " L+1"], int | Array] | None = None,
 ) -> Event:
     """Break contacts until none is at its threshold, `limit` have broken, or contact `last` has.
@@ -156,6 +186,8 @@ def event(
         Contact whose break ends the event; −1 for none.
     delay : int
         Number of breaks for which a broken contact stays detached. With a delay every break updates all stresses, in O(N).
+    pressure : array, shape (B, M), optional
+        Over the initial one, before the event, where thresholds follow it; without a delay.
     log : tuple, optional
         Arrays of length L + 1 for the sites in order of breaking and what each released, and the place of the first break.
     """
@@ -164,14 +196,16 @@ def event(
     order, each, logged = (None, None, 0) if log is None else log
     record = Record(none, zero, zero, jnp.zeros((), bool), order, each)
     empty = jnp.zeros_like(stress)
-    contacts = Contacts(stress, threshold, empty, empty, jnp.zeros(stress.shape, jnp.int32))
-    start = Event(contacts, jnp.zeros((stress.shape[0], 4), stress.dtype), largest(stress - threshold), record)
+    contacts = Contacts(stress, threshold, empty, empty, jnp.zeros(stress.shape, jnp.int32), pressure)
+    start = Event(contacts, jnp.zeros((stress.shape[0], 4), stress.dtype), largest(contacts.excess), record)
     trigger, last = jnp.asarray(trigger, jnp.int32), jnp.asarray(last, jnp.int32)
 
-    def broken(contacts: Contacts, record: Record, place: Array, block: Array | int, t: Array, after: Array) -> tuple:
-        """Record the break of one contact of a block, which released t and now carries the stress `after`."""
+    def broken(
+        contacts: Contacts, record: Record, place: Array, block: Array | int, t: Array, over: Array, after: Array
+    ) -> tuple[Contacts, Record]:
+        """Record the break of one contact of a block: `over` its threshold, it released t and now carries `after`."""
         site = block * contacts.times.size + place
-        over = jnp.where(contacts.times[place] == 0, t - contacts.threshold[place], contacts.overload[place])
+        over = jnp.where(contacts.times[place] == 0, over, contacts.overload[place])
         if record.order is not None and record.each is not None:
             row = jnp.minimum(logged + record.breaks, record.order.size - 1)
             record = record._replace(order=record.order.at[row].set(site), each=record.each.at[row].set(t))
@@ -184,7 +218,7 @@ def event(
             breaks=record.breaks + 1,
             stretched=record.stretched + soft * t,
             relaxed=record.relaxed + soft * after,
-            ended=site == last,
+            ended=(site == last) | (False if contacts.pressure is None else (contacts.pressure < 0).any()),
         )
 
     def next_turn(event: Event, detached: Array) -> Turn:
@@ -222,39 +256,56 @@ def event(
     return lax.while_loop(lambda carry: going(carry[2]), in_known_blocks, (*unknown, begin))[2].event
 
 
-def nucleated(push: Float[Array, " N"], threshold: Float[Array, " N"], prestress: Float[Array, " N"]) -> tuple[Array, Array]:
-    """Find the contact that reaches its threshold first, and the load at which it does."""
-    needed = jnp.where(push > 0, (threshold - prestress) / jnp.where(push > 0, push, 1), jnp.inf)
+def rises(push: Array, threshold: Array, stress: Array, pressure: Array | None = None, relief: Array | None = None) -> Array:
+    """Rise of the load that brings each contact to its threshold; inf where none does.
+
+    Parameters
+    ----------
+    push, threshold, stress : array, shape (…, N)
+        Stress per load; threshold, inf where there is no contact, and stress now.
+    pressure, relief : array, shape (…, N), optional
+        Pressure now, where thresholds follow it, and what each contact loses of it per load.
+    """
+    if pressure is not None and relief is not None:
+        weak = jnp.where(jnp.isfinite(threshold), threshold, 0)
+        push, threshold = push + weak * relief, jnp.where(weak > 0, weak * pressure, threshold)
+    return jnp.where(push > 0, (threshold - stress) / jnp.where(push > 0, push, 1), jnp.inf)
+
+
+def nucleated(body: Relaxed) -> Nucleation:
+    """Load a body of one block until a contact is at its threshold."""
+    response, threshold, prestress = body[:3]
+    if body.pressed is not None:
+        found = balance(body.pressed, threshold, prestress, 0 * prestress, 0 * prestress[0])
+        return Nucleation(found.first, found.load, found.stretch, found.pressure, frozen(body.pressed, found))
+    push, relief = response.push[0], None if response.push_relief is None else response.push_relief[0]
+    needed = rises(push, threshold, prestress, jnp.ones_like(threshold), relief)
     first = jnp.argmin(needed)
-    return first, needed[first]
+    load = needed[first]
+    return Nucleation(first, load, prestress + load * push, None if relief is None else 1 - load * relief, response)
 
 
 def first_event(
-    response: Response,
-    threshold: Float[Array, " N"],
-    prestress: Float[Array, " N"],
-    last: Int[Array, ""] | int = -1,
-    limit: Int[Array, ""] | int | None = None,
-    kind: EventKind = "domino",
-) -> tuple[Event, Int[Array, ""], Array, Float[Array, " N"]]:
+    body: Relaxed, limit: Int[Array, ""] | int | None = None, kind: EventKind = "domino"
+) -> tuple[Event, Nucleation]:
     """Load a body of one block until a contact is at its threshold; break contacts until none is, or the last has broken.
 
-    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one. Returns too the
-    contact that broke first, and the load and the stress at nucleation.
+    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one.
     """
-    sites = threshold.size
-    first, load = nucleated(response.push[0], threshold, prestress)
-    start = prestress + load * response.push[0]
+    threshold, sites = body.threshold, body.threshold.size
+    start = nucleated(body)
+    follows = start.pressure is not None and body.pressed is None
     found = event(
-        response,
-        start[None],
+        start.response,
+        start.stress[None],
         threshold[None],
         limit=BREAKS_PER_SITE * sites if limit is None else limit,
-        renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.dtype),
-        trigger=first,
-        last=jnp.asarray(last) % sites,
+        renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.stress.dtype),
+        trigger=start.first,
+        last=jnp.asarray(body.last) % sites,
+        pressure=start.pressure[None] if follows and start.pressure is not None else None,
     )
-    return found, first, load, start
+    return found, start
 
 
 def stresses(response: Response, event: Event) -> Float[Array, " N"]:
@@ -282,7 +333,7 @@ def largest(x: Array) -> Array:
 
 # --- bursts --------------------------------------------------------------------------------------------------------------
 
-Broken = Callable[[Contacts, Record, Array, Array | int, Array, Array], tuple[Contacts, Record]]
+Broken = Callable[[Contacts, Record, Array, Array | int, Array, Array, Array], tuple[Contacts, Record]]
 
 
 def _slack(like: Array) -> float:
@@ -297,30 +348,32 @@ def _burst(response: Response, turn: Turn, trigger: Array, limit: int | Array, b
     others = jnp.where(jnp.arange(bound.size, dtype=jnp.int32) == block, -jnp.inf, bound).max()
     spill = response.spill[block] * _slack(bound)
     sites = jnp.arange(size, dtype=jnp.int32)
-    here = Contacts(*(x[block] for x in event.contacts))
+    here = jax.tree.map(lambda x: x[block], event.contacts)
     here = here._replace(stress=here.stress + (event.inbox[block][:, None] * response.read[block]).sum(0))
     forced = (trigger >= 0) & (event.record.breaks == 0)
-    site, overload = most(here.stress - here.threshold)
+    site, most_over = most(here.excess)
 
     def going(carry: tuple) -> Array:
-        _, record, _, overload, left = carry
-        sure = (overload >= 0) & (overload >= others + (left * spill).sum())
+        _, record, _, over, left = carry
+        sure = (over >= 0) & (over >= others + (left * spill).sum())
         return (sure | (forced & (record.breaks == 0))) & (record.breaks < limit) & ~record.ended
 
     def step(carry: tuple) -> tuple:
         here, record, site, _, left = carry
-        t = here.stress[site]
+        t, over = here.stress[site], jax.tree.map(lambda x: x[site], here).excess
         stress = jnp.where(sites == site, 0, here.stress) + near[block, site] * t
         here = here._replace(stress=stress, released=here.released.at[site].add(t))
-        here, record = broken(here, record, site, block, t, stress[site])
-        return here, record, *most(here.stress - here.threshold), left + response.leave[block, site] * t
+        if response.relief is not None and here.pressure is not None:
+            here = here._replace(pressure=here.pressure - response.relief[block, site] * t)
+        here, record = broken(here, record, site, block, t, over, stress[site])
+        return here, record, *most(here.excess), left + response.leave[block, site] * t
 
-    begin = here, event.record, jnp.where(forced, trigger % size, site), overload, jnp.zeros_like(spill)
-    here, record, _, overload, left = lax.while_loop(going, step, begin)
+    begin = here, event.record, jnp.where(forced, trigger % size, site), most_over, jnp.zeros_like(spill)
+    here, record, _, most_over, left = lax.while_loop(going, step, begin)
     return Event(
-        contacts=Contacts(*(x.at[block].set(y) for x, y in zip(event.contacts, here, strict=True))),
+        contacts=jax.tree.map(lambda x, y: x.at[block].set(y), event.contacts, here),
         inbox=event.inbox.at[block].set(0) + carried(response, block, left),
-        worst=event.worst.at[block].set(overload),
+        worst=event.worst.at[block].set(most_over),
         record=record,
     )
 
@@ -332,7 +385,7 @@ def _one_break(response: Response, turn: Turn, trigger: Array, broken: Broken) -
     """Break the most overloaded contact and move the pinning points of all detached ones, with every block open."""
     event, detached, _, block = turn
     blocks, size = event.contacts.times.shape
-    place = most(event.contacts.stress[block] - event.contacts.threshold[block])[0]
+    place = most(event.contacts.excess[block])[0]
     forced = (trigger >= 0) & (event.record.breaks == 0)
     site = jnp.where(forced, trigger, block * size + place)
     moving = jnp.append(detached, site)[1:]  # the contact detached longest repins, where it is
@@ -340,16 +393,17 @@ def _one_break(response: Response, turn: Turn, trigger: Array, broken: Broken) -
     contacts = jax.tree.map(lambda x: x.reshape(-1), event.contacts)
     columns = jax.vmap(partial(column, response))(jnp.maximum(moving, 0))
     green = jnp.where(there[:, None] & there[None], columns[:, jnp.maximum(moving, 0)], 0)
-    t = contacts.stress[site]
+    t, over = contacts.stress[site], jax.tree.map(lambda x: x[site], contacts).excess
     unit = jnp.eye(moving.size, dtype=t.dtype)
     given = solve_without_pivots(unit - green.T, unit[-1] * t)  # what each releases, so that none carries any stress
     stress, released = contacts.stress + given @ columns, contacts.released
     for j in range(moving.size):
         stress, released = stress.at[moving[j]].add(-given[j]), released.at[moving[j]].add(given[j])
     # of the broken contact, the displacement of its site as a stress
-    contacts, record = broken(contacts._replace(stress=stress, released=released), event.record, site, 0, t, given[-1] - t)
+    contacts = contacts._replace(stress=stress, released=released)
+    contacts, record = broken(contacts, event.record, site, 0, t, over, given[-1] - t)
     contacts = jax.tree.map(lambda x: x.reshape(blocks, size), contacts)
-    return Event(contacts, event.inbox, largest(contacts.stress - contacts.threshold), record), moving
+    return Event(contacts, event.inbox, largest(contacts.excess), record), moving
 
 
 def column(response: Response, site: Array) -> Float[Array, " N"]:

@@ -285,7 +285,7 @@ def one_rupture(
         stress_drop=before.stress - after.stress,
         energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
         extent=found.rightmost + 1,
-        length=length_or_reason(status, found.length(stress, n - 1)),
+        length=length_or_reason(status, found.length(stress - threshold, n - 1)),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )

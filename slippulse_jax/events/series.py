@@ -26,6 +26,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
 from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
+from slippulse_jax.bodies.pressed import balance, frozen
 from slippulse_jax.bodies.response import Response, into_blocks, of_matrix, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.derivatives import without_derivative
@@ -33,7 +34,7 @@ from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, Relaxed, event, most, stresses
+from slippulse_jax.events.event import BREAKS_PER_SITE, Relaxed, event, most, overload, rises, stresses
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
 
@@ -83,6 +84,8 @@ class Loading(NamedTuple):
     max_breaks: Int[Array, ""]  # of one event
 
 
+BALANCED = 1e-9
+"""Stretch, in u_s, by which Newton's method may leave a contact short of its threshold."""
 POSITIVE = Domain(0, float("inf"), "must be positive and finite")
 
 
@@ -166,6 +169,8 @@ def series(
         jnp.asarray(stop_when_spanning),
         jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32),
     )
+    if isinstance(body, Block) and body.friction is not None:
+        _check_friction(body, protocol, ageing, repin_delay)
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
     return run_series(shape, body, interface, loading)
@@ -181,6 +186,15 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     found = blocks.checked_sites(block, block.contacts if sites is None else sites)
     return block.contacts or found
+
+
+def _check_friction(block: Block, protocol: Protocol, ageing: Ageing | None, repin_delay: int) -> None:
+    """Refuse what a series of a block whose thresholds follow the pressure does not take."""
+    if repin_delay or ageing is not None:
+        given = f"repin_delay = {repin_delay}" if repin_delay else f"ageing = {ageing!r}"
+        raise ValueError(f"{given}: contacts of a block with friction repin at once, at their old strength")
+    if block.contact_law == "multicontact" and not isinstance(protocol, Adiabatic):
+        raise ValueError(f"protocol = {protocol!r}: contacts whose stiffness follows the pressure take Adiabatic() only")
 
 
 def _series(shape: Shape, body: Chain | Block, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
@@ -224,6 +238,7 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     """
     resp, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     push, matrix, edge = resp.push[0], resp.near[0], resp.edge_stiffness
+    relief, push_relief = resp.relief, resp.push_relief
     there = jnp.arange(push.size) < sites
     prestress = jnp.where(there, body.prestress, 0)
     if isinstance(loading.protocol, Spring):
@@ -231,8 +246,11 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
         share = spring / (spring + edge)
         matrix = matrix + jnp.outer(push, push) * k / (spring + edge)
         push, edge = push * share, edge * share
+        if relief is not None and push_relief is not None:
+            relief = relief + jnp.outer(resp.push[0], push_relief[0])[None] * k / (spring + resp.edge_stiffness)
+            push_relief = push_relief * share
     body = body._replace(
-        response=of_matrix(matrix, push, edge),
+        response=of_matrix(matrix, push, edge)._replace(relief=relief, push_relief=push_relief),
         threshold=jnp.where(there, threshold, jnp.inf)[None],
         prestress=prestress[None],
         last=sites - 1,
@@ -243,7 +261,11 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     u, p, own = state.load, state.pinning, prestress[:sites]
     driven, apart = u * push[:sites], p - matrix[:sites, :sites] @ p
     stored = edge * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
-    return _catalogue(body, end, state, own + driven - apart, stored)
+    afresh = own + driven - apart
+    if body.pressed is not None:
+        unbroken = jnp.full_like(prestress, jnp.inf)
+        afresh = balance(body.pressed, unbroken, prestress, (resp.soft * end.released)[0], u).stretch[:sites]
+    return _catalogue(body, end, state, afresh, stored)
 
 
 _hard_series = without_derivative(
@@ -260,6 +282,7 @@ class SeriesState(NamedTuple):
     """State between two events, in B blocks of M contacts."""
 
     stress: Float[Array, "B M"]
+    pressure: Float[Array, "B M"] | None  # over the initial one, where thresholds follow it
     released: Float[Array, "B M"]  # by each contact so far
     born: Float[Array, "B M"] | None  # load at the last break, if contacts age; −inf if never
     last: Int[Array, "B M"]  # event of the last break; −1 if never
@@ -288,6 +311,7 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
     zero, none = jnp.zeros_like(body.prestress[0, 0]), jnp.zeros((), jnp.int32)
     begin = SeriesState(
         stress=body.prestress,
+        pressure=None if body.response.relief is None else jnp.ones_like(body.prestress),
         released=jnp.zeros_like(body.prestress),
         born=None if loading.ageing is None else jnp.full_like(body.prestress, -jnp.inf),
         last=jnp.full(body.prestress.shape, -1, jnp.int32),
@@ -306,13 +330,24 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
 def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -> SeriesState:
     """Load to the next break, run the event and record it."""
     response, k, ageing = body.response, body.stiffness, loading.ageing
-    rise, trigger, begins = _raised(body, loading, now)
-    load, force_before = now.load + rise, now.force + response.edge_stiffness * rise
-    stress, threshold, renewed = now.stress + response.push * rise, body.threshold, None
+    threshold, renewed, pressure = body.threshold, None, now.pressure
+    if body.pressed is not None:
+        at = balance(body.pressed, threshold[0], body.prestress[0], now.released[0], now.load)
+        trigger, load, rise = at.first, at.load, at.load - now.load
+        stress, response = at.stretch[None], frozen(body.pressed, at)
+        begins, per_stretch = at.stretch[trigger] >= threshold[0, trigger] - BALANCED, at.pressure
+        force_before = body.pressed.edge_stiffness * load - k * body.pressed.push @ at.force
+    else:
+        rise, trigger, begins = _raised(body, loading, now)
+        load, force_before, per_stretch = now.load + rise, now.force + response.edge_stiffness * rise, 1.0
+        stress = now.stress + response.push * rise
+        if pressure is not None and response.push_relief is not None:
+            pressure = pressure - response.push_relief * rise
     if ageing is not None and now.born is not None:
         threshold = threshold * ageing.strength(load - now.born, jnp.asarray(loading.protocol.velocity))
         renewed = body.threshold * jnp.asarray(ageing.newborn)
-    first = jnp.where(trigger >= 0, trigger, most(stress - threshold)[0]) if isinstance(loading.protocol, Steps) else trigger
+    most_over = most(overload(stress, threshold, pressure))[0]
+    first = jnp.where(trigger >= 0, trigger, most_over) if isinstance(loading.protocol, Steps) else trigger
     found = event(
         response,
         stress,
@@ -321,12 +356,17 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         trigger=trigger,
         limit=loading.max_breaks,
         delay=delay,
+        pressure=pressure,
         log=(now.order, jnp.zeros(now.order.size, rise.dtype), now.total),
     )
     after, (record, right) = stresses(response, found), (found.record, found.rightmost)
+    excess = found.contacts._replace(stress=after.reshape(stress.shape)).excess.reshape(-1)
+    lifted = [(x < 0).any() for x in (pressure, found.contacts.pressure) if x is not None]
     slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
     force = force_before - k * (response.push * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed
+    if body.pressed is not None:  # the sums above are those of springs that stay as they are
+        work, broken, relaxed = (jnp.full_like(work, jnp.nan),) * 3
     stored, spans = now.stored + work - broken - relaxed, right == body.last
     kinds = {
         EventClass.SPANNING: spans,
@@ -340,19 +380,20 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         "site": first - body.driver,
         "leftmost": found.leftmost - body.driver,
         "extent": right + 1 - body.driver,
-        "length": jnp.where(spans, jnp.inf, found.length(after, body.last)) - body.driver,
+        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last)) - body.driver,
         "breaks": record.breaks,
         "slip": slip.sum(),
-        "stress_drop": stress.sum() - after.sum(),
+        "stress_drop": (per_stretch * (stress.reshape(-1) - after)).sum(),
         "work": work,
         "stored": stored,
         "broken": broken,
         "relaxed": relaxed,
         "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
     }
-    over = (record.breaks >= loading.max_breaks) & (after >= found.contacts.threshold.reshape(-1)).any()
+    over = (record.breaks >= loading.max_breaks) & (excess >= 0).any()
     endings = {
         Outcome.NOTHING_LEFT: ~begins,
+        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
         Outcome.LIMIT: over,
         Outcome.SPANNED: loading.when_spanning & spans,
         Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until),
@@ -360,6 +401,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
     return SeriesState(
         stress=after.reshape(stress.shape),
+        pressure=found.contacts.pressure,
         released=now.released + found.contacts.released,
         born=None if now.born is None else jnp.where(found.contacts.times > 0, load, now.born),
         last=jnp.where(found.contacts.times > 0, now.number, now.last),
@@ -384,12 +426,11 @@ def _raised(body: Relaxed, loading: Loading, now: SeriesState) -> tuple[Array, A
     """
     push = body.response.push
     if loading.ageing is None or now.born is None:
-        pulled = push > 0
-        rises = jnp.where(pulled, (body.threshold - now.stress) / jnp.where(pulled, push, 1), jnp.inf)
+        needed = rises(push, body.threshold, now.stress, now.pressure, body.response.push_relief)
     else:
         velocity = jnp.asarray(loading.protocol.velocity)
-        rises = next_crossing(loading.ageing, now.stress, push, body.threshold, now.load - now.born, velocity)
-    site, least = most(-rises)
+        needed = next_crossing(loading.ageing, now.stress, push, body.threshold, now.load - now.born, velocity)
+    site, least = most(-needed)
     begins, rise = jnp.isfinite(least), jnp.maximum(-least, 0)
     trigger = jnp.where(begins, site, -1)
     if isinstance(loading.protocol, Steps):

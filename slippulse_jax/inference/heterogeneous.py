@@ -27,7 +27,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bodies.response import of_slider
-from slippulse_jax.events.event import first_event, nucleated
+from slippulse_jax.events.event import Relaxed, first_event, rises
 from slippulse_jax.front.front import straight_line, sweep
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.slider import Slider
@@ -175,8 +175,9 @@ def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: A
     """ℓ of a front from the edge, NaN where it does not stop; the contact that sets the load; and t at every contact."""
     modes = lattice_modes(Slider(height, stiffness, poisson))
     site = jnp.arange(theta.size)
-    first, load = nucleated(jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive, theta, phi)
-    stress = sweep(modes, load + phi[0], phi)
+    needed = rises(jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive, theta, phi)
+    first = jnp.argmin(needed)
+    stress = sweep(modes, needed[first] + phi[0], phi)
     excess = stress - theta
     holds = (excess < 0) & (site > first)  # contacts up to the one that breaks first have broken by then
     s0 = jnp.argmax(holds)
@@ -193,10 +194,10 @@ def _ruptures(*lanes: Array) -> tuple[Array, Array]:
     def one(lane: tuple[Array, ...]) -> tuple[Array, Array]:
         height, stiffness, poisson, theta, phi = lane
         response = of_slider(lattice_modes(Slider(height, stiffness, poisson)), theta.size)
-        found, first, _, _ = first_event(response, theta, phi, kind="full")
+        found, start = first_event(Relaxed(response, theta, phi), kind="full")
         stress = found.contacts.stress[0]
         stopped = (stress < theta).all() & (found.rightmost < theta.size - 1)
-        return jnp.where(stopped, found.length(stress, theta.size - 1), jnp.nan), first
+        return jnp.where(stopped, found.length(stress - theta, theta.size - 1), jnp.nan), start.first
 
     return lax.map(one, lanes)
 

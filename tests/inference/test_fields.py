@@ -13,7 +13,7 @@ import slippulse_jax as sp
 from benchmarks import recover_coverage
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bodies.response import of_slider
-from slippulse_jax.events.event import first_event
+from slippulse_jax.events.event import Relaxed, first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference import heterogeneous
 from slippulse_jax.inference.heterogeneous import followed, profile_problem
@@ -241,7 +241,7 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     assert start_of_events.tolist() == start.tolist()
     for height, leftmost in zip(HEIGHTS, left, strict=True):
         modes = lattice_modes(sp.Slider(height, STIFFNESS, POISSON))
-        event, *_ = first_event(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi), kind="full")
+        event = first_event(Relaxed(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi)), kind="full")[0]
         assert int(event.leftmost) == leftmost
         assert int(event.contacts.times.max()) == 1
     of_fronts, start_of_fronts = followed(*of, *profiles, next_break="neighbour")

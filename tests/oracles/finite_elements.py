@@ -35,30 +35,38 @@ def rectangle(width, height, poisson):
 
 
 class WholeBlock:
-    """A block of so many contacts, two elements side by side over each; the response to the pinning of the first `reach` of them."""
+    """A block on contacts, each under elements of given widths; the response to the pinning of the first `reach` of them.
 
-    def __init__(self, y, stiffness, poisson, contacts, pushed, force=None, reach=None, normal=None):
-        rows, columns = y.size, 2 * contacts + 1
+    `matrix` and `push` are those of their means of u_x; with springs across, `across` and `push_across` of those of u_y.
+    """
+
+    def __init__(self, y, widths, stiffness, poisson, pushed, force=None, reach=None, normal=None, top="free"):
+        contacts, every, ends = len(widths), np.concatenate(widths), np.append(0, np.cumsum([len(x) for x in widths]))
+        rows, columns = y.size, every.size + 1
         index = np.arange(2 * rows * columns).reshape(columns, rows, 2)
-        elements = np.array([rectangle(0.5, h, poisson) for h in np.diff(y)])
+        elements = np.array([[rectangle(w, h, poisson) for h in np.diff(y)] for w in every])
         corners = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
         at = np.concatenate(corners, axis=-1)  # of every element its eight freedoms
         i, j, v = np.broadcast_arrays(at[..., :, None], at[..., None, :], elements)
         size = index.size
         K = sparse.csr_matrix((v.ravel(), (i.ravel(), j.ravel())), (size, size))
-        mean = sparse.lil_matrix((contacts, size))
-        for n in range(contacts):
-            mean[n, index[2 * n : 2 * n + 3, 0, 0]] = [0.25, 0.5, 0.25]
-        mean = mean.tocsr()
+        mean, across = sparse.lil_matrix((contacts, size)), sparse.lil_matrix((contacts, size))
+        for n, (start, own) in enumerate(zip(ends, widths, strict=False)):
+            shape = (np.append(own, 0) + np.append(0, own)) / 2  # of ∫ u dx over a contact, of length 1
+            mean[n, index[start : start + len(own) + 1, 0, 0]] = shape
+            across[n, index[start : start + len(own) + 1, 0, 1]] = shape
+        mean, across = mean.tocsr(), across.tocsr()
         K = K + stiffness * mean.T @ mean
         held = np.zeros(size, bool)
         if normal is None:
             held[index[:, 0, 1]] = True
         else:  # a spring under every point of the lower edge, by Simpson's rule exact for its linear shapes
-            for left, right in zip(index[:-1, 0, 1], index[1:, 0, 1], strict=True):
+            for width, left, right in zip(every, index[:-1, 0, 1], index[1:, 0, 1], strict=True):
                 for weight, at_left in ((1, 1.0), (4, 0.5), (1, 0.0)):
                     shape = sparse.csr_matrix(([at_left, 1 - at_left], ([0, 0], [left, right])), (1, size))
-                    K = K + normal * stiffness * 0.5 * weight / 6 * shape.T @ shape
+                    K = K + normal * stiffness * width * weight / 6 * shape.T @ shape
+        if top == "held":
+            held[index[:, -1, 1]] = True
         load = np.zeros(size)
         at = index[0, :, 0]
         if force is None:
@@ -71,28 +79,39 @@ class WholeBlock:
         if force is None:
             x[at[pushed]] = 1
         x[free] = solve(load[free] - K[free] @ x)
-        self.push = mean @ x
+        self.push, self.push_across = (mean @ x)[:reach], (across @ x)[:reach]
         inner = mean[:reach, free]
-        self.push = self.push[:reach]
-        self.matrix = stiffness * (inner @ solve(np.ascontiguousarray(inner.T.toarray())))
+        moved = solve(np.ascontiguousarray(inner.T.toarray()))
+        self.matrix, self.across = stiffness * (inner @ moved), stiffness * (across[:reach, free] @ moved)
+        self.x, self.lower, self.heights = np.append(0, np.cumsum(every)), index[:, 0, 1], y
+        self.under_push = x
+        reaction = K @ x - load
+        self.at_pusher = reaction[at] if force is None else np.asarray(load[at])
 
 
-def break_all(push, matrix, once=False):
+def break_all(push, matrix, once=False, push_relief=0.0, relief=None):
     """Contacts in the order in which they break, the most overloaded next, until the last one does; plain NumPy.
 
-    In the first front each breaks once: those that broke are passed over.
+    In the first front each breaks once: those that broke are passed over. With a `relief` of the pressure, the Coulomb stress
+    s + relief decides; the event ends too where a contact loses all its pressure. Returns order, stress, pressure, and where
+    the straight line of the Coulomb stress falls to the threshold.
     """
-    stress = push / push.max()
-    order = [int(np.argmax(push))]
+    relief = np.zeros_like(matrix) if relief is None else relief
+    coulomb = push + push_relief
+    stress, lost, order, over = push / coulomb.max(), push_relief / coulomb.max() + 0 * push, [int(np.argmax(coulomb))], {}
     while True:
         j = order[-1]
         released = stress[j]
-        stress = stress + matrix[:, j] * released
+        over.setdefault(j, released + lost[j] - 1)
+        stress, lost = stress + matrix[:, j] * released, lost + relief[:, j] * released
         stress[j] -= released
         left = [i for i in range(stress.size) if not (once and i in order)]
-        j = max(left, key=stress.__getitem__, default=j)
-        if not left or stress[j] < 1 or order[-1] == stress.size - 1:
-            return order, stress
+        total = stress + lost
+        j = max(left, key=total.__getitem__, default=j)
+        if not left or total[j] < 1 or order[-1] == stress.size - 1 or lost.max() > 1:
+            last = max(order)
+            behind, ahead = max(over[last], 0), min(total[min(last + 1, total.size - 1)] - 1, 0)
+            return order, stress, 1 - lost, last + behind / (behind - ahead)
         order.append(j)
 
 
