@@ -290,6 +290,8 @@ class Block(eqx.Module):
             ("length, in λc", "without end" if self.length is None else short(self.length)),
             ("b, areal stiffness times H over the shear modulus", short(self.slider.b)),
         ]
+        if self.friction is not None:
+            rows.append(("friction coefficient, μ", f"{short(self.friction)}, {self.contact_law}, top {self.top}"))
         return html(f"Block (plane {self.plane})", rows)
 
     @property

@@ -2,7 +2,8 @@ r"""Contacts of rough surfaces under a pressure that the push tilts: stiffness a
 
 Where ever more asperities touch, the pressure is p = p̄ exp(−u_y/ℓ_n), both stiffnesses of a contact are proportional to it,
 and so is its threshold μp: it breaks at one stretch, u_s = μ ℓ_n k_n/k, whatever its pressure. With π_i = exp(−μ q_i),
-q_i = (k_n/k)⟨u_y⟩_i/u_s, and the stretch s_i = ⟨u_x⟩_i − u_b,i, a contact pulls at the block by π_i s_i and (1 − π_i)/μ, in σ_s.
+q_i = (k_n/k)⟨u_y⟩_i/u_s, and the stretch s_i = ⟨u_x⟩_i − u_b,i, a contact pulls at the block by π_i s_i and (1 − π_i)/μ, in
+σ_s.
 
 The springs of the uniform pressure belong to the block (`slippulse_jax.bodies.waveguide`), and what the contacts fall short of
 them acts on it as a force. Newton's method finds their balance and the load at which one breaks. While an event runs, the

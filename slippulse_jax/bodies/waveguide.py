@@ -15,8 +15,9 @@ contact 0. The slider is the case n = 2; its columns are u_t and u.
 A second reading of the same columns is the mean across the interface, ⟨u_y⟩, of which nothing but the pressure takes notice.
 
 A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X. With
-G_L = Σ_{m<L−1} T^m Y (Tᵀ)^m + T^{L−1} G_1 (Tᵀ)^{L−1}, the response of that column to a force on itself, a force X (1 − G_L X)⁻¹ x_L on it
-takes X away, x_L being its displacement in the half-infinite guide: so the end sends back whatever arrives.
+G_L = Σ_{m<L−1} T^m Y (Tᵀ)^m + T^{L−1} G_1 (Tᵀ)^{L−1}, the response of that column to a force on itself, a force
+X (1 − G_L X)⁻¹ x_L on it takes X away, x_L being its displacement in the half-infinite guide: so the end sends back whatever
+arrives.
 """
 
 from typing import NamedTuple

@@ -51,7 +51,7 @@ class BlockPrecursor(eqx.Module):
     contacts_broken: Int[Array, ""]
     breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
     length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops
-    load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in k u_s
+    load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in K u_s
     status: Int[Array, ""]  # an `Outcome`
     stress_before: Float[Array, " sites"]  # at nucleation
     stress: Float[Array, " sites"]  # when the event is over
