@@ -208,10 +208,10 @@ class Block(eqx.Module):
     def __check_init__(self) -> None:
         for name, choices in (("plane", Plane), ("contact_law", ContactLaw), ("top", Top)):
             check_choice(f"Block.{name}", getattr(self, name), choices)
-        if self.friction is None and self.contact_law != "amontons":
-            raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         if not are_numbers(self.height, self.stiffness, self.poisson):
             return
+        if self.friction is None and self.contact_law != "amontons":
+            raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         check_kind("Block.push", self.push, Push)
         self.push.check()
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}

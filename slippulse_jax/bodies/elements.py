@@ -1,10 +1,9 @@
 """Slabs of a block under two-dimensional elasticity: graded columns of rectangular elements over one contact.
 
 Elements are the four-node rectangles with two incompatible modes of Taylor, Beresford and Wilson (QM6), which bend without
-locking. Two of them lie side by side over a contact, and ever narrower ones over contact 0; they are graded upwards from the
-interface and away from the pusher, whose ends are nodes, so that everything is a smooth function of the heights. There the
-stress is singular: without the grading a length is 0.3 to 1.7 % short, with it 0.1 %. In λc and E = 1. A mesh that is `finer`
-by n has 2ⁿ elements in the place of each, along and across.
+locking. Two of them lie side by side over a contact; they are graded upwards from the interface and away from the pusher,
+whose ends are nodes, so that everything is a smooth function of the heights. There the stress is singular, which leaves lengths
+0.3 to 1.7 % short. In λc and E = 1. A mesh that is `finer` by n has 2ⁿ elements in the place of each, along and across.
 """
 
 from typing import Any
@@ -28,7 +27,7 @@ AT_PUSHER = 0.01
 HALVINGS = 1
 """Number of elements side by side over a contact, as a power of 2."""
 CORNER = 1
-"""Over contact 0, how often the elements halve in width towards the pusher, whose ends make stresses singular."""
+"""Over contact 0, how often the elements halve in width towards the pusher: once, as over any other contact."""
 BELOW, NEAR, OVER, ABOVE = 18, 10, 8, 14
 """Elements above the interface, below the pusher, over the pusher, and above it."""
 

@@ -284,6 +284,7 @@ def stages(
     """
     body = contacts_of(block, interface, sites)
     start = nucleated(body)
+    per_stress = jnp.ones(sites) if body.pressed is None else jnp.asarray(start.pressure)  # or per stretch
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array]:
@@ -291,6 +292,6 @@ def stages(
         field = _fields(block, start.load, jnp.where(limit > 0, now.released[0], 0), guide)
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
-        return jnp.where(limit > 0, now.stress[0], start.stress), shear
+        return per_stress * jnp.where(limit > 0, now.stress[0], start.stress), shear
 
     return lax.map(at, breaks.astype(jnp.int32))

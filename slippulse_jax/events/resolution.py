@@ -80,6 +80,8 @@ def precursor_length(
     if not is_traced(given) or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         found = in_double(_length)(*given, sites, kind)
         _warn_of_few_sites(block, sites, found)
+        if block.friction is not None and not isinstance(found, Tracer) and np.isnan(found):
+            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=3)
         return found
     _known(given, blocks.IN_DOUBLE)
     numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
