@@ -65,8 +65,8 @@ class Contacts(NamedTuple):
     pressure: Float[Array, "*B M"] | None = None  # over the initial one, where thresholds follow it
 
     @property
-    def excess(self) -> Float[Array, "*B M"]:
-        """How far each is over its threshold."""
+    def excess(self) -> Array:
+        """How far each is over its threshold; of one contact too."""
         return overload(self.stress, self.threshold, self.pressure)
 
 
