@@ -20,22 +20,30 @@ X (1 − G_L X)⁻¹ x_L on it takes X away, x_L being its displacement in the h
 arrives.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.response import Response, of_matrix
-from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.bulk.compiler import in_full, inverse_without_pivots
 
+BAND = 3
+"""Farthest neighbours in a column, of elements from node to node with two freedoms each, within one layer of which a force acts."""
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
 
 
+Along = tuple[int, ...]
+"""Numbers of the freedoms of a column along the guide."""
+
+
 class Slab(NamedTuple):
-    """Stiffness between two columns, and how the interface beneath reads them; symmetric in all but its ends."""
+    """Stiffness between two columns, and how the interface beneath reads them; its own mirror image."""
 
     left: Float[Array, "n n"]  # D_00
     across: Float[Array, "n n"]  # D_01
@@ -95,6 +103,13 @@ def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return lax.platform_dependent(matrix, cpu=_one_after_another, default=jnp.linalg.inv)
 
 
+@jax.custom_jvp
+@in_full
+def inverse_of_definite(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a symmetric positive definite matrix."""
+    return inverse_without_pivots(matrix)
+
+
 @inverse.defjvp
 @in_full
 def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
@@ -102,16 +117,41 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
     return found, -found @ tangents[0] @ found
 
 
+@inverse_of_definite.defjvp
 @in_full
-def joined_slabs(a: Slab, b: Slab) -> Slab:
-    """Join two slabs in a row; readings of the column between them are passed on to the outer columns."""
-    between, read = inverse(a.right + b.left), a.reading_right + b.reading_left
-    moved = read @ between
-    left, right = a.left - a.across @ between @ a.across.T, b.right - b.across.T @ between @ b.across
+def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    found = inverse_of_definite(primals[0])
+    return found, -found @ tangents[0] @ found
+
+
+@in_full
+def doubled(slab: Slab, along: Along) -> Slab:
+    """Join two slabs in a row; readings of the column between them are passed on to the outer columns.
+
+    A slab is its own mirror image: with S, which is 1 along the guide and −1 across it, D_11 = S D_00 S, and D_01 S is symmetric.
+    So displacements along and across the guide of the column between do not act on each other, and each half is inverted by
+    itself.
+    """
+    parts, sign = _halves(along, len(slab.left))
+    mirrored, read = slab.across * sign[None], slab.reading_right + slab.reading_left
+    moved, halves = jnp.zeros_like(read), []
+    for part in parts:
+        toward = mirrored[:, part]
+        between = inverse_of_definite(2 * slab.left[part[:, None], part])
+        halves.append(toward @ between @ toward.T)
+        moved = moved.at[:, part].set(read[:, part] @ between)
+    left, across = slab.left - (halves[0] + halves[1]), halves[1] - halves[0]
+    left, across = (left + left.T) / 2, (across + across.T) / 2
     return Slab(
-        (left + left.T) / 2, -a.across @ between @ b.across, (right + right.T) / 2,
-        a.reading_left - moved @ a.across.T, b.reading_right - moved @ b.across, a.own + b.own + read @ moved.T,
+        left, across * sign[None], sign[:, None] * left * sign[None], slab.reading_left - (moved * sign[None]) @ mirrored,
+        slab.reading_right - (moved @ mirrored) * sign[None], 2 * slab.own + read @ moved.T,
     )  # fmt: skip
+
+
+def _halves(along: Along, n: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Numbers of the freedoms along the guide and of those across it, and S."""
+    of_x = np.isin(np.arange(n), along)
+    return [np.flatnonzero(of_x).astype(np.int32), np.flatnonzero(~of_x).astype(np.int32)], np.where(of_x, 1.0, -1.0)
 
 
 def attached(slab: Slab, contact: Array) -> Slab:
@@ -128,8 +168,8 @@ def attached(slab: Slab, contact: Array) -> Slab:
     )
 
 
-@jax.custom_jvp
-def driving_point(slab: Slab) -> Float[Array, "n n"]:
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def driving_point(slab: Slab, along: Along) -> Float[Array, "n n"]:
     """X of the half-infinite guide: twice as many slabs each time, until the far end is not felt."""
 
     def felt(state: tuple[Slab, Int[Array, ""]]) -> Array:
@@ -138,7 +178,7 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 
     def twice(state: tuple[Slab, Int[Array, ""]]) -> tuple[Slab, Int[Array, ""]]:
         slabs, count = state
-        return joined_slabs(slabs, slabs), count + 1
+        return doubled(slabs, along), count + 1
 
     unread = 0 * slab.reading_left
     return lax.while_loop(felt, twice, (slab._replace(reading_left=unread, reading_right=unread), jnp.int32(0)))[0].left
@@ -146,11 +186,11 @@ def driving_point(slab: Slab) -> Float[Array, "n n"]:
 
 @driving_point.defjvp
 @in_full
-def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
+def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
     """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab. The sum of (Tᵀ)^m F T^m, by doubling."""
     (slab,), (change,) = primals, tangents
-    X = driving_point(slab)
-    T = -inverse(X + slab.right) @ slab.across.T
+    X = driving_point(slab, along)
+    T = -inverse_of_definite(X + slab.right) @ slab.across.T
     across = change.across @ T
     F = change.left + across + across.T + T.T @ change.right @ T
 
@@ -165,15 +205,15 @@ def _driving_point_jvp(primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Arr
     return X, lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
 
 
-def edge(layers: Slab, contact: Array, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
-    """Eliminate what lies left of column 1.
+@in_full
+def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
+    """Eliminate what lies left of column 1, but for the spring of contact 0.
 
     Parameters
     ----------
     layers : Slab
-        Over contact 0 from the pusher on, without its spring; each number has a leading axis.
-    contact : array, shape ()
-        k, in K.
+        Over contact 0 from the pusher on; each number has a leading axis. Of thin ones, which have `BAND` neighbours in a column
+        at most.
     displaced : array, shape (n,)
         1 for the freedoms of column 0 that move with the pusher.
     force : array, shape (n,)
@@ -188,12 +228,12 @@ def edge(layers: Slab, contact: Array, displaced: Float[Array, " n"], force: Flo
         keep, reading = 1 - held, behind.reading + layer.reading_left
         # freedoms that the pusher displaces are cut out, and held at one instead
         inner = keep[:, None] * (behind.stiffness + layer.left) * keep[None] + jnp.diag(held)
-        free = keep[:, None] * inverse(inner) * keep[None]
+        free = keep[:, None] * inverse_of_definite(inner) * keep[None]
         load = behind.load - layer.left @ held
-        moved, back = held + free @ load, free @ layer.across
+        moved, back = held + free @ load, _times_banded(free, layer.across)
         found = behind._replace(
-            stiffness=layer.right - layer.across.T @ back,
-            load=-layer.across.T @ moved,
+            stiffness=layer.right - _times_banded(back.T, layer.across).T,
+            load=-moved @ layer.across,
             reading=layer.reading_right - reading @ back,
             own=behind.own + layer.own + reading @ free @ reading.T,
             direct=behind.direct + reading @ moved,
@@ -201,44 +241,53 @@ def edge(layers: Slab, contact: Array, displaced: Float[Array, " n"], force: Flo
         return (found, 0 * held), Layers(held, free, load, layer.across, reading)
 
     (found, _), passed = lax.scan(pass_layer, (begin, displaced), layers)
-    own, row = found.own[:, 0], found.reading[0]
+    return found._replace(layers=passed)
+
+
+def _times_banded(matrix: Float[Array, "n n"], band: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Product with a matrix that has nothing beyond `BAND` diagonals on either side."""
+    n, padded = len(band), jnp.pad(matrix, ((0, 0), (BAND, BAND)))
+    found = jnp.zeros_like(matrix)
+    for by in range(-min(BAND, n - 1), min(BAND, n - 1) + 1):
+        diagonal = jnp.pad(jnp.diagonal(band, -by), (max(-by, 0), max(by, 0)))  # band[j + by, j]
+        found = found + padded[:, BAND + by : BAND + by + n] * diagonal[None]
+    return found
+
+
+def attached_edge(edge: Edge, contact: Array) -> Edge:
+    """Attach contact 0, of stiffness k; its readings are then those per displacement of the pinning point."""
+    own, row, direct = edge.own[:, 0], edge.reading[0], edge.direct[0]
     k = contact / (1 + contact * own[0])
     return Edge(
-        found.stiffness + k * jnp.outer(row, row),
-        found.load - k * found.direct[0] * row,
-        found.reading - k * jnp.outer(own, row),
-        found.own - k * jnp.outer(own, own),
-        found.direct - k * found.direct[0] * own,
-        passed,
+        edge.stiffness + k * jnp.outer(row, row),
+        edge.load - k * direct * row,
+        edge.reading - k * jnp.outer(own, row),
+        edge.own - k * jnp.outer(own, own),
+        edge.direct - k * direct * own,
+        edge.layers,
     )
 
 
 @in_full
-def guide(
-    slab: Slab,
-    contact: Array,
-    displaced: Float[Array, " n"],
-    force: Float[Array, " n"],
-    length: Int[Array, ""] | None = None,
-    layers: Slab | None = None,
-) -> Guide:
+def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Array, ""] | None = None) -> Guide:
     """The guide of a slab on contacts; half-infinite, or of `length` slabs with a free end.
 
     Parameters
     ----------
+    edge : Edge
     slab : Slab
-        Without the spring of its contact.
-    contact, displaced, force
-        As for `edge`.
+        Without the spring of its contact, as the edge.
+    contact : array, shape ()
+        k, in K.
+    along : tuple of int
+        Numbers of the freedoms along the guide; the others are across it.
     length : int, optional
         At least 2.
-    layers : Slab, optional
-        Those over contact 0, as for `edge`; one like the others by default.
     """
-    at_edge = edge(jax.tree.map(lambda x: x[None], slab) if layers is None else layers, contact, displaced, force)
+    at_edge = attached_edge(edge, contact)
     slab = attached(slab, contact)
-    X = driving_point(slab)
-    step, free = inverse(X + slab.right), inverse(X + at_edge.stiffness)
+    X = driving_point(slab, along)
+    step, free = inverse_of_definite(X + slab.right), inverse_of_definite(X + at_edge.stiffness)
     found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load)
     if length is None:
         return found

@@ -226,3 +226,29 @@ def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"])
         return (system - system[:, k][:, None] * row[None]).at[k].set(row)
 
     return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
+
+
+SWEPT = 32
+"""Size of a matrix from which on it is inverted by halves."""
+
+
+def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Inverse of a symmetric positive definite matrix, by halves, and of small ones by elimination.
+
+    As fast as a library's, which has threads of its own: on cores that are all busy these take longer to agree than to compute.
+    """
+    n, half = len(matrix), len(matrix) // 2
+    if n > SWEPT:
+        first, beside, last = matrix[:half, :half], matrix[:half, half:], matrix[half:, half:]
+        first = inverse_without_pivots(first)
+        carried = first @ beside
+        last = inverse_without_pivots(last - beside.T @ carried)
+        beside = -carried @ last
+        return jnp.block([[first - beside @ carried.T, beside], [beside.T, last]])
+
+    def sweep(k: Array, swept: Array) -> Array:
+        here = jnp.arange(n) == k
+        row, column = jnp.where(here, 1, swept[k]) / swept[k, k], jnp.where(here, -1, swept[:, k])
+        return jnp.where(here[:, None] | here[None], 0, swept) - column[:, None] * row[None]
+
+    return lax.fori_loop(0, n, sweep, matrix)

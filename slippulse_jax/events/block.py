@@ -26,7 +26,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.bodies import elements, waveguide
 from slippulse_jax.bodies.pressed import balance, pressed
 from slippulse_jax.bodies.response import of_matrix
-from slippulse_jax.bodies.waveguide import Guide
+from slippulse_jax.bodies.waveguide import Edge, Guide, Slab
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
@@ -116,17 +116,28 @@ def as_type(x: Any, dtype: Any) -> Any:
     return np.asarray(x, dtype) if isinstance(x, float | np.ndarray) and np.asarray(x).dtype.kind == "f" else x
 
 
-def guide_of(block: Block, finer: int = 0) -> Guide:
-    """The block as a waveguide, its contacts attached; on a mesh that is `finer` by so many halvings."""
-    length = None if block.length is None else jnp.asarray(block.length)
+def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
+    """The block as a waveguide without the springs of its contacts, on a mesh that is `finer` by so many halvings.
+
+    Where its bottom may not move up or down it does not depend on the stiffness of the contacts.
+    """
     layers, slab = elements.slabs(block, finer)
-    return waveguide.guide(slab, jnp.asarray(block.stiffness), *elements.loaded(block, finer), length, layers)
+    return waveguide.edge(layers, *elements.loaded(block, finer)), slab
 
 
-def contacts_of(block: Block, interface: Interface | Profile | None, sites: int) -> Relaxed:
+def guide_of(block: Block, finer: int = 0, bare: tuple[Edge, Slab] | None = None) -> Guide:
+    """The block as a waveguide, its contacts attached; `bare` is what `unattached` makes of it."""
+    length = None if block.length is None else jnp.asarray(block.length)
+    edge, slab = unattached(block, finer) if bare is None else bare
+    return waveguide.guide(edge, slab, jnp.asarray(block.stiffness), elements.along(block, finer), length)
+
+
+def contacts_of(
+    block: Block, interface: Interface | Profile | None, sites: int, bare: tuple[Edge, Slab] | None = None
+) -> Relaxed:
     """The first contacts of a block, and their response."""
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
-    guide, k, body = guide_of(block), jnp.asarray(block.stiffness), None
+    guide, k, body = guide_of(block, bare=bare), jnp.asarray(block.stiffness), None
     if block.friction is None or block.normal_stiffness is None:
         response = waveguide.response(guide, k, sites)
     elif block.contact_law == "amontons":
@@ -148,9 +159,15 @@ def contacts_of(block: Block, interface: Interface | Profile | None, sites: int)
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
 @in_full
-def record(block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind) -> BlockPrecursor:
-    """Compute the event of one block on its first `sites` contacts."""
-    body = contacts_of(block, interface, sites)
+def record(
+    block: Block,
+    interface: Interface | Profile | None,
+    sites: int,
+    kind: EventKind,
+    bare: tuple[Edge, Slab] | None = None,
+) -> BlockPrecursor:
+    """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
+    body = contacts_of(block, interface, sites, bare)
     found, start = first_event(body, kind=kind)
     after, last = jax.tree.map(lambda x: x[0], found.contacts), body.last
     excess, pinning = overload(after.stress, body.threshold, after.pressure), after.released

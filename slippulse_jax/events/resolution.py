@@ -8,6 +8,7 @@ Many blocks are one `Block` of arrays (`many`), and an `Interface` of arrays as 
 """
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Generator
 from functools import partial
@@ -22,6 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block, Control, Push
+from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events.block import BlockPrecursor, as_type, in_double, is_traced
@@ -44,8 +46,8 @@ MOST_HEIGHTS = 20
 """Distance, in heights, beyond which an event on larger contacts is not followed."""
 ALIKE = 0.1
 """Largest relative difference between the lengths on contacts of two sizes that are taken for the same event."""
-TOGETHER = 4
-"""Blocks computed at once."""
+ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
+"""Layout of blocks."""
 
 
 class NotFollowed(ValueError):
@@ -168,7 +170,7 @@ def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> t
         If the event does not stop within what can be followed.
     """
     one = jax.tree.map(lambda x: x[None], _known((block, interface)))
-    height, sites, fine, rough = _views(one, kind, together=1)[:, 0]
+    height, sites, fine, rough = _views(one, kind)[:, 0]
     if np.isposinf(fine):
         grows = np.isfinite(rough)
         raise NotFollowed(
@@ -305,16 +307,15 @@ def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> 
     return np.where(endless, np.inf, found), np.where(endless, np.asarray(block.height), error)
 
 
-def _views(body: Body, kind: EventKind, together: int = TOGETHER) -> Float[np.ndarray, "4 n"]:
+def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
     """What `_view` finds of every block, their trials side by side."""
     searches = [_view(*_some(body, i)) for i in range(np.size(body[0].height))]
     asked, found = {i: next(search) for i, search in enumerate(searches)}, np.empty((4, len(searches)))
     while asked:
         sites = min(sites for _, sites in asked.values())
-        # by height, because blocks computed at once take as long as the tallest
-        which = sorted((i for i in asked if asked[i][1] == sites), key=lambda i: asked[i][0])
+        which = [i for i in asked if asked[i][1] == sites]
         coarser = _coarser(_some(body, np.array(which)), np.array([asked[i][0] for i in which]))
-        for i, *answer in zip(which, *_events(coarser, sites, kind, together), strict=True):
+        for i, *answer in zip(which, *_events(coarser, sites, kind), strict=True):
             try:
                 asked[i] = searches[i].send(tuple(answer))
             except StopIteration as end:
@@ -328,13 +329,9 @@ def _some(body: Body, which: Any) -> Body:
     return jax.tree.map(lambda x: x[which], body)
 
 
-def _events(body: Body, sites: int, kind: EventKind, together: int = TOGETHER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths, contacts broken and statuses of many blocks; large matrices one by one."""
-    count, together = np.size(body[0].height), together if sites == FOLLOWED else 1
-    padded = np.resize(np.arange(count), (-(-count // together), together))
-    with jax.enable_x64(True):
-        parts = [_at_once(*_some(body, part), sites, kind) for part in padded]
-    length, broken, status = (np.concatenate(column)[:count] for column in zip(*parts, strict=True))
+def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, contacts broken and statuses of many blocks; shapes (n,)."""
+    length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0]
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH))
     if lost.any():
         block, interface = _some(body, np.argmax(lost))
@@ -342,10 +339,31 @@ def _events(body: Body, sites: int, kind: EventKind, together: int = TOGETHER) -
     return length, broken, status
 
 
-@partial(jax.jit, static_argnames=("sites", "kind"))
-def _at_once(block: Block, interface: Interface | None, sites: int, kind: EventKind) -> tuple[Array, Array, Array]:
-    def one(block: Block, interface: Interface | None) -> tuple[Array, Array, Array]:
-        found = blocks.record(block, interface, sites, kind)
-        return found.length, found.contacts_broken, found.status
+def followed(
+    body: Body, stiffness: Float[np.ndarray, "n m"], sites: int, kind: EventKind
+) -> Float[np.ndarray, "3 n m"]:
+    """Length, contacts broken and status of the events of many blocks, each at several contact stiffnesses.
 
-    return jax.vmap(one)(block, interface)
+    Where the bottom of a block may not move up or down, the block itself is computed once for all of them. NaN asks for nothing.
+    """
+    leaves, tree = jax.tree.flatten(body)
+    lanes = [np.asarray(x, float) for x in (*leaves, *stiffness.T)]
+    return np.stack(over_lanes(_followed(tree, stiffness.shape[1], sites, kind), lanes, ONE_BY_ONE)).swapaxes(1, 2)
+
+
+@functools.cache
+def _followed(tree: Any, count: int, sites: int, kind: EventKind) -> Kernel:
+    def events(lane: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        block, interface = jax.tree.unflatten(tree, list(lane[:-count, 0]))
+        bare = blocks.unattached(block) if block.normal_stiffness is None else None
+
+        def one(k: Array) -> tuple[Array, Array, Array]:
+            found = blocks.record(eqx.tree_at(lambda x: x.stiffness, block, k), interface, sites, kind, bare)
+            return found.length, found.contacts_broken.astype(k.dtype), found.status.astype(k.dtype)
+
+        def none(k: Array) -> tuple[Array, Array, Array]:
+            return k, k, k
+
+        return tuple(x[:, None] for x in lax.map(lambda k: lax.cond(jnp.isnan(k), none, one, k), lane[-count:, 0]))
+
+    return events

@@ -42,12 +42,15 @@ def response(block, sites):
 
 
 def slider_guide(slider, length=None):
-    """Columns (u_t, u): a bond of each layer, the springs of the left site, and the contact under its u."""
+    """Columns (u_t, u) of the middles of the bonds: a slab is a site, with half a bond on either side of it."""
     K_L, K_T, one = (jnp.asarray(x) for x in (slider.K_L, slider.K_T, 1.0))
-    bonds, across = jnp.diag(jnp.stack([K_L, one])), K_T * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
-    slab = waveguide.Slab(bonds + across, -bonds, bonds, jnp.array([[0.0, 1.0]]), jnp.zeros((1, 2)), jnp.zeros((1, 1)))
-    held = jnp.array([1.0, 0.0])
-    return waveguide.guide(slab, jnp.asarray(slider.stiffness), held, jnp.zeros(2), length)
+    half, across = 2 * jnp.diag(jnp.stack([K_L, one])), K_T * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
+    site = jnp.linalg.inv(2 * half + across)
+    passed, reading = half @ site @ half, (site @ half)[1:]
+    slab = waveguide.Slab(half - passed, -passed, half - passed, reading, reading, site[1:, 1:])
+    first = waveguide.Slab(half + across, -half, half, jnp.array([[0.0, 1.0]]), jnp.zeros((1, 2)), jnp.zeros((1, 1)))
+    edge = waveguide.edge(jax.tree.map(lambda x: x[None], first), jnp.array([1.0, 0.0]), jnp.zeros(2))
+    return waveguide.guide(edge, slab, jnp.asarray(slider.stiffness), (0, 1), length)
 
 
 @jax.jit
@@ -99,7 +102,7 @@ def whole(block, contacts, reach=None):
     displaced[kept], force[kept] = map(np.asarray, elements.loaded(block))
     normal = None if block.normal_stiffness is None else float(block.normal_stiffness)
     nu, young = map(float, block.plane_constants)
-    corner, other = elements.widths()
+    corner, other = elements.widths(block)
     found = WholeBlock(
         np.asarray(elements.heights(block)), [corner] + [other] * (contacts - 1), float(block.stiffness) / young, nu,
         displaced[0::2] > 0, force[0::2] if block.push.control == "force" else None, reach, normal, block.top,
