@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.interpolation import block_lengths
+from slippulse_jax.inference.block_lengths import BlockLengths
 from slippulse_jax.inference.parameters import Inputs, pushed_at
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -36,7 +36,7 @@ def shares(height: float, b: np.ndarray, push: np.ndarray, width: float = np.nan
     inputs = Inputs.of(np.full(b.shape, height), b / (2 * (1 + POISSON) * height), POISSON)
     at = push * height
     inputs = pushed_at(inputs, np.full(b.shape, height), at, np.full(b.shape, width * height), [control] * len(b))
-    return block_lengths(inputs)[0] / height
+    return BlockLengths()(inputs)[0] / height
 
 
 def bias(height: float, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

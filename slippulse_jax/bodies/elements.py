@@ -94,7 +94,7 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
         [jnp.stack([one, poisson, none]), jnp.stack([poisson, one, none]), jnp.stack([none, none, (1 - poisson) / 2])]
     ) / (1 - poisson**2)
     per = 1 / jnp.stack([width * one, height * one])
-    each = (width * height / 4 * (per[:, None] * per)[:, :, None, None] * elastic).ravel()
+    each = (width * height / 4 * jnp.outer(per, per)[:, :, None, None] * elastic[None, None]).ravel()
     nodal, mixed, bubbles = (each @ energy for energy in _ENERGIES)
     # of a rectangle the incompatible modes do not act on each other: `bubbles` is their diagonal
     mixed = mixed.reshape(8, 4)

@@ -33,7 +33,7 @@ from slippulse_jax.bodies.response import Response, of_matrix
 from slippulse_jax.bulk.compiler import in_full, inverse_without_pivots
 
 BAND = 3
-"""Farthest neighbours in a column, of elements from node to node with two freedoms each, within one layer of which a force acts."""
+"""How far apart in a column freedoms may be on which one layer of elements acts, two of each node."""
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
 
@@ -128,9 +128,8 @@ def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> t
 def doubled(slab: Slab, along: Along) -> Slab:
     """Join two slabs in a row; readings of the column between them are passed on to the outer columns.
 
-    A slab is its own mirror image: with S, which is 1 along the guide and −1 across it, D_11 = S D_00 S, and D_01 S is symmetric.
-    So displacements along and across the guide of the column between do not act on each other, and each half is inverted by
-    itself.
+    A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S, and D_01 S is symmetric. So
+    displacements of the column between along and across the guide do not act on each other: each half is inverted by itself.
     """
     parts, sign = _halves(along, len(slab.left))
     mirrored, read = slab.across * sign[None], slab.reading_right + slab.reading_left
@@ -212,8 +211,7 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
     Parameters
     ----------
     layers : Slab
-        Over contact 0 from the pusher on; each number has a leading axis. Of thin ones, which have `BAND` neighbours in a column
-        at most.
+        Over contact 0 from the pusher on; each number has a leading axis. Within `BAND` of the diagonal, as of single elements.
     displaced : array, shape (n,)
         1 for the freedoms of column 0 that move with the pusher.
     force : array, shape (n,)
@@ -231,8 +229,9 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
         free = keep[:, None] * inverse_of_definite(inner) * keep[None]
         load = behind.load - layer.left @ held
         moved, back = held + free @ load, _times_banded(free, layer.across)
+        stiffness = layer.right - _times_banded(back.T, layer.across).T
         found = behind._replace(
-            stiffness=layer.right - _times_banded(back.T, layer.across).T,
+            stiffness=(stiffness + stiffness.T) / 2,  # what rounding leaves beside would grow from layer to layer
             load=-moved @ layer.across,
             reading=layer.reading_right - reading @ back,
             own=behind.own + layer.own + reading @ free @ reading.T,

@@ -339,12 +339,10 @@ def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.nda
     return length, broken, status
 
 
-def followed(
-    body: Body, stiffness: Float[np.ndarray, "n m"], sites: int, kind: EventKind
-) -> Float[np.ndarray, "3 n m"]:
+def followed(body: Body, stiffness: Float[np.ndarray, "n m"], sites: int, kind: EventKind) -> Float[np.ndarray, "3 n m"]:
     """Length, contacts broken and status of the events of many blocks, each at several contact stiffnesses.
 
-    Where the bottom of a block may not move up or down, the block itself is computed once for all of them. NaN asks for nothing.
+    Where the bottom of a block may not move up or down, the block itself is computed once for all. NaN asks for nothing.
     """
     leaves, tree = jax.tree.flatten(body)
     lanes = [np.asarray(x, float) for x in (*leaves, *stiffness.T)]

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.inference.block_lengths import b_of_tall
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
-from slippulse_jax.inference.interpolation import packaged_b
 from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
@@ -37,12 +37,8 @@ SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
 END, STIFF = 4.0, 10.0
 """Length of a block over 1/κ_2, and stiffness of a machine over that of the block, assumed where the table states none."""
-PUSHES = (0.5, 0.25, 0.1)
-"""Heights above which a block is assumed to be pushed where the table does not say, over H."""
 NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
-TALL, HIGHEST = 1e4, 0.55
-"""H/λc and highest push over H of the fits with another pusher, which the packaged nodes serve."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
@@ -160,7 +156,8 @@ def _refitted(fitted: Fitted, m: Measurements, *held: Parameter) -> tuple[np.nda
     sigma, q, own = fitted.sigma, fitted.parameters, fitted.measurements.correlation_length
     if m.correlation_length is not None and own is not None:
         sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
-    other = parameter_set(m, [*q.wanted, *held], q.front.event, q.front.body)
+    front = q.front if q.front.body == "block" else None  # blocks like the one that was followed
+    other = parameter_set(m, [*q.wanted, *held], q.front.event, q.front.body, front=front)
     return _least(fitted, m, other, sigma, fitted.theta[None])
 
 
@@ -278,36 +275,21 @@ def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str,
     for name in stiff:
         rows = q.rows_of(q.index(name))
         i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])
-        each = {f"{at:g}": packaged_b(float(ratio[i]), float(m.poisson[i]), at) for at in PUSHES}
-        found = {at: b for at, b in each.items() if b is not None}
-        if found:
-            known, moves[name] = [*found], tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
+        found = b_of_tall(float(ratio[i]), float(m.poisson[i]))
+        known, moves[name] = [*found], tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
     return known, moves
 
 
 def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
-    """Move of each stiffness if the pusher is narrow; NaN where the lengths are then rejected.
-
-    From two fits within the packaged nodes, for which nothing is followed anew: of a tall block, as lengths over H hardly
-    depend on λc/H, at ν = 0.3, and pushed from `NARROW` to `HIGHEST` H up.
-    """
+    """Move of each stiffness if the pusher is narrow; NaN where the lengths are then rejected."""
     m, q = fitted.measurements, fitted.parameters
     assert m.push_height is not None
-    taller = float(np.ceil(TALL / m.height.min()))
-    changed: dict[str, Any] = _in_larger_units(m, 1 / taller)
-    if m.correlation_length is not None:
-        changed["correlation_length"] = m.correlation_length / taller
-    changed["push_height"] = np.clip(m.push_height / m.height, NARROW, HIGHEST) * changed["height"]
-    changed |= {"poisson": np.full(len(m), 0.3), "poisson_sigma": None}
-    wanted = [one for one in q.wanted if one.name not in ("push_height", "poisson")]
-    found, deviance = [], 0.0
-    for width in (None, NARROW * changed["height"]):
-        other = dataclasses.replace(m, **changed, push_width=width)
-        every = parameter_set(other, wanted, q.front.event, q.front.body)
-        theta, deviance = _least(fitted, other, every, fitted.sigma * taller, _starts(fitted, every))
-        found.append({one.label: float(t) for one, t in zip(every.free, theta, strict=True) if one.name in STIFFNESSES})
-    wide, narrow = found
-    return {name: (math.nan if _rejected(fitted, deviance) else narrow[name] - wide[name],) for name in wide}
+    at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
+    other = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
+    every = parameter_set(other, q.wanted, q.front.event, q.front.body)
+    theta, deviance = _least(fitted, other, every, fitted.sigma, _starts(fitted, every))
+    moved = np.full(len(theta), np.nan) if _rejected(fitted, deviance) else theta - fitted.theta
+    return {one.label: (float(by),) for one, by in zip(every.free, moved, strict=True) if one.name in STIFFNESSES}
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------
@@ -459,7 +441,7 @@ def _in_python(one: Parameter) -> str:
 def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance of a fit of these parameters, and how many more they are."""
     m, front = fitted.measurements, fitted.parameters.front
-    q = parameter_set(m, wanted, front.event, front.body)
+    q = parameter_set(m, wanted, front.event, front.body, front=front)
     _, deviance = _least(fitted, m, q, fitted.sigma, _starts(fitted, q), max_steps=MOST_STEPS)
     return deviance, len(q.free) - fitted.problem.p
 

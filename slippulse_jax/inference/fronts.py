@@ -20,9 +20,10 @@ from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
 from slippulse_jax.front.arrest import quantity
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
+from slippulse_jax.inference.block_lengths import BlockLengths
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
-from slippulse_jax.inference.interpolation import block_lengths, whole_over_front
+from slippulse_jax.inference.interpolation import whole_over_front
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import arrests
@@ -36,9 +37,8 @@ STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 FULL_TO = 200.0
 """Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
-BLOCK_FROM, BLOCK_TO = 3e-3, 40.0
-"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino; above it lengths on
-coarse contacts do not predict those on finer ones."""
+BLOCK_FROM, BLOCK_TO = 3e-3, 1000.0
+"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino."""
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
 CRACKS = Layout(chunk=250)
@@ -375,6 +375,13 @@ class BlockEvent(Front):
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 
+    def __init__(self, m: Measurements | None = None) -> None:
+        """Blocks like those measured are followed from theirs."""
+        self.followed = BlockLengths()
+        if m is not None and m.push_height is not None and not np.isnan(m.push_height).any():
+            own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
+            self.followed = BlockLengths(own, m.length / m.height)
+
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Ask for the height of the push, and refuse what a fit of a block cannot take."""
         super().check(m, names)
@@ -397,7 +404,7 @@ class BlockEvent(Front):
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
         """Interpolated ℓ in λc."""
-        return block_lengths(inputs)[0]
+        return self.followed(inputs)[0]
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each event, by its length."""
@@ -406,7 +413,7 @@ class BlockEvent(Front):
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """How far each length may be off, as coarser blocks show."""
-        return block_lengths(inputs)[1]
+        return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:
         """k/K at b = `BLOCK_FROM`."""
@@ -453,6 +460,8 @@ def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | N
             f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
         )
     chosen, ended = FRONTS[body, event], EndedFront()
+    if body == "block":
+        return BlockEvent(m)
     return ended if type(chosen) is FirstFront and ended.stated(m) else chosen
 
 

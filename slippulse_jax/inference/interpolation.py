@@ -1,29 +1,19 @@
-"""Lengths of whole events for fits, interpolated along straight lines between nodes that are computed once, as lanes need them.
+"""Lengths of whole events on sliders for fits, along straight lines between nodes that are computed once, as lanes need them.
 
 A whole event takes milliseconds to seconds, and its length steps where the order of its breaks changes. What a fit sees is
 continuous, and its slope is the trend over many steps.
 
-Of a slider it is the ratio to the length of the front that is interpolated, which varies slowly. Of a block it is ℓ/H: over
-the height it depends on b, ν, the push and the prestress, and hardly on λc/H, in which it is linear, so that few nodes serve
-blocks of every height. Those of usual pushes come with the package (`python -m benchmarks block_table` computes them).
+It is the ratio to the length of the front that is interpolated, which varies slowly.
 """
 
-import functools
 import itertools
-import sys
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
-from tqdm.auto import tqdm
 
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.events.resolution import many, tall_lengths
 from slippulse_jax.exact.bulk import NEVER
-from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import lengths
 from slippulse_jax.slider import Slider
@@ -34,29 +24,6 @@ SHORTEST, STEEPEST = 1.01, 0.99
 """Least H/λc, and largest |ν| and |φ|, at which a node lies: inside the domains."""
 SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
 """Spacing of the nodes of sliders, in ln H/λc, ln b, ν, φ and ε H/λc."""
-BLOCK_SPACING = [0.005, 0.2, 0.1, 0.1, 0.05, 0.1, 1.0]
-"""Spacing of those of blocks, in λc/H, ln b, ν, φ, height and width of the push over H, and its kind (patch 1, force 2)."""
-TALLEST = 1e5
-"""H/λc of a block at which λc/H is taken as 0."""
-LOWEST, NARROWEST = 0.005, 0.02
-"""Least distance of a push from the corners of the side, and the least width of a patch, over H."""
-AT_ONCE, TIMED, LONG = 32, 1, 20.0
-"""Nodes computed at once, the part of them after which their time is estimated (the first compiles), and a long time in s."""
-TABLE = Path(__file__).with_name("block_lengths.npz")
-"""Nodes of blocks that come with the package."""
-
-
-def _announced(parts: list[list[Any]]) -> Iterator[list[Any]]:
-    """Show the progress of the nodes computed: a bar on a terminal; elsewhere a line, once, if they take long."""
-    count, begun = sum(map(len, parts)), time.monotonic()
-    with tqdm(total=count, desc="events followed", unit=" events", delay=2, leave=False, disable=None) as bar:
-        for number, part in enumerate(parts):
-            yield part
-            bar.update(len(part))
-            left = (time.monotonic() - begun) / (number + 1) * (len(parts) - 1 - number)
-            if number == TIMED and bar.disable and left > LONG and sys.stderr is not None:
-                text = f"following {count} events of blocks, which takes about {left:.0f} s more"
-                print(text, file=sys.stderr, flush=True)
 
 
 class Grid:
@@ -99,8 +66,8 @@ class Grid:
         distinct, own = distinct_rows(nodes)
         keys = list(map(tuple, distinct.tolist()))
         new = [key for key in keys if key not in self.known]
-        for part in _announced([new[i : i + AT_ONCE] for i in range(0, len(new), AT_ONCE)]):
-            self.known.update(zip(part, self.compute(np.array(part) * self.spacing), strict=True))
+        if new:
+            self.known.update(zip(new, self.compute(np.array(new) * self.spacing), strict=True))
         return np.array([self.known[key] for key in keys])[own]
 
 
@@ -128,64 +95,3 @@ def _ratios(place: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 1"]:
 
 
 _grid = Grid(SPACING, _ratios)
-
-
-def block_lengths(inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """ℓ, in λc, of whole events of blocks, and how far each may be off.
-
-    It is 0 where no domino starts, and inf where the event does not stop at any node around.
-    """
-    height = np.exp(inputs.log_height)
-    width, at = (np.exp(inputs.get(name)) for name in ("log_push_width", "log_push"))
-    patch = np.isfinite(width)
-    kind = patch + 2 * inputs.get("push_force")
-    at = (1 / height, inputs.log_b, inputs.poisson, inputs.prestress, at, np.where(patch, width, 0), kind)
-    found, error = block_grid()(np.stack(at, axis=1)).T
-    return np.where(np.isnan(found), np.inf, found) * height, error * height
-
-
-def _block_lengths(place: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 2"]:
-    """ℓ/H at places, and how far it may be off."""
-    inverse, b, poisson, prestress, at, width, kind = place.T
-    poisson = np.clip(poisson, -STEEPEST, 0.5)
-    height = np.clip(1 / np.maximum(inverse, 1 / TALLEST), SHORTEST, TALLEST)
-    at = np.clip(at, 2 * LOWEST, 1 - 2 * LOWEST)
-    width = np.minimum(np.maximum(width, NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2))
-    numbers = height, np.exp(b) / (2 * (1 + poisson) * height), poisson, at
-    prestress, found = np.clip(prestress, -STEEPEST, STEEPEST), np.empty((len(place), 2))
-    for one in np.unique(kind):
-        force, patch = divmod(round(one), 2)
-        here = kind == one
-        control = "force" if force else "displacement"
-        block = many(*(x[here] for x in numbers), push_width=width[here] if patch else None, control=control)
-        interface = Interface(prestress[here], np.zeros(here.sum()))
-        found[here] = np.stack(tall_lengths(block, interface, "full"), axis=1) / height[here, None]
-    return found
-
-
-@functools.cache
-def block_grid() -> Grid:
-    """ℓ/H and how far it may be off, with the nodes that come with the package."""
-    grid = Grid(BLOCK_SPACING, _block_lengths)
-    with np.load(TABLE) as table:
-        grid.known.update(zip(map(tuple, table["node"].tolist()), table["value"].astype(float), strict=True))
-    return grid
-
-
-def packaged_b(length: float, poisson: float, push_height: float) -> float | None:
-    """Smallest b at which a tall block pushed above a height has this length over H, by the packaged nodes of nearest ν.
-
-    nan where no b gives so long an event; None where the package has no such nodes.
-    """
-    nearest, at = (
-        round(x / step) for x, step in ((min(max(poisson, 0.2), 0.4), BLOCK_SPACING[2]), (push_height, BLOCK_SPACING[4]))
-    )
-    every = [(j, value[0]) for (i, j, *more), value in block_grid().known.items() if (i, *more) == (0, nearest, 0, at, 0, 0)]
-    if not every:
-        return None
-    node, found = np.array(sorted(every)).T
-    above = found >= length
-    if not above.any():
-        return float("nan")
-    i = max(int(np.argmax(above)), 1)
-    return float(np.exp(BLOCK_SPACING[1] * np.interp(length, found[i - 1 : i + 1], node[i - 1 : i + 1])))

@@ -252,7 +252,12 @@ elasticity that is pushed over all but the lowest quarter of its side. Other pus
 
 
 def parameter_set(
-    m: Measurements, wanted: Iterable[str | Parameter], event: MeasuredEvent | None = None, body: Body | None = None
+    m: Measurements,
+    wanted: Iterable[str | Parameter],
+    event: MeasuredEvent | None = None,
+    body: Body | None = None,
+    *,
+    front: Front | None = None,
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
@@ -264,6 +269,8 @@ def parameter_set(
         stiffness the measurements determine.
     event, body : str, optional
         What a length is that of, and what carries the contacts; as for `front_of`.
+    front : Front, optional
+        The model of a length instead, that of measurements which are much like these.
 
     Raises
     ------
@@ -272,7 +279,7 @@ def parameter_set(
         domain of the model.
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
-    front, chosen = front_of(m, event, body), _validated(m, wanted)
+    front, chosen = front_of(m, event, body) if front is None else front, _validated(m, wanted)
     front.check(m, {one.name for one in chosen})
     log_lc = np.zeros(len(m)) if m.correlation_length is None else np.log(m.correlation_length)
     log_young = np.zeros(len(m)) if m.young is None else np.log(m.young)

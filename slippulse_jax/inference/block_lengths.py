@@ -1,0 +1,357 @@
+"""Lengths of whole events of blocks for fits: each measured block is followed along ln b on its own geometry.
+
+A whole event takes milliseconds, and its length steps where the order of its breaks changes. What a fit sees is continuous, and
+its slope is the trend over many steps.
+
+Over the height, a length depends on b, ν, the push and the prestress, and hardly on λc/H, in which it is linear. For every
+distinct block of a table it is computed at nodes along ln b, few where it is far from the measured one and more where it is
+near, on contacts of two sizes that suit the measured length. Inputs that differ from what the table states, because they have
+an error, multiply it by the ratio of lengths that differ in that input alone. Nodes are kept for the next fit.
+"""
+
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.interpolate import PchipInterpolator
+from tqdm.auto import tqdm
+
+from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.events.resolution import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.interface import Interface
+from slippulse_jax.status import Outcome
+
+AXES = {"poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3}
+"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them."""
+GEOMETRY = (*AXES, "push_force")
+"""What is one geometry, beside λc/H."""
+UNIT, WIDEST = 0.16, 8
+"""Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
+NEAR = {8: 1.5, 4: 1.2}
+"""By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
+FAR = 4.0
+"""Factor below the measured lengths from which on no node is put where an event begins."""
+BREAKING = 150
+"""Contacts that an event as long as measured should break, of those that are followed."""
+TALLEST = 1e5
+"""H/λc of a block at which λc/H is taken as 0."""
+LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
+"""Least distance of a push from the corners of the side, the least width of a patch, over H; and largest |ν| and |φ|."""
+TOGETHER = 4
+"""Nodes of one block computed at once."""
+AT_ONCE, LONG = 32, 20.0
+"""Events after which progress is shown, and a long time in s."""
+
+TABLE = Path(__file__).with_name("block_lengths.npz")
+"""Lengths of tall blocks pushed above some heights (`python -m benchmarks block_table`)."""
+
+Geometry = tuple[float, ...]
+Run = tuple[int, int, Callable[[np.ndarray], np.ndarray]]
+"""First and last node, and what a `Node` has between them."""
+
+
+class Node(NamedTuple):
+    """ℓ/H at one ln b: ``value + slope λc/H``, and how far it may be off."""
+
+    value: float
+    slope: float
+    error: float
+
+
+class Curve(NamedTuple):
+    """Nodes of one block along ln b, in order."""
+
+    at: Float[np.ndarray, " n"]
+    stops: Bool[np.ndarray, " n"]
+    runs: list[Run]  # of neighbours at which the event stops
+
+
+_known: dict[tuple[Geometry, float], dict[int, Node]] = {}
+"""Nodes by geometry, the H/λc on whose contacts they were followed, and ln b over `UNIT`."""
+
+
+class BlockLengths:
+    """Lengths of whole events of blocks like the ones measured.
+
+    Parameters
+    ----------
+    measured : Inputs, shape (m,), optional
+        What the measurements state.
+    ratio : array, shape (m,)
+        Their lengths over H.
+    """
+
+    def __init__(self, measured: Inputs | None = None, ratio: Float[np.ndarray, " m"] | None = None) -> None:
+        self.origins: list[Geometry] = []
+        self.target: list[tuple[float, float]] = []
+        self.curves: dict[int, Curve] = {}
+        if measured is not None and ratio is not None:
+            rows, own = distinct_rows(geometry_of(measured))
+            self.origins = [tuple(row) for row in rows.tolist()]
+            self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
+        self.nodes: list[set[int]] = [set() for _ in self.origins]
+
+    def __call__(self, inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """ℓ, in λc, and how far each may be off.
+
+        It is 0 where no domino starts, and inf where the event does not stop.
+        """
+        table = np.column_stack([geometry_of(inputs), inputs.log_b, np.exp(-inputs.log_height)])
+        rows, own = distinct_rows(table)
+        geometry, log_b, inverse = rows[:, : len(GEOMETRY)], rows[:, -2], rows[:, -1]
+        origin = self._nearest(geometry)
+        found = np.empty((2, len(rows)))
+        alone = origin < 0
+        if alone.any():
+            found[:, alone] = _each(geometry[alone], log_b[alone], inverse[alone])
+        if not alone.all():
+            lanes = ~alone
+            found[:, lanes] = self._followed(origin[lanes], geometry[lanes], log_b[lanes], inverse[lanes])
+        length, error = found / inverse
+        return length[own], error[own]
+
+    def _nearest(self, geometry: Float[np.ndarray, "n g"]) -> Int[np.ndarray, " n"]:
+        """Number of the measured block that each is most like; −1 where there is none with such a pusher."""
+        best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
+        for i, origin in enumerate(self.origins):
+            apart = np.abs(_offsets(geometry, np.array(origin))).sum(axis=1)
+            same = (geometry[:, -1] == origin[-1]) & (np.isinf(geometry[:, -2]) == np.isinf(origin[-2]))
+            nearer = same & (apart < least)
+            best[nearer], least[nearer] = i, apart[nearer]
+        return best
+
+    def _followed(
+        self, origin: np.ndarray, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray
+    ) -> Float[np.ndarray, "2 n"]:
+        which = np.unique(origin).tolist()
+        curves = self._curves({i: (log_b[origin == i].min(), log_b[origin == i].max()) for i in which})
+        value, error = np.empty((2, len(log_b)))
+        for i in which:
+            here = origin == i
+            value[here], error[here] = _between(curves[i], log_b[here], inverse[here])
+        offset = _offsets(geometry, np.array(self.origins)[origin])
+        moved, cell, share = np.abs(offset) > 1e-9, *_cells(log_b / UNIT / WIDEST)
+        for axis in np.flatnonzero(moved.any(axis=0)).tolist():
+            lanes = np.flatnonzero(moved[:, axis])
+            step, part = _cells(offset[lanes, axis])
+            there, before = self._beside(origin[lanes], axis, step, WIDEST * cell[lanes])
+            weight = np.stack([1 - part, part])[:, None] * np.stack([1 - share[lanes], share[lanes]])[None]
+            used = (weight > 0) & np.isfinite(there)
+            good = used & np.isfinite(before) & (there > 0) & (before > 0)
+            total = [(weight * every).sum(axis=(0, 1)) for every in (good, used)]
+            with np.errstate(all="ignore"):
+                log_ratio = (weight * np.where(good, np.log(there / before), 0)).sum(axis=(0, 1)) / total[0]
+                alone = np.where(total[1] > 0, (weight * np.where(used, there, 0)).sum(axis=(0, 1)) / total[1], np.inf)
+            value[lanes] = np.where(total[0] > 0, value[lanes] * np.exp(log_ratio), alone)
+        return np.stack([value, error])
+
+    def _beside(self, origin: np.ndarray, axis: int, step: np.ndarray, j: np.ndarray) -> Float[np.ndarray, "2 2 2 n"]:
+        """ℓ/H of blocks moved so many steps along an axis or one more, at two nodes in ln b; and of the blocks themselves."""
+        moved, still = [], []
+        for side in (0, 1):
+            for beside in (0, WIDEST):
+                for i, m, node in zip(origin.tolist(), step.tolist(), j.tolist(), strict=True):
+                    height = self._height(i)
+                    moved.append((self._moved(i, axis, m + side), height, node + beside))
+                    still.append((self.origins[i], height, node + beside))
+        _follow([*moved, *still])
+        values = [_known[geometry, height][node].value for geometry, height, node in (*moved, *still)]
+        return np.array(values).reshape(2, 2, 2, -1)
+
+    def _height(self, i: int) -> float:
+        """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
+        low, high = self.target[i]
+        return float(2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2))
+
+    def _moved(self, i: int, axis: int, steps: int) -> Geometry:
+        moved = list(self.origins[i])
+        moved[axis] += steps * list(AXES.values())[axis]
+        return tuple(moved)
+
+    def _curves(self, reach: dict[int, tuple[float, float]]) -> dict[int, Curve]:
+        """Curves of some of the blocks over as much of ln b as was ever asked for, with all nodes that they need."""
+        cell, place = UNIT * WIDEST, {i: (self.origins[i], self._height(i)) for i in reach}
+        new = {
+            i: {WIDEST * n for n in range(int(np.floor(low / cell)), int(np.floor(high / cell)) + 2)} - self.nodes[i]
+            for i, (low, high) in reach.items()
+        }
+        changed = [i for i, every in new.items() if every or i not in self.curves]
+        while any(new.values()):
+            _follow([(*place[i], j) for i, every in new.items() for j in sorted(every)])
+            for i, every in new.items():
+                self.nodes[i] |= every
+            new = {i: self._between(i, _known[place[i]]) - self.nodes[i] for i in changed}
+        self.curves.update({i: _curve({j: _known[place[i]][j] for j in self.nodes[i]}) for i in changed})
+        return self.curves
+
+    def _between(self, i: int, known: dict[int, Node]) -> set[int]:
+        """Nodes that are missing: near the measured length, and where the event begins or ceases to stop."""
+        (low, high), every, found = self.target[i], sorted(self.nodes[i]), set()
+        for left, right in itertools.pairwise(every):
+            apart, (a, b) = right - left, sorted((known[left].value, known[right].value))
+            if _kind(a) != _kind(b):
+                near = apart > 1 and b > low / FAR
+            else:
+                near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
+            if near:
+                found.add((left + right) // 2)
+        return found
+
+
+def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
+    """What the blocks are like, beside λc/H and b."""
+    return np.stack([inputs.get(name) for name in GEOMETRY], axis=-1)
+
+
+def _offsets(geometry: Float[np.ndarray, "n g"], origin: Float[np.ndarray, "... g"]) -> Float[np.ndarray, "n a"]:
+    """Distance in each of `AXES`, in spacings."""
+    with np.errstate(invalid="ignore"):  # inf − inf: both push everything above
+        apart = (geometry[:, : len(AXES)] - origin[..., : len(AXES)]) / np.array(list(AXES.values()))
+    return np.where(np.isfinite(apart), apart, 0)
+
+
+def _cells(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Node below each place, and the share of the next one."""
+    node = np.floor(place + 1e-9)
+    return node.astype(int), np.maximum(place - node, 0)
+
+
+def _kind(value: float) -> int:
+    """Whether a length is 0, finite, or endless."""
+    return 0 if value <= 0 else 1 if np.isfinite(value) else 2
+
+
+def _curve(nodes: dict[int, Node]) -> Curve:
+    order = np.array(sorted(nodes))
+    at, value = UNIT * order, np.array([nodes[j] for j in order.tolist()])
+    stops, runs = np.isfinite(value[:, 0]), []
+    for run in np.split(np.arange(len(at)), np.flatnonzero(np.diff(stops)) + 1):
+        if stops[run[0]]:
+            alone = np.append(run, run[-1]) if len(run) == 1 else run  # a node by itself: the same all around
+            place = at[run] if len(run) > 1 else at[run[0]] + np.array([-1.0, 1.0])
+            runs.append((run[0], run[-1], PchipInterpolator(place, value[alone])))
+    return Curve(at, stops, runs)
+
+
+def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ/H and its error at places along a curve: monotone cubics; next to an endless event the last length, else inf."""
+    i = np.clip(np.searchsorted(curve.at, log_b, side="right") - 1, 0, len(curve.at) - 2)
+    found, off = np.full((2, len(log_b)), [[np.inf], [1.0]])
+    for first, last, through in curve.runs:
+        inside = (i >= first - 1) & (i <= last)
+        length, per, may = through(np.clip(log_b[inside], curve.at[first], curve.at[last])).T
+        found[inside], off[inside] = np.maximum(length + per * inverse[inside], 0), may
+    return found, off
+
+
+def b_of_tall(length: float, poisson: float) -> dict[str, float]:
+    """Smallest b at which a tall block pushed above some heights has this length over H, of the nearest ν of the package.
+
+    By the height over H; NaN where no b gives so long an event.
+    """
+    with np.load(TABLE) as table:
+        log_b, found = table["log_b"], table["length"][np.abs(table["poisson"] - poisson).argmin()]
+        pushes = table["push"].tolist()
+    least = {}
+    for at, each in zip(pushes, found, strict=True):
+        above = each >= length
+        i = max(int(np.argmax(above)), 1)
+        b = np.exp(np.interp(length, each[i - 1 : i + 1], log_b[i - 1 : i + 1])) if above.any() else np.nan
+        least[f"{at:g}"] = float(b)
+    return least
+
+
+# --- nodes ----------------------------------------------------------------------------------------------------------------
+
+
+def _follow(keys: Sequence[tuple[Geometry, float, int]]) -> None:
+    """Compute nodes that are not known yet."""
+    new = [key for key in dict.fromkeys(keys) if key[2] not in _known.setdefault(key[:2], {})]
+    held = [key for key in new if key[0][1] > 0]  # a prestress may drive an event on for ever
+    for part in _announced([held[i : i + AT_ONCE] for i in range(0, len(held), AT_ONCE)]):
+        geometry = np.array([key[0] for key in part])
+        found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
+        for key, value, off in zip(part, found, error, strict=True):
+            _known[key[:2]][key[2]] = Node(value, 0.0, off)
+    _pairs([key for key in new if key[0][1] <= 0])
+
+
+def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
+    """Compute nodes on contacts of two sizes; on ever larger ones where the event leaves those that are followed."""
+    found = dict(zip(keys, _lengths([(g, h, j) for g, h, j in keys]), strict=True))
+    larger = dict(zip(keys, _lengths([(g, h / 2, j) for g, h, j in keys]), strict=True))
+    for (g, h, j), fine in found.items():
+        rough = larger[g, h, j]
+        if np.isfinite(fine):
+            value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST)) / TALLEST
+            _known[g, h][j] = Node(value, -(value - fine) * h, error)
+        else:
+            _known[g, h][j] = Node(rough, 0.0, 0.1 * rough)
+    beyond, factor = [key for key in keys if not np.isfinite(_known[key[:2]][key[2]].value)], 4
+    while beyond := [key for key in beyond if key[1] / factor * MOST_HEIGHTS >= FOLLOWED]:
+        for (g, h, j), value in zip(beyond, _lengths([(g, h / factor, j) for g, h, j in beyond]), strict=True):
+            _known[g, h][j] = Node(value, 0.0, 0.1 * value)
+        beyond, factor = [key for key in beyond if not np.isfinite(_known[key[:2]][key[2]].value)], 2 * factor
+
+
+def _lengths(keys: list[tuple[Geometry, float, int]]) -> list[float]:
+    """ℓ/H of blocks of some H/λc, inf where the event leaves the contacts followed."""
+    by_block: dict[tuple[Geometry, float], list[int]] = {}
+    for g, h, j in keys:
+        by_block.setdefault((g, h), []).append(j)
+    lanes = [(*place, every[i : i + TOGETHER]) for place, every in by_block.items() for i in range(0, len(every), TOGETHER)]
+    found: dict[tuple[Geometry, float, int], float] = {}
+    for force, patch in ((0, False), (0, True), (1, False), (1, True)):
+        kind = [lane for lane in lanes if lane[0][-1] == force and np.isfinite(lane[0][-2]) == patch]
+        for part in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
+            block, interface = _bodies(np.array([g for g, _, _ in part]), np.array([h for _, h, _ in part]))
+            log_b = np.array([(every + [np.nan] * TOGETHER)[:TOGETHER] for _, _, every in part], float) * UNIT
+            stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
+            length, _, status = followed((block, interface), stiffness, FOLLOWED, "full")
+            length = np.where(status == Outcome.RAN_THROUGH, np.inf, length) / block.height[:, None]
+            for (g, h, every), row in zip(part, length, strict=True):
+                found.update(((g, h, j), float(value)) for j, value in zip(every, row, strict=False))
+    return [found[key] for key in keys]
+
+
+def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+    """ℓ/H of blocks, each on contacts that suit its own event, and how far it may be off."""
+    found = np.empty((2, len(geometry)))
+    height = 1 / np.maximum(inverse, 1 / TALLEST)
+    for force in (0, 1):
+        for patch in (False, True):
+            here = (geometry[:, -1] == force) & (np.isfinite(geometry[:, -2]) == patch)
+            if here.any():
+                block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
+                found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
+    return found
+
+
+def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0) -> tuple[Any, Interface]:
+    """Blocks of one kind of pusher, within their domains, and their interfaces."""
+    poisson, prestress, log_push, log_width, force = geometry.T
+    poisson = np.clip(poisson, -STEEPEST, 0.5)
+    at = np.clip(np.exp(log_push), 2 * LOWEST, 1 - 2 * LOWEST)
+    patch = np.isfinite(log_width[0])
+    width = np.minimum(np.maximum(np.exp(log_width), NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2)) if patch else None
+    block = many(height, b / (2 * (1 + poisson) * height), poisson, at, width, "force" if force[0] else "displacement")
+    return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)))
+
+
+def _announced(parts: list[list[Any]]) -> Iterator[list[Any]]:
+    """Show the progress of the nodes computed: a bar on a terminal; elsewhere a line, once, if they take long."""
+    count, begun = sum(map(len, parts)), time.monotonic()
+    with tqdm(total=count, desc="events followed", unit=" events", delay=2, leave=False, disable=None) as bar:
+        for number, part in enumerate(parts):
+            yield part
+            bar.update(len(part))
+            left = (time.monotonic() - begun) / (number + 1) * (len(parts) - 1 - number)
+            if number == 1 and bar.disable and left > LONG and sys.stderr is not None:
+                text = f"following {count} events of blocks, which takes about {left:.0f} s more"
+                print(text, file=sys.stderr, flush=True)
