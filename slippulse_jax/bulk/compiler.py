@@ -238,6 +238,8 @@ def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     As fast as a library's, which has threads of its own: on cores that are all busy these take longer to agree than to compute.
     """
     n, half = len(matrix), len(matrix) // 2
+    if n == 0:  # such as displacements across a slider
+        return matrix
     if n > SWEPT:
         first, beside, last = matrix[:half, :half], matrix[:half, half:], matrix[half:, half:]
         first = inverse_without_pivots(first)

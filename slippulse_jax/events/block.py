@@ -30,7 +30,7 @@ from slippulse_jax.bodies.waveguide import Edge, Guide, Slab
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
-from slippulse_jax.events.event import Relaxed, first_event, nucleated, overload
+from slippulse_jax.events.event import LOST, Relaxed, first_event, nucleated, overload
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
@@ -175,7 +175,7 @@ def record(
     if body.pressed is not None:
         ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
         before, stress, pressure = start.stress * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
-    lifted = [(x < 0).any() for x in (start.pressure, pressure) if x is not None]
+    lifted = [(x < LOST).any() for x in (start.pressure, pressure) if x is not None]
     again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(sites, bool)
     endings = {
         Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),

@@ -37,6 +37,8 @@ SLACK_DIGITS = 4096
 
 BREAKS_PER_SITE = 50
 """Breaks per contact after which an event is given up."""
+LOST = 1e-6
+"""Pressure, over the initial one, below which a contact has lost it: by then its threshold shrinks with every break."""
 MORE_SITES = 4
 """Factor by which the sites resolved grow while an event reaches the last of them: each number is a program to compile."""
 

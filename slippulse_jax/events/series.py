@@ -34,7 +34,7 @@ from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, Relaxed, event, most, overload, rises, stresses
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Relaxed, event, most, overload, rises, stresses
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
 
@@ -361,7 +361,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     )
     after, (record, right) = stresses(response, found), (found.record, found.rightmost)
     excess = found.contacts._replace(stress=after.reshape(stress.shape)).excess.reshape(-1)
-    lifted = [(x < 0).any() for x in (pressure, found.contacts.pressure) if x is not None]
+    lifted = [(x < LOST).any() for x in (pressure, found.contacts.pressure) if x is not None]
     slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
     force = force_before - k * (response.push * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed

@@ -3,6 +3,7 @@
 import functools
 import re
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -312,7 +313,7 @@ def test_stiffness_of_a_strip_at_one_wavelength(reach):
 @pytest.mark.ci
 @pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
 def test_slow_decay_is_that_of_an_edge_load(b):
-    """The first root of the strip's characteristic equation on the imaginary axis; four digits with eight elements."""
+    """The first root of the strip's characteristic equation on the imaginary axis; with the square of the elements' size."""
     poisson = 0.3
 
     def characteristic(z):
@@ -321,10 +322,13 @@ def test_slow_decay_is_that_of_an_edge_load(b):
 
     slow = brentq(characteristic, 1e-3, 1.2)
     height = 400.0
-    for finer, tolerance in ((0, 1e-3), (1, 2e-4), (2, 6e-5)):
+    off = []
+    for finer in (0, 1, 2):
         transfer = jax.jit(lambda block, finer=finer: blocks.guide_of(block, finer).transfer)(at_b(height, b, sp.Push(0.3)))
         decay = np.abs(np.linalg.eigvals(np.asarray(transfer))).max()
-        assert -np.log(decay) * height == pytest.approx(slow, rel=tolerance)
+        off.append(-np.log(decay) * height / slow - 1)
+    assert 0 < off[0] < 2e-3
+    assert off[0] > 3 * off[1] > 9 * off[2]
 
 
 @pytest.mark.ci
@@ -347,8 +351,10 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
         found = response(block, 200)
         stretch = load * found.push[0] + found.near[0] @ pinning - pinning
         first, edge = jax.tree.map(lambda one: one[0], elements.slabs(block)[0]), guide.edge
-        layer = jax.tree.map(lambda one: one[1], edge.layers)
-        second = layer.free @ (layer.reading[0] * -k * stretch[0] + layer.load * load - layer.across @ x[1])
+        second = x[1]
+        for i in range(len(edge.layers.load) - 1, 0, -1):  # back to the right side of the first layer
+            layer = jax.tree.map(lambda one, i=i: one[i], edge.layers)
+            second = layer.free @ (layer.reading[0] * -k * stretch[0] + layer.load * load - layer.across @ second)
         force = (first.left @ x[0] + first.across @ second + k * first.reading_left[0] * stretch[0])[
             np.asarray(elements.loaded(block)[0]) > 0
         ].sum()
@@ -412,11 +418,11 @@ INSIDE = (
 @pytest.mark.ci
 @pytest.mark.parametrize("name", TABLE)
 def test_lengths_of_a_separate_program(name):
-    """H/λc = 100, ν = 0.3, ℓ/H to the mesh; and where the event begins, and whether contacts break again."""
+    """H/λc = 100, ν = 0.3, ℓ/H to its mesh, which is short; and where the event begins, and whether contacts break again."""
     push, lengths = TABLE[name]
     for b, expected in lengths.items():
         found = sp.first_precursor(at_b(100.0, b, push), sites=320, event="full")
-        assert float(found.length) / 100 == pytest.approx(expected, rel=0.015)
+        assert 0.995 < float(found.length) / 100 / expected < 1.023
         assert (int(found.nucleation) > 0) == ((name, b) in INSIDE)
         assert int(found.status) == Outcome.ARRESTED
         if b < 2:
@@ -480,7 +486,7 @@ def test_derivatives_at_a_fixed_order_of_breaks(push):
         return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(*x[3:])), sites=128)
 
     at = jnp.array(numbers)
-    step = 1e-6 * np.array(numbers)
+    step = 1e-5 * np.array(numbers)
     around = [float(length(at + d) - length(at - d)) / (2 * d.sum()) for d in np.diag(step)]
     np.testing.assert_allclose(jax.grad(length)(at), around, rtol=2e-5)
 
@@ -822,10 +828,14 @@ def test_blocks_under_strict_promotion(double):
 @pytest.mark.ci
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
-    three, none = resolution.many(np.full(3, 20.0), 0.02, 0.3, 0.3), np.zeros(3)
+    three = resolution.many(np.full(3, 20.0), 0.02, 0.3, 0.3)
+    three = eqx.tree_at(lambda x: x.length, three, np.full(3, 40), is_leaf=lambda x: x is None)
+
+    def events(block):
+        return jax.vmap(lambda one: blocks.record(one, None, 64, "full").length)(block)
+
     with jax.default_device(jax.devices("cpu")[0]):
-        lowered = resolution._at_once.lower(three, sp.Interface(none, none), resolution.FOLLOWED, "full")
-        program = lowered.compile().as_text()
+        program = jax.jit(events).lower(three).compile().as_text()
     eliminations = [line for line in program.splitlines() if "getrf" in line and "custom-call(" in line]
     assert eliminations
     assert all(re.search(r"= \(f64\[\d+,\d+\]", line) for line in eliminations), eliminations

@@ -136,14 +136,14 @@ LONG = [(48, 0.1, 1.257), (24, 0, 1.807), (24, 0.1, 1.196)]
 def test_values_of_a_separate_program():
     for height, push, friction, length, first, share, edge, most in TABLE:
         found = sp.first_precursor(pressed(height, 0.3, push, friction), event="full")
-        assert float(found.length) / height == pytest.approx(length, rel=0.01)
+        assert length * 0.999 <= float(found.length) / height <= length * 1.017  # two elements per contact: short
         assert int(found.nucleation) == first
         pressure = found.pressure_before
         np.testing.assert_allclose([found.stress_before.mean(), pressure[0], pressure.max()], [share, edge, most], rtol=0.01)
     assert np.isinf(sp.precursor_length(pressed(48, 0.3, sp.Push(0.25), 0.0), event="full"))
     for height, friction, length in LONG:
         found = float(sp.precursor_length(pressed(height, 0.3, sp.Push(0.25), friction), event="full")) / height
-        assert found == pytest.approx(length, rel=0.025)
+        assert length <= found < 1.02 * length
 
 
 OF_TWO_HEIGHTS = [
@@ -191,7 +191,9 @@ def test_derivatives_with_friction(law):
     with jax.enable_x64(True):
         at = jnp.array([20.0, 0.02, 0.3, 0.3, 1.2, 0.2])
         assert 2 < float(length(at)) < 40
-        around = [float(length(at + d) - length(at - d)) / (2 * d.sum()) for d in np.diag(1e-5 * np.asarray(at))]
+        steps = np.diag(5e-4 * np.asarray(at))
+        near, far = ([float(length(at + n * d) - length(at - n * d)) for d in steps] for n in (1, 2))
+        around = (8 * np.array(near) - far) / (12 * steps.sum(axis=1))
         np.testing.assert_allclose(jax.jit(jax.grad(length))(at), around, rtol=1e-6, atol=1e-6)
 
 
@@ -220,7 +222,7 @@ def test_a_batch_over_friction_is_its_blocks():
 
 @pytest.mark.ci
 def test_a_block_lifts_off():
-    """On stiff contacts the edge loses its pressure in the end; nothing negative is used, and rough contacts never do."""
+    """On stiff contacts the edge loses its pressure in the end, break by break; rough contacts never do."""
     of = 30, 30.0, sp.Push(0.25, 0.1), 0.5, 2.0
     found = sp.series(pressed(*of), events=300)
     assert int(found.status) == Outcome.LIFT_OFF

@@ -44,7 +44,8 @@ class WholeBlock:
         contacts, every, ends = len(widths), np.concatenate(widths), np.append(0, np.cumsum([len(x) for x in widths]))
         rows, columns = y.size, every.size + 1
         index = np.arange(2 * rows * columns).reshape(columns, rows, 2)
-        elements = np.array([[rectangle(w, h, poisson) for h in np.diff(y)] for w in every])
+        of_width = {w: [rectangle(w, h, poisson) for h in np.diff(y)] for w in set(every.tolist())}
+        elements = np.array([of_width[w] for w in every.tolist()])
         corners = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
         at = np.concatenate(corners, axis=-1)  # of every element its eight freedoms
         i, j, v = np.broadcast_arrays(at[..., :, None], at[..., None, :], elements)
@@ -61,10 +62,11 @@ class WholeBlock:
         if normal is None:
             held[index[:, 0, 1]] = True
         else:  # a spring under every point of the lower edge, by Simpson's rule exact for its linear shapes
-            for width, left, right in zip(every, index[:-1, 0, 1], index[1:, 0, 1], strict=True):
-                for weight, at_left in ((1, 1.0), (4, 0.5), (1, 0.0)):
-                    shape = sparse.csr_matrix(([at_left, 1 - at_left], ([0, 0], [left, right])), (1, size))
-                    K = K + normal * stiffness * width * weight / 6 * shape.T @ shape
+            for weight, at_left in ((1, 1.0), (4, 0.5), (1, 0.0)):
+                for a, first in ((at_left, index[:-1, 0, 1]), (1 - at_left, index[1:, 0, 1])):
+                    for b, second in ((at_left, index[:-1, 0, 1]), (1 - at_left, index[1:, 0, 1])):
+                        spring = normal * stiffness * every * weight / 6 * a * b
+                        K = K + sparse.csr_matrix((spring, (first, second)), (size, size))
         if top == "held":
             held[index[:, -1, 1]] = True
         load = np.zeros(size)
