@@ -34,8 +34,8 @@ from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
-FEWEST_CONTACTS = 64
-"""Smallest number of contacts resolved."""
+FEWEST_CONTACTS, FIRST_TRIAL = 64, 512
+"""Smallest number of contacts resolved, and most of them in the first trial, which reaches over one height."""
 TALL = 500.0
 """H/λc above which a length is extrapolated from larger contacts."""
 FOLLOWED, FARTHER = 256, 2048
@@ -126,7 +126,8 @@ def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[...
         if contacts > blocks.MOST_CONTACTS:
             raise ValueError(f"{block} reaches beyond {blocks.MOST_CONTACTS} contacts: take a coarser one of the same b")
         return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
-    count = FEWEST_CONTACTS
+    reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
+    count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
     while count <= blocks.MOST_CONTACTS:
         found = event(*known, sites=count)
         if not np.isposinf(found.length if isinstance(found, BlockPrecursor) else found):
