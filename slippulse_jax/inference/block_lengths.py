@@ -36,13 +36,15 @@ UNIT, WIDEST = 0.16, 8
 NEAR = {8: 1.5, 4: 1.2}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
 FAR = 4.0
-"""Factor below the measured lengths from which on no node is put where an event begins."""
+"""Factor below the measured lengths from which on an event is of another kind."""
 BREAKING = 150
 """Contacts that an event as long as measured should break, of those that are followed."""
 TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
 """Least distance of a push from the corners of the side, the least width of a patch, over H; and largest |ν| and |φ|."""
+MANY = 20
+"""Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER = 4
 """Nodes of one block computed at once."""
 AT_ONCE, LONG = 32, 20.0
@@ -51,6 +53,8 @@ AT_ONCE, LONG = 32, 20.0
 TABLE = Path(__file__).with_name("block_lengths.npz")
 """Lengths of tall blocks pushed above some heights (`python -m benchmarks block_table`)."""
 
+NONE = np.empty((0, len(GEOMETRY)))
+"""No blocks."""
 Geometry = tuple[float, ...]
 Run = tuple[int, int, Callable[[np.ndarray], np.ndarray]]
 """First and last node, and what a `Node` has between them."""
@@ -81,21 +85,18 @@ class BlockLengths:
 
     Parameters
     ----------
-    measured : Inputs, shape (m,), optional
-        What the measurements state.
+    geometry : array, shape (m, g)
+        What they are like (`geometry_of`).
     ratio : array, shape (m,)
         Their lengths over H.
     """
 
-    def __init__(self, measured: Inputs | None = None, ratio: Float[np.ndarray, " m"] | None = None) -> None:
-        self.origins: list[Geometry] = []
-        self.target: list[tuple[float, float]] = []
+    def __init__(self, geometry: Float[np.ndarray, "m g"] = NONE, ratio: Float[np.ndarray, " m"] = NONE[:, 0]) -> None:
+        rows, own = distinct_rows(geometry)
+        self.origins: list[Geometry] = [tuple(row) for row in rows.tolist()]
+        self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
         self.curves: dict[int, Curve] = {}
-        if measured is not None and ratio is not None:
-            rows, own = distinct_rows(geometry_of(measured))
-            self.origins = [tuple(row) for row in rows.tolist()]
-            self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
-        self.nodes: list[set[int]] = [set() for _ in self.origins]
+        self.nodes: list[set[int]] = [set() for _ in rows]
 
     def __call__(self, inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """ℓ, in λc, and how far each may be off.
@@ -109,7 +110,7 @@ class BlockLengths:
         found = np.empty((2, len(rows)))
         alone = origin < 0
         if alone.any():
-            found[:, alone] = _each(geometry[alone], log_b[alone], inverse[alone])
+            found[:, alone] = _others(geometry[alone], log_b[alone], inverse[alone])
         if not alone.all():
             lanes = ~alone
             found[:, lanes] = self._followed(origin[lanes], geometry[lanes], log_b[lanes], inverse[lanes])
@@ -141,9 +142,10 @@ class BlockLengths:
             lanes = np.flatnonzero(moved[:, axis])
             step, part = _cells(offset[lanes, axis])
             there, before = self._beside(origin[lanes], axis, step, WIDEST * cell[lanes])
+            least = np.array([low / FAR for low, _ in self.target])[origin[lanes]]  # an event of few breaks is another kind
             weight = np.stack([1 - part, part])[:, None] * np.stack([1 - share[lanes], share[lanes]])[None]
             used = (weight > 0) & np.isfinite(there)
-            good = used & np.isfinite(before) & (there > 0) & (before > 0)
+            good = used & np.isfinite(before) & (there > least) & (before > least)
             total = [(weight * every).sum(axis=(0, 1)) for every in (good, used)]
             with np.errstate(all="ignore"):
                 log_ratio = (weight * np.where(good, np.log(there / before), 0)).sum(axis=(0, 1)) / total[0]
@@ -331,6 +333,28 @@ def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.nda
                 block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
                 found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
     return found
+
+
+def _others(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+    """ℓ/H of blocks that were not measured, and how far it may be off; those at many b are followed too."""
+    rows, own = distinct_rows(geometry)
+    found, often = np.empty((2, len(geometry))), np.bincount(own) > MANY
+    once = ~often[own]
+    if once.any():
+        found[:, once] = _each(geometry[once], log_b[once], inverse[once])
+    if often.any():
+        middle = [np.flatnonzero(own == i)[np.argsort(log_b[own == i])[(own == i).sum() // 2]] for i in np.flatnonzero(often)]
+        ratio = _each(geometry[middle], log_b[middle], inverse[middle])[0]
+        usual = np.where(np.isfinite(ratio) & (ratio > 0), ratio, 1.0)
+        length, error = BlockLengths(rows[often], usual)(_inputs(geometry[~once], log_b[~once], inverse[~once]))
+        found[:, ~once] = np.stack([length, error]) * inverse[~once]
+    return found
+
+
+def _inputs(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Inputs:
+    named = dict(zip(GEOMETRY, geometry.T, strict=True))
+    poisson, prestress, height = named.pop("poisson"), named.pop("prestress"), 1 / inverse
+    return Inputs.of(height, np.exp(log_b) / (2 * (1 + poisson) * height), poisson, prestress).given(**named)
 
 
 def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0) -> tuple[Any, Interface]:

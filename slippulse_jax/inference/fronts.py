@@ -20,7 +20,7 @@ from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
 from slippulse_jax.front.arrest import quantity
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
-from slippulse_jax.inference.block_lengths import BlockLengths
+from slippulse_jax.inference.block_lengths import BlockLengths, geometry_of
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.interpolation import whole_over_front
@@ -380,7 +380,7 @@ class BlockEvent(Front):
         self.followed = BlockLengths()
         if m is not None and m.push_height is not None and not np.isnan(m.push_height).any():
             own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
-            self.followed = BlockLengths(own, m.length / m.height)
+            self.followed = BlockLengths(geometry_of(own), m.length / m.height)
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Ask for the height of the push, and refuse what a fit of a block cannot take."""

@@ -19,7 +19,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.events.resolution import tall_length
 from slippulse_jax.inference import block_lengths
-from slippulse_jax.inference.block_lengths import BlockLengths, b_of_tall
+from slippulse_jax.inference.block_lengths import BlockLengths, b_of_tall, geometry_of
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.inputs import Inputs
@@ -108,7 +108,7 @@ def test_blocks_followed_from_measured_ones_have_the_length_of_the_cascade():
     height = rng.uniform(300, 2000, n)
     measured = inputs_of(height, 1.0, np.resize([0.25, 0.4], n), width=np.resize([np.inf, 0.1], n))
     ratio = BlockLengths()(measured)[0] / height
-    followed = BlockLengths(measured, ratio)
+    followed = BlockLengths(geometry_of(measured), ratio)
     assert len(followed.origins) == 2
     b = np.exp(rng.uniform(-1, 1, n))
     near = measured._replace(log_stiffness=measured.log_stiffness + np.log(b))
@@ -126,9 +126,23 @@ def test_blocks_followed_from_measured_ones_have_the_length_of_the_cascade():
 
 def test_a_measured_block_is_followed_the_same_whatever_was_followed_before():
     measured = inputs_of([100.0], 1.0, 0.3)
-    alone = BlockLengths(measured, np.array([0.8]))(measured)[0]
-    BlockLengths(measured, np.array([0.5]))(measured)  # puts nodes elsewhere
-    assert BlockLengths(measured, np.array([0.8]))(measured)[0] == alone
+    geometry = geometry_of(measured)
+    alone = BlockLengths(geometry, np.array([0.8]))(measured)[0]
+    BlockLengths(geometry, np.array([0.75]))(measured)  # puts nodes elsewhere
+    assert BlockLengths(geometry, np.array([0.8]))(measured)[0] == alone
+
+
+@pytest.mark.ci
+def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
+    """Pushed half as high again, up to b where events stop early: within those of every such block, and where it stops early."""
+    measured = inputs_of([200.0], 1.0, 0.3)
+    b = np.exp(np.linspace(-2, 6.5, 60))
+    moved = inputs_of([200.0], b, 0.45)
+    found = BlockLengths(geometry_of(measured), BlockLengths()(measured)[0] / 200)(moved)[0]
+    expected = BlockLengths()(moved)[0]
+    long = expected > 0.3 * expected.max()
+    assert found.max() < 1.05 * expected.max()
+    np.testing.assert_allclose(found[long & (b < 20)], expected[long & (b < 20)], rtol=0.04)
 
 
 @pytest.mark.ci
@@ -193,7 +207,7 @@ def test_a_tall_block_on_falling_thresholds_is_refused():
 def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
     """By contacts of their own; the taller, the sooner."""
     block, interface = at_prestress(height, b, 0.1, prestress)
-    with pytest.raises(ValueError, match="reaches beyond 4096 contacts, farther than can be followed"):
+    with pytest.raises(ValueError, match=r"reaches beyond (4096|8192) contacts, farther than can be followed"):
         sp.precursor_length(block, interface)
     with pytest.raises(ValueError, match="farther than can be followed"):
         tall_length(block, interface, "full")
