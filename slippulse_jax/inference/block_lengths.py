@@ -177,10 +177,13 @@ class BlockLengths:
         return tuple(moved)
 
     def _curves(self, reach: dict[int, tuple[float, float]]) -> dict[int, Curve]:
-        """Curves of some of the blocks over as much of ln b as was ever asked for, with all nodes that they need."""
+        """Curves of some of the blocks over as much of ln b as was ever asked for, with all nodes that they need.
+
+        They reach one spacing further than asked, so that no value depends on what else was asked for.
+        """
         cell, place = UNIT * WIDEST, {i: (self.origins[i], self._height(i)) for i in reach}
         new = {
-            i: {WIDEST * n for n in range(int(np.floor(low / cell)), int(np.floor(high / cell)) + 2)} - self.nodes[i]
+            i: {WIDEST * n for n in range(int(np.floor(low / cell)) - 1, int(np.floor(high / cell)) + 3)} - self.nodes[i]
             for i, (low, high) in reach.items()
         }
         changed = [i for i, every in new.items() if every or i not in self.curves]

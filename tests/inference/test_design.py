@@ -388,9 +388,14 @@ def test_earlier_measurements_of_a_block_are_knowledge_of_it():
     block = sp.Block(400.0, 8e-4, 0.3, sp.Push(0.25))
     length = float(sp.precursor_length(block, event="full"))
     m = sp.Measurements(height=400, poisson=0.3, length=length, length_sigma=0.02 * length, push_height=100)
-    known = sp.Knowledge.from_measurements(m)
+    known = sp.Knowledge.from_measurements(m, bounds=(1e-4, 1e-2))
     assert (known.body, known.event) == ("block", "full")
     assert np.exp(known.mean) == pytest.approx(8e-4, rel=0.03)
+    both = sp.Knowledge.from_measurements(m)  # stiff contacts give as short an event
+    assert np.unique(both.root).size == 2
+    stiff = np.exp(np.average(both.log_stiffness, weights=both.weight * (both.root == 1)))
+    again = sp.precursor_length(sp.Block(400.0, stiff, 0.3, sp.Push(0.25)), event="full")
+    assert float(again) == pytest.approx(length, rel=0.05)  # the fit adds 3.5 % for the contacts that it follows
     with pytest.raises(ValueError, match="candidates are sliders"):
         sp.design(known, height=400, sigma=2.0)
 
