@@ -10,17 +10,18 @@ them acts on it as a force. Newton's method finds their balance and the load at 
 stiffnesses are those at its nucleation; a break then moves every stretch by a known amount again.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
+from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.response import Response, of_matrix
 from slippulse_jax.bodies.waveguide import Guide, compliance, held_by_all, inverse
 
-NEWTON_STEPS = 30
-"""Most steps of Newton's method; four or five are usual."""
+NEWTON_STEPS = 100
+"""Most steps of Newton's method; ten to twenty are usual."""
 
 
 class Pressed(NamedTuple):
@@ -56,7 +57,8 @@ def balance(
 ) -> Balance:
     """Contacts under the first load, from the given one on, at which one is at its threshold; at the given one if none will be.
 
-    Differentiable: after Newton's method has converged one more step carries the derivatives.
+    Differentiable: after Newton's method, with the derivatives of its first point, has converged one true step carries those of
+    the result.
     """
     sites, free = threshold.size, pinning - prestress
 
@@ -67,14 +69,19 @@ def balance(
         pull = q * jnp.where(body.friction * q == 0, 1, -jnp.expm1(-body.friction * q) / _or_one(body.friction * q))
         return stretch, q, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
 
-    def step(z: Array) -> tuple[Array, Array, Array]:
-        stretch, _, pressure, force = at(z)
+    def linear(z: Array) -> tuple[tuple[Array, Array], Any]:
+        """Derivatives of the force, in ⟨u_x⟩ and in ⟨u_y⟩ of the same contact, and 1 − M times them as factors."""
+        stretch, _, pressure, _ = at(z)
         less = 1 - pressure
-        # derivatives of the force: in ⟨u_x⟩ and in ⟨u_y⟩ of the same contact
         along, across = jnp.concatenate([less, body.normal * less]), body.normal * body.friction * pressure * stretch
-        jacobian = jnp.diag(along).at[jnp.arange(sites), sites + jnp.arange(sites)].add(across)
-        solve = inverse(jnp.eye(2 * sites, dtype=z.dtype) - body.matrix @ jacobian)
-        still, moved = solve @ (body.matrix @ (force - jacobian @ z)), solve @ body.push
+        coupled = body.matrix * along[None]
+        coupled = coupled.at[:, sites:].add(body.matrix[:, :sites] * across[None])
+        return (along, across), lu_factor(jnp.eye(2 * sites, dtype=z.dtype) - coupled)
+
+    def step(z: Array, slopes: tuple[Array, Array], factors: Any) -> tuple[Array, Array, Array]:
+        along, across = slopes
+        short = (at(z)[3] - along * z).at[:sites].add(-across * z[sites:])
+        still, moved = lu_solve(factors, jnp.stack([body.matrix @ short, body.push], -1)).T
         rising = moved[:sites] > 0
         needed = jnp.where(rising, (threshold + free - still[:sites]) / jnp.where(rising, moved[:sites], 1), jnp.inf)
         first = jnp.argmin(needed)
@@ -86,11 +93,14 @@ def balance(
         return (jnp.abs(z - before).max() > 1e3 * jnp.finfo(z.dtype).eps * jnp.abs(z).max()) & (count < NEWTON_STEPS)
 
     def search(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        return step(state[0])[0], state[0], state[2] + 1
+        return step(state[0], *near)[0], state[0], state[2] + 1
 
     begin = load * body.push + body.matrix[:, :sites] @ pinning
-    found = lax.while_loop(far, search, (step(begin)[0], begin, jnp.int32(0)))[0]
-    z, at_load, first = step(lax.stop_gradient(found))
+    begin = step(begin, *linear(begin))[0]
+    near = linear(begin)
+    found = lax.while_loop(far, search, (step(begin, *near)[0], begin, jnp.int32(0)))[0]
+    found = lax.stop_gradient(found)
+    z, at_load, first = step(found, *linear(found))
     stretch, q, pressure, force = at(z)
     return Balance(at_load, stretch, q, pressure, force, first)
 

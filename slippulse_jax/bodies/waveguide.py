@@ -387,22 +387,33 @@ def _at_column(
     guide: Guide, column: Int[Array, ""], q: Float[Array, "N r n"], from_next: Float[Array, "r n"]
 ) -> tuple[Array, Float[Array, "r N n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
-    T, one, sites = guide.transfer, jnp.eye(q.shape[-1], dtype=q.dtype), jnp.arange(q.shape[0], dtype=column.dtype)
-
-    def beside(state: tuple[Array, Array], ahead: Array) -> tuple[tuple[Array, Array], Array]:
-        power, direct = state  # T^i, and G_i q_1 but for its last term
-        found = q[0] @ guide.step.T + (direct + ahead @ guide.free.T @ power.T) @ T.T
-        return (power @ T, direct + ahead @ guide.step.T @ power.T), found
-
-    next_to = lax.scan(beside, (one, jnp.zeros_like(q[0])), q[1:])[1]  # column i + 1 per force on contact i, from 1 on
+    r, sites = q.shape[1], jnp.arange(q.shape[0], dtype=column.dtype)
+    # column i + 1 per force on contact i: of each path, the terms T^m that it passes
+    passed = _by_powers(guide.transfer, jnp.concatenate([q[1:] @ guide.step.T, q[1:] @ guide.free.T], 1))
+    direct, last = jnp.cumsum(passed[:, :r], 0) - passed[:, :r], passed[:, r:]
+    next_to = q[0][None] @ guide.step.T + (direct + last) @ guide.transfer.T
     next_to = jnp.concatenate([from_next[None], next_to])
-
-    def on(power: Array, distance: Array) -> tuple[Array, tuple[Array, Array]]:
-        return power @ T, (next_to[column - 1 - distance] @ power.T, power @ guide.pushed)
-
-    far, pushed = lax.scan(on, one, sites)[1]
+    far = _by_powers(guide.transfer, next_to[column - 1 - sites])  # by the distance from the column
     reached = jnp.where((sites < column)[:, None, None], far[column - 1 - sites], 0)
-    return pushed[column - 1], jnp.moveaxis(reached, 1, 0)
+    pushed = _by_powers(guide.transfer, jnp.broadcast_to(guide.pushed, (q.shape[0], 1, q.shape[2])))
+    return pushed[column - 1, 0], jnp.moveaxis(reached, 1, 0)
+
+
+def _by_powers(T: Float[Array, "n n"], rows: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
+    """Multiply row i by (Tᵀ)^i, through the powers up to √N and those of T^√N."""
+    count = rows.shape[0]
+    fine = 1 << (count.bit_length() + 1) // 2
+    coarse = -(-count // fine)
+
+    def power(P: Array, step: Array) -> tuple[Array, Array]:
+        return P @ step, P
+
+    one = jnp.eye(T.shape[0], dtype=T.dtype)
+    leap, fines = lax.scan(lambda P, _: power(P, T), one, length=fine)
+    coarses = lax.scan(lambda P, _: power(P, leap), one, length=coarse)[1]
+    blocks = jnp.pad(rows, ((0, fine * coarse - count), (0, 0), (0, 0))).reshape(coarse, fine, *rows.shape[1:])
+    found = jnp.einsum("cfrm,fnm,ckn->cfrk", blocks, fines, coarses)
+    return found.reshape(fine * coarse, *rows.shape[1:])[:count]
 
 
 @in_full

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import as_json, figure_path, option, print_json, refuse, save_figure
+from slippulse_jax.cli.shared import as_json, contact_law, figure_path, option, print_json, refuse, save_figure, top_of_block
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,6 +40,11 @@ class Numbers(click.ParamType):
 @click.option("--push-height-mm", type=Numbers(), metavar="MM,…", help="Heights of the push, in SI form.")
 @click.option("--push-width-mm", type=Numbers(), metavar="MM,…", help="Heights of the pusher, in SI form.")
 @click.option("--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held.")
+@click.option(
+    "--friction", type=Numbers(), metavar="μ,…", help="Friction coefficients of blocks, whose thresholds follow the pressure."
+)
+@contact_law
+@top_of_block
 @click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
 @click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
 @click.option(
@@ -62,6 +67,8 @@ def command(
     log_sd: list[float] | None,
     measured: str | None,
     push_control: Any,
+    contact_law: Any,
+    top: Any,
     whole: bool,
     experiments: int,
     seed: int,
@@ -85,7 +92,8 @@ def command(
     try:
         known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
         kind = "whole" if whole else "length"
-        found = design(known, **candidates, push_control=push_control, kind=kind, experiments=experiments, seed=seed)
+        said = {"push_control": push_control, "contact_law": contact_law, "top": top}
+        found = design(known, **candidates, **said, kind=kind, experiments=experiments, seed=seed)
     except (ValueError, OSError) as error:
         refuse(error)
     if as_json:
@@ -112,7 +120,8 @@ def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
     missing = [option(c) for c in columns if given[c] is None]
     if missing:
         raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
-    result: dict[str, Any] = {name: given[name] for name in ("poisson", "prestress")}
+    of_both = ("poisson", "prestress", "friction")
+    result: dict[str, Any] = {name: given[name] for name in of_both if given[name] is not None}
     for column in columns:
         name, size = split_unit(column)
         result[name] = [x * size for x in given[column] or []]

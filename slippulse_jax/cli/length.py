@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import BadInput, as_json, option, print_json, refuse, right_end, slider_options
+from slippulse_jax.cli.shared import (
+    BadInput,
+    as_json,
+    contact_law,
+    option,
+    print_json,
+    refuse,
+    right_end,
+    slider_options,
+    top_of_block,
+)
 
 if TYPE_CHECKING:
     from slippulse_jax.slider import Slider
@@ -34,6 +44,12 @@ SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 )
 @click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher itself.")
 @click.option("--push-control", type=click.Choice(["displacement", "force"]), help="What is held while an event runs.")
+@click.option(
+    "--friction", type=float, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+)
+@click.option("--normal-stiffness", type=float, metavar="k_n/k", help="Of a block; 1.2 by default with --friction.")
+@contact_law
+@top_of_block
 @as_json
 def command(
     poisson: float,
@@ -44,6 +60,10 @@ def command(
     push_height: float | None,
     push_width: float | None,
     push_control: Any,
+    friction: float | None,
+    normal_stiffness: float | None,
+    contact_law: Any,
+    top: Any,
     as_json: bool,
     **given: float | None,
 ) -> None:
@@ -60,10 +80,16 @@ def command(
         if given_too:
             raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
         with jax.enable_x64(True):
-            result, text = _block_length(form, poisson, push_height, push_width, push_control or "displacement"), _block_text
+            push = push_height, push_width, push_control or "displacement"
+            pressed = {"normal_stiffness": normal_stiffness, "friction": friction, "contact_law": contact_law, "top": top}
+            result, text = _block_length(form, poisson, push, pressed), _block_text
     else:
         if push_width is not None or push_control is not None:
             raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
+        if friction is not None or normal_stiffness is not None or (contact_law, top) != ("amontons", "free"):
+            raise click.UsageError(
+                "friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
+            )
         length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
         if length is not None and right == "semi-infinite":
             right = "free"
@@ -148,17 +174,18 @@ def _slider(form: dict[str, float], poisson: float) -> "Slider":
         refuse(error)
 
 
-def _block_length(form: dict[str, float], poisson: float, height: float, width: float | None, control: Any) -> dict[str, Any]:
+def _block_length(form: dict[str, float], poisson: float, push: tuple[Any, ...], pressed: dict[str, Any]) -> dict[str, Any]:
     from slippulse_jax.block import Block, Push
     from slippulse_jax.exact.front import exact_length
     from slippulse_jax.precursor import precursor_length
 
-    slider = _slider(form, poisson)
+    slider, (height, width, control) = _slider(form, poisson), push
     try:
-        block = Block(slider.height, slider.stiffness, poisson, Push(height, width, control))
+        block = Block(slider.height, slider.stiffness, poisson, Push(height, width, control), **pressed)
         length = float(precursor_length(block))
     except ValueError as error:
         refuse(error)
+    given = pressed if pressed["friction"] is not None else {}
     return {
         "height": float(slider.height),
         "stiffness": float(slider.stiffness),
@@ -166,6 +193,7 @@ def _block_length(form: dict[str, float], poisson: float, height: float, width: 
         "push_height": height,
         "push_width": width,
         "push_control": control,
+        **given,
         "length": length,
         "length_of_slider": float(exact_length(slider)),
     }
@@ -178,10 +206,13 @@ def _block_text(result: dict[str, Any]) -> str:
     length = (
         f"{result['length']:.6g} λc{_in_mm(result)}" if result["length"] else "none: the neighbour of the first contact holds"
     )
+    pressed = f"; thresholds of μ = {result['friction']:g} times the pressure" if "friction" in result else ""
+    if math.isnan(result["length"]):
+        length = "none: the block lifts off"
     return "\n".join(
         [
             f"block: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
-            f"pushed {where}, {result['push_control']} held",
+            f"pushed {where}, {result['push_control']} held{pressed}",
             f"ℓ   = {length}",
             f"      {result['length_of_slider']:.6g} λc with the slider of the same contacts",
         ]

@@ -31,6 +31,16 @@ right_end = click.option(
     help="Right end of the chain.",
 )
 
+contact_law = click.option(
+    "--contact-law",
+    type=click.Choice(["amontons", "multicontact"]),
+    default="amontons",
+    help="What follows the pressure with --friction: thresholds, or thresholds and stiffnesses.",
+)
+top_of_block = click.option(
+    "--top", type=click.Choice(["free", "held"]), default="free", help="Whether the top of a block may tilt."
+)
+
 
 def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Options of one slider in λc; `required` unless it may be given in SI instead."""

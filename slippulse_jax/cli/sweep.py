@@ -10,6 +10,7 @@ import click
 from slippulse_jax.cli.shared import (
     INCOMPLETE,
     as_json,
+    contact_law,
     figure_path,
     last_words,
     option,
@@ -18,6 +19,7 @@ from slippulse_jax.cli.shared import (
     right_end,
     save_figure,
     table_path,
+    top_of_block,
 )
 from slippulse_jax.files import shortened
 
@@ -91,6 +93,12 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option(
     "--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held while it breaks."
 )
+@click.option(
+    "--friction", type=VALUES, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+)
+@click.option("--normal-stiffness", type=VALUES, metavar="k_n/k", help="Of a block; 1.2 by default with --friction.")
+@contact_law
+@top_of_block
 @click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
 @right_end

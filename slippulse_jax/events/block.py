@@ -175,7 +175,8 @@ def record(
     if body.pressed is not None:
         ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
         before, stress, pressure = start.stress * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
-    lifted = [(x < LOST).any() for x in (start.pressure, pressure) if x is not None]
+    never = body.pressed is not None  # their pressure decays for ever
+    lifted = [] if never else [(x < LOST).any() for x in (start.pressure, pressure) if x is not None]
     again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(sites, bool)
     endings = {
         Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),

@@ -22,7 +22,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.block import Block, Control, Push
+from slippulse_jax.block import USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.events import block as blocks
@@ -270,16 +270,32 @@ def _fitting(tall: float, push: float, sites: int) -> Trials:
 
 
 def many(
-    height: Any, stiffness: Any, poisson: Any, push_height: Any, push_width: Any = None, control: Control = "displacement"
+    height: Any,
+    stiffness: Any,
+    poisson: Any,
+    push_height: Any,
+    push_width: Any = None,
+    control: Control = "displacement",
+    *,
+    length: Any = None,
+    normal_stiffness: Any = None,
+    friction: Any = None,
+    contact_law: ContactLaw = "amontons",
+    top: Top = "free",
 ) -> Block:
-    """Many half-infinite blocks as one, of arrays; under patches, or under pushes that cover everything above a height."""
-    one = Block(2.0, 1.0, 0.0, Push(0.5, None if push_width is None else 0.5, control))
-    columns = [x for x in (height, stiffness, poisson, push_height, push_width) if x is not None]
+    """Many blocks as one, of arrays; under patches, or under pushes that cover everything above a height."""
+    push = Push(0.5, None if push_width is None else 0.5, control)
+    ended, sprung, rubbing = (None if x is None else 2.0 for x in (length, normal_stiffness, friction))
+    one = Block(2.0, 1.0, 0.0, push, "stress", ended, sprung, rubbing, contact_law, top)
+    if friction is not None and normal_stiffness is None:
+        normal_stiffness = USUAL_NORMAL_STIFFNESS
+    every = height, stiffness, poisson, push_height, push_width, length, normal_stiffness, friction
+    columns = [x for x in every if x is not None]
     return jax.tree.unflatten(jax.tree.structure(one), np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in columns)))
 
 
 def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float[np.ndarray, " n"]:
-    """ℓ of many blocks, each as `precursor_length` has it to rounding, inf where that refuses."""
+    """ℓ of many half-infinite blocks, each as `precursor_length` has it to rounding, inf where that refuses."""
     body, height = (block, interface), np.asarray(block.height)
     tall, short = (np.nonzero(side)[0] for side in (height > TALL, height <= TALL))
     found = np.empty(height.size)
@@ -298,7 +314,8 @@ def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float
 def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> tuple[np.ndarray, np.ndarray]:
     """ℓ of many blocks from larger contacts, and how far each may be off; shapes (n,).
 
-    Lengths are 0 where no domino starts, and inf where the event does not stop within the contacts followed. The error of an
+    Lengths are 0 where no domino starts, inf where the event does not stop within the contacts followed, and NaN where the
+    block lifts off. The error of an
     infinite length is set to H, for the blocks beside it in a table.
     """
     height, _, fine, rough = _views((block, interface), kind)
@@ -333,7 +350,7 @@ def _some(body: Body, which: Any) -> Body:
 def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lengths, contacts broken and statuses of many blocks; shapes (n,)."""
     length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0]
-    lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH))
+    lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
     if lost.any():
         block, interface = _some(body, np.argmax(lost))
         raise NotConverged(f"no length of {block} on {interface}: {Outcome(int(status[lost][0])).message}")
@@ -354,6 +371,8 @@ def followed(body: Body, stiffness: Float[np.ndarray, "n m"], sites: int, kind: 
 def _followed(tree: Any, count: int, sites: int, kind: EventKind) -> Kernel:
     def events(lane: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         block, interface = jax.tree.unflatten(tree, list(lane[:-count, 0]))
+        if block.length is not None:
+            block = eqx.tree_at(lambda x: x.length, block, jnp.rint(block.length).astype(jnp.int32))
         bare = blocks.unattached(block) if block.normal_stiffness is None else None
 
         def one(k: Array) -> tuple[Array, Array, Array]:

@@ -3,10 +3,11 @@
 A whole event takes milliseconds, and its length steps where the order of its breaks changes. What a fit sees is continuous, and
 its slope is the trend over many steps.
 
-Over the height, a length depends on b, ν, the push and the prestress, and hardly on λc/H, in which it is linear. For every
-distinct block of a table it is computed at nodes along ln b, few where it is far from the measured one and more where it is
-near, on contacts of two sizes that suit the measured length. Inputs that differ from what the table states, because they have
-an error, multiply it by the ratio of lengths that differ in that input alone. Nodes are kept for the next fit.
+Over the height, a length depends on b, ν, the push, the prestress, where the block ends and what the pressure does, and hardly
+on λc/H, in which it is linear. For every distinct block of a table it is computed at nodes along ln b, few where it is far from
+the measured one and more where it is near, on contacts of two sizes that suit the measured length. Inputs that differ from what
+the table states, because they have an error, multiply it by the ratio of lengths that differ in that input alone. Nodes are
+kept for the next fit.
 """
 
 import itertools
@@ -27,10 +28,16 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.interface import Interface
 from slippulse_jax.status import Outcome
 
-AXES = {"poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3}
-"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them."""
-GEOMETRY = (*AXES, "push_force")
+AXES = {
+    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.05,
+    "log_normal_stiffness": 0.5,
+}  # fmt: skip
+"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
+FLAGS = ("push_force", "multicontact", "top_held")
+"""Inputs that are 0 or 1."""
+GEOMETRY = (*AXES, *FLAGS)
 """What is one geometry, beside λc/H."""
+WITHOUT_END, MULTICONTACT = GEOMETRY.index("log_ratio"), GEOMETRY.index("multicontact")
 UNIT, WIDEST = 0.16, 8
 """Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
 NEAR = {8: 1.5, 4: 1.2}
@@ -43,6 +50,8 @@ TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
 """Least distance of a push from the corners of the side, the least width of a patch, over H; and largest |ν| and |φ|."""
+OF_END = 128
+"""Contacts of each height of a block that ends, at most; their number is a power of 2, and at least twice `FOLLOWED`."""
 MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER = 4
@@ -122,7 +131,7 @@ class BlockLengths:
         best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
         for i, origin in enumerate(self.origins):
             apart = np.abs(_offsets(geometry, np.array(origin))).sum(axis=1)
-            same = (geometry[:, -1] == origin[-1]) & (np.isinf(geometry[:, -2]) == np.isinf(origin[-2]))
+            same = (_kinds(geometry) == _kinds(np.array([origin]))).all(axis=1)
             nearer = same & (apart < least)
             best[nearer], least[nearer] = i, apart[nearer]
         return best
@@ -169,7 +178,10 @@ class BlockLengths:
     def _height(self, i: int) -> float:
         """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
         low, high = self.target[i]
-        return float(2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2))
+        height, ratio = float(2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2)), _ratio(self.origins[i])
+        if not np.isfinite(ratio):
+            return height
+        return 2 * max(int(min(height * ratio, _sites(self.origins[i])) / 2), 2) / ratio  # whole contacts of either size
 
     def _moved(self, i: int, axis: int, steps: int) -> Geometry:
         moved = list(self.origins[i])
@@ -211,12 +223,35 @@ class BlockLengths:
 
 def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
     """What the blocks are like, beside λc/H and b."""
-    return np.stack([inputs.get(name) for name in GEOMETRY], axis=-1)
+    ratio = inputs.more.get("log_sites", np.full_like(inputs.log_height, np.inf)) - inputs.log_height
+    return np.stack([ratio if name == "log_ratio" else inputs.get(name) for name in GEOMETRY], axis=-1)
+
+
+def _ratio(geometry: Geometry) -> float:
+    """L/H, inf without an end."""
+    return float(np.exp(geometry[WITHOUT_END]))
+
+
+def _sites(geometry: Geometry) -> int:
+    """Contacts that are followed: all of a block that ends, half as many where balancing them takes iterations."""
+    ratio, halves = _ratio(geometry), 1 + int(geometry[MULTICONTACT])
+    return FOLLOWED if np.isinf(ratio) else max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * ratio)))) // halves
+
+
+def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
+    """What blocks must have in common to differ by numbers only, and to be followed together."""
+    return np.column_stack([geometry[:, len(AXES) :], np.isinf(geometry[:, : len(AXES)])])
+
+
+def _alike(geometry: Float[np.ndarray, "n g"]) -> list[np.ndarray]:
+    """Group blocks that can be followed together."""
+    own = distinct_rows(np.column_stack([_kinds(geometry), [_sites(tuple(one)) for one in geometry]]))[1]
+    return [np.flatnonzero(own == i) for i in range(own.max() + 1)]
 
 
 def _offsets(geometry: Float[np.ndarray, "n g"], origin: Float[np.ndarray, "... g"]) -> Float[np.ndarray, "n a"]:
     """Distance in each of `AXES`, in spacings."""
-    with np.errstate(invalid="ignore"):  # inf − inf: both push everything above
+    with np.errstate(invalid="ignore"):  # inf − inf: both push everything above, say
         apart = (geometry[:, : len(AXES)] - origin[..., : len(AXES)]) / np.array(list(AXES.values()))
     return np.where(np.isfinite(apart), apart, 0)
 
@@ -278,13 +313,13 @@ def b_of_tall(length: float, poisson: float) -> dict[str, float]:
 def _follow(keys: Sequence[tuple[Geometry, float, int]]) -> None:
     """Compute nodes that are not known yet."""
     new = [key for key in dict.fromkeys(keys) if key[2] not in _known.setdefault(key[:2], {})]
-    held = [key for key in new if key[0][1] > 0]  # a prestress may drive an event on for ever
+    held = [key for key in new if key[0][1] > 0 and np.isinf(_ratio(key[0]))]  # a prestress may drive an event on for ever
     for part in _announced([held[i : i + AT_ONCE] for i in range(0, len(held), AT_ONCE)]):
         geometry = np.array([key[0] for key in part])
         found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
         for key, value, off in zip(part, found, error, strict=True):
             _known[key[:2]][key[2]] = Node(value, 0.0, off)
-    _pairs([key for key in new if key[0][1] <= 0])
+    _pairs([key for key in new if key not in set(held)])
 
 
 def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
@@ -298,7 +333,8 @@ def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
             _known[g, h][j] = Node(value, -(value - fine) * h, error)
         else:
             _known[g, h][j] = Node(rough, 0.0, 0.1 * rough)
-    beyond, factor = [key for key in keys if not np.isfinite(_known[key[:2]][key[2]].value)], 4
+    endless = [key for key in keys if np.isinf(_ratio(key[0]))]
+    beyond, factor = [key for key in endless if not np.isfinite(_known[key[:2]][key[2]].value)], 4
     while beyond := [key for key in beyond if key[1] / factor * MOST_HEIGHTS >= FOLLOWED]:
         for (g, h, j), value in zip(beyond, _lengths([(g, h / factor, j) for g, h, j in beyond]), strict=True):
             _known[g, h][j] = Node(value, 0.0, 0.1 * value)
@@ -306,48 +342,48 @@ def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
 
 
 def _lengths(keys: list[tuple[Geometry, float, int]]) -> list[float]:
-    """ℓ/H of blocks of some H/λc, inf where the event leaves the contacts followed."""
+    """ℓ/H of blocks of some H/λc, inf where the event leaves the contacts followed or the block lifts off."""
     by_block: dict[tuple[Geometry, float], list[int]] = {}
     for g, h, j in keys:
         by_block.setdefault((g, h), []).append(j)
     lanes = [(*place, every[i : i + TOGETHER]) for place, every in by_block.items() for i in range(0, len(every), TOGETHER)]
     found: dict[tuple[Geometry, float, int], float] = {}
-    for force, patch in ((0, False), (0, True), (1, False), (1, True)):
-        kind = [lane for lane in lanes if lane[0][-1] == force and np.isfinite(lane[0][-2]) == patch]
+    for alike in _alike(np.array([g for g, _, _ in lanes])) if lanes else ():
+        kind = [lanes[i] for i in alike]
         for part in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
             block, interface = _bodies(np.array([g for g, _, _ in part]), np.array([h for _, h, _ in part]))
             log_b = np.array([(every + [np.nan] * TOGETHER)[:TOGETHER] for _, _, every in part], float) * UNIT
             stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
-            length, _, status = followed((block, interface), stiffness, FOLLOWED, "full")
-            length = np.where(status == Outcome.RAN_THROUGH, np.inf, length) / block.height[:, None]
+            length, _, status = followed((block, interface), stiffness, _sites(part[0][0]), "full")
+            endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
+            length = np.where(endless, np.inf, length) / block.height[:, None]
             for (g, h, every), row in zip(part, length, strict=True):
                 found.update(((g, h, j), float(value)) for j, value in zip(every, row, strict=False))
     return [found[key] for key in keys]
 
 
 def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
-    """ℓ/H of blocks, each on contacts that suit its own event, and how far it may be off."""
+    """ℓ/H of blocks without end, each on contacts that suit its own event, and how far it may be off."""
     found = np.empty((2, len(geometry)))
     height = 1 / np.maximum(inverse, 1 / TALLEST)
-    for force in (0, 1):
-        for patch in (False, True):
-            here = (geometry[:, -1] == force) & (np.isfinite(geometry[:, -2]) == patch)
-            if here.any():
-                block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
-                found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
-    return found
+    for here in _alike(geometry):
+        block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
+        found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
+    return np.where(np.isnan(found[0]), [[np.inf], [1.0]], found)  # those that lift off
 
 
 def _others(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
     """ℓ/H of blocks that were not measured, and how far it may be off; those at many b are followed too."""
     rows, own = distinct_rows(geometry)
-    found, often = np.empty((2, len(geometry))), np.bincount(own) > MANY
+    found, often = np.empty((2, len(geometry))), (np.bincount(own) > MANY) | np.isfinite(rows[:, WITHOUT_END])
     once = ~often[own]
     if once.any():
         found[:, once] = _each(geometry[once], log_b[once], inverse[once])
     if often.any():
         middle = [np.flatnonzero(own == i)[np.argsort(log_b[own == i])[(own == i).sum() // 2]] for i in np.flatnonzero(often)]
-        ratio = _each(geometry[middle], log_b[middle], inverse[middle])[0]
+        without = geometry[middle].copy()
+        without[:, WITHOUT_END] = np.inf
+        ratio = _each(without, log_b[middle], inverse[middle])[0]
         usual = np.where(np.isfinite(ratio) & (ratio > 0), ratio, 1.0)
         length, error = BlockLengths(rows[often], usual)(_inputs(geometry[~once], log_b[~once], inverse[~once]))
         found[:, ~once] = np.stack([length, error]) * inverse[~once]
@@ -357,17 +393,25 @@ def _others(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.n
 def _inputs(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Inputs:
     named = dict(zip(GEOMETRY, geometry.T, strict=True))
     poisson, prestress, height = named.pop("poisson"), named.pop("prestress"), 1 / inverse
+    named["log_sites"] = named.pop("log_ratio") + np.log(height)
     return Inputs.of(height, np.exp(log_b) / (2 * (1 + poisson) * height), poisson, prestress).given(**named)
 
 
 def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0) -> tuple[Any, Interface]:
-    """Blocks of one kind of pusher, within their domains, and their interfaces."""
-    poisson, prestress, log_push, log_width, force = geometry.T
+    """Blocks of one kind, within their domains, and their interfaces."""
+    poisson, prestress, log_push, log_width, log_ratio, friction, log_normal, *flags = geometry.T
+    force, multicontact, held = (bool(flag[0]) for flag in flags)
     poisson = np.clip(poisson, -STEEPEST, 0.5)
     at = np.clip(np.exp(log_push), 2 * LOWEST, 1 - 2 * LOWEST)
     patch = np.isfinite(log_width[0])
     width = np.minimum(np.maximum(np.exp(log_width), NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2)) if patch else None
-    block = many(height, b / (2 * (1 + poisson) * height), poisson, at, width, "force" if force[0] else "displacement")
+    pressed = np.isfinite(log_normal[0])
+    block = many(
+        height, b / (2 * (1 + poisson) * height), poisson, at, width, "force" if force else "displacement",
+        length=np.rint(np.exp(log_ratio) * height) if np.isfinite(log_ratio[0]) else None,
+        normal_stiffness=np.exp(log_normal) if pressed else None, friction=np.maximum(friction, 0) if pressed else None,
+        contact_law="multicontact" if multicontact else "amontons", top="held" if held else "free",
+    )  # fmt: skip
     return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)))
 
 

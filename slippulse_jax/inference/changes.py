@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.block_lengths import b_of_tall
+from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
+from slippulse_jax.inference.block_lengths import BlockLengths, b_of_tall, geometry_of
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
@@ -31,14 +32,17 @@ from slippulse_jax.inference.parameters import (
 )
 from slippulse_jax.shown import format_number, plural
 
-USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height")
+USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
 """Columns with a usual error, in the order in which a paper states them."""
+OF_BLOCKS = ("push_height", "friction")
 SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
 END, STIFF = 4.0, 10.0
 """Length of a block over 1/κ_2, and stiffness of a machine over that of the block, assumed where the table states none."""
 NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
+PRESSED, SCANNED = (0.3, 0.6), 257
+"""Friction coefficients tried where a table of a block states none, and stiffnesses at which a length is looked for."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
@@ -81,7 +85,8 @@ def changes(fitted: Fitted) -> list[Change]:
     found = sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
     if fitted.parameters.front.body == "block":
         force = ", or a pusher of which the force is held" * (not fitted.measurements.push_control)
-        what = f"an end of the block, a machine that gives way{force}"
+        end = "an end of the block, " * (fitted.measurements.block_length is None)
+        what = f"{end}a machine that gives way{force}"
         found.append(Change("drive", what, dict.fromkeys(fitted.given, (math.nan,)), otherwise="not computed"))
     return found
 
@@ -109,7 +114,7 @@ def _of_inputs(fitted: Fitted) -> Iterator[Change]:
     beside = {one.name for one in q.free}
     beside |= {"length"} if "model_factor" in beside else set()  # which contains a scale of all lengths
     for name in USUAL:
-        if name in beside or not _taken_as_exact(m, name) or (name == "push_height" and q.front.body == "slider"):
+        if name in beside or not _taken_as_exact(m, name) or (name in OF_BLOCKS and q.front.body == "slider"):
             continue
         what, error, *other = COLUMNS[name].usual
         moves = _moves(fitted, _moved(m, name, error), rejected=True)
@@ -248,6 +253,16 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
         what = f"a real block{pushed} (column push_height{unit} fits one)"
         none = dict.fromkeys(stiff, (np.nan,))
         yield Change("block", what, moves or none, otherwise="none fits" if moves else "not computed")
+    if q.front.body == "block":
+        if m.friction is None:
+            tried, what = (
+                PRESSED,
+                f"thresholds that follow the pressure, at μ = {PRESSED[0]:g} or {PRESSED[1]:g} (column friction)",
+            )
+        else:
+            tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
+        moves = tuple(_pressed(fitted, _median(fitted, q.rows_of(q.index(stiff[0]))), friction) for friction in tried)
+        yield Change("pressure", what, dict.fromkeys(stiff, moves))
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
@@ -273,11 +288,35 @@ def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str,
         return [], {}
     ratio, moves, known = fitted.fitted / m.height, {}, []
     for name in stiff:
-        rows = q.rows_of(q.index(name))
-        i = int(rows[np.argsort(ratio[rows])[len(rows) // 2]])
+        i = _median(fitted, q.rows_of(q.index(name)))
         found = b_of_tall(float(ratio[i]), float(m.poisson[i]))
         known, moves[name] = [*found], tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
     return known, moves
+
+
+def _median(fitted: Fitted, rows: np.ndarray) -> int:
+    """Which of some measurements has the median fitted length over the height."""
+    ratio = (fitted.fitted / fitted.measurements.height)[rows]
+    return int(rows[np.argsort(ratio)[len(rows) // 2]])
+
+
+def _pressed(fitted: Fitted, i: int, friction: float) -> float:
+    """Move of ln k to where one measurement has the same length at another friction coefficient; NaN where none is.
+
+    The nearest such stiffness.
+    """
+    q, m = fitted.parameters, fitted.measurements
+    one = q.inputs_at(fitted.theta).take([i])
+    length, normal = q.front.lengths(one), one.get("log_normal_stiffness")
+    normal = np.where(np.isinf(normal), math.log(USUAL_NORMAL_STIFFNESS), normal)
+    other = one.given(friction=np.array([friction]), log_normal_stiffness=normal)
+    grid = np.linspace(np.log(q.front.softest(m)[i]), np.log(q.front.stiffest(m)[i]), SCANNED)
+    scanned = other.take(np.zeros(SCANNED, int))._replace(log_stiffness=grid)
+    off = BlockLengths(geometry_of(other), length / np.exp(one.log_height))(scanned)[0] - length
+    with np.errstate(invalid="ignore"):  # inf − inf
+        crossed = np.flatnonzero(np.isfinite(off[:-1] + off[1:]) & (np.sign(off[:-1]) != np.sign(off[1:])))
+    moves = grid[crossed] + np.diff(grid)[crossed] * off[crossed] / (off[crossed] - off[crossed + 1]) - one.log_stiffness
+    return float(moves[np.abs(moves).argmin()]) if len(moves) else math.nan
 
 
 def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
@@ -378,16 +417,19 @@ def next_steps(fitted: Fitted) -> list[str]:
 def _shared(fitted: Fitted) -> Iterator[str]:
     """Suggest sharing a material constant whose value and error are stated alike for all specimens."""
     m, found = fitted.measurements, fitted.parameters.free
-    for name in ("young", "poisson", "correlation_length"):
+    for name in ("young", "poisson", "correlation_length", "push_height"):
         each = [one for one in found if one.name == name and one.nuisance]
         value, sigma = getattr(m, name), getattr(m, f"{name}_sigma")
-        if len(each) > 1 and np.ptp(value) == 0 and np.ptp(sigma) == 0:
+        at = name == "push_height"
+        if len(each) > 1 and (at or (np.ptp(value) == 0 and np.ptp(sigma) == 0)):
             column, symbol = m.columns.get(f"{name}_sigma", f"{name}_sigma"), each[0].symbol
-            mean, deviation = f"{value[0]:.6g}", f"{sigma[0]:.6g}"
+            size = m.correlation_length[0] if at and m.correlation_length is not None else 1.0
+            mean, deviation = f"{value[0] * size:.6g}", f"{sigma[0] * size:.6g}"
             prior = f'sp.Parameter("{name}", prior=({mean}, {deviation}))'
             option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(fitted.parameters.wanted, prior))
+            source = "they were measured from one zero" if at else f"one source gives {symbol} of all"
             yield (
-                f"each specimen has an error of {symbol} of its own: if one source gives {symbol} of all, they share "
+                f"each {'push' if at else 'specimen'} has an error of {symbol} of its own: if {source}, they share "
                 f"its error: leave {column} out, and give {option}"
             )
 

@@ -13,8 +13,17 @@ from unicodedata import normalize
 
 import numpy as np
 
-from slippulse_jax.block import Control
-from slippulse_jax.domains import CORRELATION_LENGTH, POISSON, PRESTRESS, THRESHOLD_SLOPE, YOUNG, Domain
+from slippulse_jax.block import ContactLaw, Control, Top
+from slippulse_jax.domains import (
+    CORRELATION_LENGTH,
+    FRICTION,
+    NORMAL_STIFFNESS,
+    POISSON,
+    PRESTRESS,
+    THRESHOLD_SLOPE,
+    YOUNG,
+    Domain,
+)
 from slippulse_jax.files import shortened
 from slippulse_jax.units import SI, UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
@@ -103,6 +112,9 @@ _ROWS = (
     Column("push_height", "mm", "λc", PUSH_HEIGHT, may_be_blank=True, symbols="h load_height loading_height pusher_height",
            usual=("height of the push larger by 5 %", math.log(1.05), -math.log(1.05))),
     Column("push_width", "mm", "λc", PUSH_WIDTH, may_be_blank=True, needs="push_height", symbols="pusher_height"),
+    Column("friction", "", "", FRICTION, needs="push_height", symbols="μ mu μ_s mu_s friction_coefficient static_friction",
+           usual=("μ larger by 10 %", math.log(1.1), -math.log(1.1))),
+    Column("normal_stiffness", "", "", NORMAL_STIFFNESS, needs="push_height"),
     Column("machine_stiffness", "N_per_m", "E", MACHINE, may_be_blank=True, needs="young"),
     Column("block_width", "mm", None, WIDTH, may_be_blank=True),  # by which the stiffness of the machine is divided
     Column("height_sigma", "mm", "λc", ERROR),
@@ -110,12 +122,15 @@ _ROWS = (
     Column("correlation_length_sigma", "um", None, ERROR),
     Column("young_sigma", "GPa", None, ERROR),
     Column("push_height_sigma", "mm", "λc", ERROR, may_be_blank=True),
+    Column("friction_sigma", "", "", ERROR),
     Column("displacement", "um", None, DISPLACEMENT, may_be_blank=True, needs="displacement_sigma young"),
     Column("displacement_sigma", "um", None, ERROR_OF_READING, may_be_blank=True),
     Column("force", "N_per_mm", None, FORCE, may_be_blank=True, needs="force_sigma young"),
     Column("force_sigma", "N_per_mm", None, ERROR_OF_READING, may_be_blank=True),
     Column("kind", choices=KINDS),
     Column("push_control", choices=get_args(Control), needs="push_height"),
+    Column("contact_law", choices=get_args(ContactLaw), needs="friction"),
+    Column("top", choices=get_args(Top), needs="push_height"),
     Column("provenance", choices=("", *PROVENANCES)),
     Column("specimen", choices=(), symbols="block blocks specimens sample"),
     Column("label", choices=()),

@@ -6,8 +6,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
-from slippulse_jax.block import Control, Push, has_push
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE, Domain, check_choice, check_domain
+from slippulse_jax.block import Block, ContactLaw, Control, Push, Top, has_push
+from slippulse_jax.domains import (
+    FRICTION,
+    NORMAL_STIFFNESS,
+    POISSON,
+    PRESTRESS,
+    THRESHOLD_SLOPE,
+    Domain,
+    check_choice,
+    check_domain,
+)
 from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.inference.fronts import FRONTS, pushed
@@ -25,6 +34,8 @@ DOMAINS = {
     "poisson": POISSON,
     "prestress": PRESTRESS,
     "threshold_slope": THRESHOLD_SLOPE,
+    "friction": FRICTION,
+    "normal_stiffness": NORMAL_STIFFNESS,
 }
 OVER_UNIT = Domain(1, np.inf, "must exceed 1")
 """Domain of a height over λc."""
@@ -187,6 +198,8 @@ def _in_words(c: Any) -> dict[str, str]:
         "young": f"E = {c.young * 1e-9:.4g} GPa",
         "push_height": f"h = {c.push_height * side:.4g} {of_side}",
         "push_width": f"pusher {c.push_width * side:.4g} {of_side}",
+        "friction": f"μ = {c.friction:g}",
+        "normal_stiffness": f"k_n/k = {c.normal_stiffness:g}",
     }
 
 
@@ -210,6 +223,10 @@ def design(
     push_height: ArrayLike | None = None,
     push_width: ArrayLike | None = None,
     push_control: Control = "displacement",
+    friction: ArrayLike | None = None,
+    normal_stiffness: ArrayLike | None = None,
+    contact_law: ContactLaw = "amontons",
+    top: Top = "free",
     kind: Kind = "length",
     experiments: int = 1,
     seed: int = 0,
@@ -234,6 +251,11 @@ def design(
         block under two-dimensional elasticity, and its length that of the whole event.
     push_control : {"displacement", "force"}
         What is held while the event runs.
+    friction, normal_stiffness : array_like, optional
+        μ, by which the thresholds of the blocks follow the pressure, and k_n/k, as for `Block`.
+    contact_law : {"amontons", "multicontact"}
+    top : {"free", "held"}
+        As for `Block`.
     kind : {"length", "whole"}
         Whether a length is measured, or whole contacts are counted.
     experiments : int
@@ -262,6 +284,7 @@ def design(
         "height": height, "sigma": sigma, "poisson": poisson, "prestress": prestress, "threshold_slope": threshold_slope,
         "correlation_length": correlation_length, "young": young, "kind": kind,
         "push_height": push_height, "push_width": push_width, "push_control": push_control,
+        "friction": friction, "normal_stiffness": normal_stiffness, "contact_law": contact_law, "top": top,
     }  # fmt: skip
     candidates = _candidates(given)
     body = "slider" if push_height is None else "block"
@@ -290,7 +313,7 @@ def _candidates(given: dict[str, Any]) -> np.recarray:
     check_choice("kind", given["kind"], Kind)
     if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
-    columns = {name: numbers(x) for name, x in given.items() if x is not None and name not in ("kind", "push_control")}
+    columns = {name: numbers(x) for name, x in given.items() if x is not None and not isinstance(x, str)}
     try:
         columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
     except ValueError:
@@ -300,6 +323,10 @@ def _candidates(given: dict[str, Any]) -> np.recarray:
     if len(shape) != 1 or shape == (0,):
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
     _check(columns, given["kind"], given["push_control"])
+    rubs, law, top = given["friction"] is not None, given["contact_law"], given["top"]
+    Block(2, 1, 0.3, friction=0.0 if rubs else None, contact_law=law, top=top)  # which checks them
+    if given["push_height"] is None and (rubs or given["normal_stiffness"] is not None or top != "free"):
+        raise ValueError("friction, normal_stiffness and top are those of a block: give push_height too")
     columns |= {name: np.full(shape, np.nan if x is None else x) for name, x in given.items() if name not in columns}
     return np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
 
@@ -336,6 +363,10 @@ def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> 
     inputs = Inputs.of(c.height / scale, ratio, c.poisson, c.prestress, c.threshold_slope)
     front = FRONTS["slider", event]
     if np.isfinite(c.push_height).all():
-        push = pushed(np.ones(len(c)), c.push_height, c.push_width, c.push_control)
+        friction, normal = (None if np.isnan(x).all() else x for x in (c.friction, c.normal_stiffness))
+        push = pushed(
+            np.ones(len(c)), c.push_height, c.push_width, c.push_control,
+            friction=friction, normal_stiffness=normal, contact_law=c.contact_law, top=c.top,
+        )  # fmt: skip
         front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
     return front.lengths(inputs.ravel()).reshape(ratio.shape)

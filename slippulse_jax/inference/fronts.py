@@ -12,15 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
 from slippulse_jax.bodies.modes import NO_END, Ends
 from slippulse_jax.bulk.chunks import Layout, distinct_rows, over_lanes
-from slippulse_jax.domains import check_choice
+from slippulse_jax.domains import FRICTION, check_choice
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import exact_fronts
 from slippulse_jax.exact.front import exact_length
 from slippulse_jax.front.arrest import quantity
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
-from slippulse_jax.inference.block_lengths import BlockLengths, geometry_of
+from slippulse_jax.inference.block_lengths import FLAGS, BlockLengths, geometry_of
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.interpolation import whole_over_front
@@ -75,10 +76,11 @@ class Front:
     # in words
     name: ClassVar[str] = "first self-healing precursor"
     carrier: ClassVar[str] = "the paper's slider"
-    body_modelled: ClassVar[str] = "semi-infinite slider"
+    body_modelled: str = "semi-infinite slider"
     length_modelled: ClassVar[str] = "exact length"
     lengths_are_of: ClassVar[str] = ""  # where that is not the first front
-    held: ClassVar[str] = "the edge"  # does not move during the event
+    held: str = "the edge"  # does not move during the event
+    thresholds: str = "uniform thresholds"
     uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
@@ -304,7 +306,7 @@ class CrackFront(Front):
     """A crack-like front, behind which contacts slide at a friction, in closed form."""
 
     event = "crack"
-    inputs = {"friction": Input("σ_k", 0.0, 1.0, "must be 0 or more, and below 1", 1e-5, (0.0, np.inf))}
+    inputs = {"friction": Input("σ_k/σ_s", 0.0, 1.0, "must be 0 or more, and below 1", 1e-5, (0.0, np.inf))}
     name = "first crack-like precursor"
     length_modelled = "contacts behind it slide at the friction σ_k; exact length"
     lengths_are_of = "crack-like fronts"
@@ -354,7 +356,10 @@ class BlockEvent(Front):
     inputs = {
         "log_push": Input("h/H", -np.inf, 0.0, "the push must lie below the top of the block"),
         "log_push_width": Input("w/H", -np.inf, np.inf, ""),
-        "push_force": Input("", 0.0, 1.0, ""),
+        "log_sites": Input("L/λc", np.log(2.0), np.inf, "must be at least 2"),
+        "friction": Input("μ", 0.0, np.inf, FRICTION.requirement, 1e-4, (0.0, np.inf)),
+        "log_normal_stiffness": Input("k_n/k", -np.inf, np.inf, ""),
+        **{name: Input("", 0.0, 1.0, "") for name in FLAGS},
     }
     traceable = False
     interpolated = True
@@ -369,8 +374,6 @@ class BlockEvent(Front):
         "displacement": "from lengths alone: leave it out",
         "force": "from lengths alone: leave it out",
         "gauges": "from lengths alone: leave it out",
-        "block_length": "without an end: leave it out where every front stopped well before the end; one that ran through has "
-        "the length of the block and the kind at_least",
         "machine_stiffness": "whose pusher is held: leave it out",
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
@@ -381,15 +384,23 @@ class BlockEvent(Front):
         if m is not None and m.push_height is not None and not np.isnan(m.push_height).any():
             own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
             self.followed = BlockLengths(geometry_of(own), m.length / m.height)
+            if m.block_length is not None:
+                self.body_modelled = self.body_modelled.replace("semi-infinite block", "block with a free end")
+            if m.friction is not None:
+                stiffness = " and stiffnesses" * ("multicontact" in m.contact_law)
+                self.thresholds = f"thresholds{stiffness} that follow the pressure"
+            if "held" in m.top:
+                self.held = "the pusher and the top of the block"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Ask for the height of the push, and refuse what a fit of a block cannot take."""
-        super().check(m, names)
         if m.push_height is None:
             raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
         if np.isnan(m.push_height).any():
             blank = m.place(int(np.argmax(np.isnan(m.push_height))))
             raise ValueError(f"{blank}, column push_height: missing: a block needs the height of the push of every measurement")
+        if "friction" in names and m.friction is None:
+            raise ValueError("parameter friction: the measurements state no friction to start from; a guess is enough")
         for name, why in self.refused.items():
             if getattr(m, name) is not None:
                 own, push = m.columns.get(name, name), m.columns.get("push_height", "push_height")
@@ -398,9 +409,12 @@ class BlockEvent(Front):
             raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
-        """The push on the side of each block."""
+        """The push on the side of each block, where it ends, and what the pressure does."""
         assert m.push_height is not None
-        return pushed(m.height, m.push_height, m.push_width, m.push_control)
+        return pushed(
+            m.height, m.push_height, m.push_width, m.push_control, length=m.block_length, friction=m.friction,
+            normal_stiffness=m.normal_stiffness, contact_law=m.contact_law, top=m.top,
+        )  # fmt: skip
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
         """Interpolated ℓ in λc."""
@@ -466,16 +480,33 @@ def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | N
 
 
 def pushed(
-    height: np.ndarray, at: np.ndarray, width: np.ndarray | None = None, control: Sequence[str] = ()
+    height: np.ndarray,
+    at: np.ndarray,
+    width: np.ndarray | None = None,
+    control: Sequence[str] = (),
+    *,
+    length: np.ndarray | None = None,
+    normal_stiffness: np.ndarray | None = None,
+    friction: np.ndarray | None = None,
+    contact_law: Sequence[str] = (),
+    top: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
-    """Inputs that describe the push on the side of a block, each of shape (n,)."""
+    """Inputs of blocks that are not those of sliders, each of shape (n,): NaN, or None, as in `Measurements`."""
     none = np.full(len(height), np.nan)
-    share = (none if width is None else width) / height
-    force = [one == "force" for one in control] or [False] * len(height)
-    return {
+
+    def or_inf(x: np.ndarray | None) -> np.ndarray:
+        return np.log(np.where(np.isnan(none if x is None else x), np.inf, none if x is None else x))
+
+    usual = None if friction is None else np.full(len(height), USUAL_NORMAL_STIFFNESS)
+    normal = or_inf(usual if normal_stiffness is None else normal_stiffness)
+    ended = {} if length is None else {"log_sites": or_inf(length)}
+    texts = zip(FLAGS, (control, contact_law, top), ("force", "multicontact", "held"), strict=True)
+    return ended | {
         "log_push": np.log(at / height),
-        "log_push_width": np.log(np.where(np.isnan(share), np.inf, share)),
-        "push_force": np.array(force, dtype=float),
+        "log_push_width": or_inf(width) - np.log(height),
+        "friction": np.zeros(len(height)) if friction is None else friction,
+        "log_normal_stiffness": normal if friction is None else np.minimum(normal, np.log(RIGID)),
+        **{name: np.array([one == word for one in text] or [False] * len(height), float) for name, text, word in texts},
     }
 
 

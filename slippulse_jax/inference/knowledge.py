@@ -43,7 +43,7 @@ SURE = 0.95  # smallest posterior of one root from which the roots count as dist
 REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
 
 UNUSED = (
-    "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma",
+    "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma", "friction_sigma",
     "displacement", "displacement_sigma", "force", "force_sigma", "gauges",
 )  # fmt: skip
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""

@@ -182,12 +182,19 @@ class Measurements:
         height of its lower end: it then covers everything above. They describe the push on a block (`fit`, body "block").
     push_control : sequence of str, optional
         What is held while an event runs, "displacement" (by default) or "force".
+    friction : array_like, shape (n,), optional
+        μ, by which the thresholds of a block follow the pressure, which the push tilts.
+    normal_stiffness : array_like, shape (n,), optional
+        k_n/k of a block's contacts; 1.2 where `friction` is given, else without limit, as of `Block`.
+    contact_law, top : sequence of str, optional
+        What follows the pressure, "amontons" (by default) or "multicontact"; whether the top of a block may tilt, "free" (by
+        default) or "held"; as of `Block`.
     machine_stiffness : array_like, shape (n,), optional
         Stiffness of the machine, from its own frame to the edge, over the width of the block, in Pa, or in E where `young` is
         not given; NaN, like None, for an edge that is held while the front runs.
-    height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma : array_like, shape (n,), optional
-        Standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements of one
-        specimen with the same value and error share one true value.
+    height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma, friction_sigma : array_like, optional
+        Of shape (n,): standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements
+        of one specimen with the same value and error share one true value.
     displacement, displacement_sigma : array_like, shape (n,), optional
         Displacement of the pushed edge at nucleation, in m; NaN where it was not measured. Needs `young`.
     force, force_sigma : array_like, shape (n,), optional
@@ -231,12 +238,17 @@ class Measurements:
     push_height: np.ndarray | None = held(converter=numbers_or_none, default=None)
     push_width: np.ndarray | None = held(converter=numbers_or_none, default=None)
     push_control: tuple[str, ...] = held(converter=entries, default=())
+    friction: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    normal_stiffness: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    contact_law: tuple[str, ...] = held(converter=entries, default=())
+    top: tuple[str, ...] = held(converter=entries, default=())
     machine_stiffness: np.ndarray | None = held(converter=numbers_or_none, default=None)
     height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     poisson_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     correlation_length_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     young_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     push_height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
+    friction_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     displacement: np.ndarray | None = held(converter=numbers_or_none, default=None)
     displacement_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     force: np.ndarray | None = held(converter=numbers_or_none, default=None)
@@ -392,7 +404,8 @@ class Measurements:
         columns = [
             np.nan_to_num(getattr(self, name), nan=np.inf).tolist() for name in NUMERIC if getattr(self, name) is not None
         ]
-        texts = [column for column in (self.kind, self.specimen, self.push_control) if column]
+        texts = [getattr(self, name) for name in ("kind", "specimen", "push_control", "contact_law", "top")]
+        texts = [column for column in texts if column]
         return len(set(zip(*columns, *texts, strict=True)))
 
     def or_zero(self, name: str) -> np.ndarray:
@@ -409,7 +422,7 @@ def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
     for name in ("block_length", "machine_stiffness"):
         if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
             raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
-    errors = [f"{name}_sigma" for name in ("height", "young", "poisson", "correlation_length", "push_height")]
+    errors = [f"{name}_sigma" for name in ("height", "young", "poisson", "correlation_length", "push_height", "friction")]
     unused = [m.columns.get(name, name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
     unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
     if unused:

@@ -231,7 +231,7 @@ PARAMETERS: dict[str, Kind] = {
     "poisson": Kind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
     "prestress": Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
     "threshold_slope": Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
-    "friction": Kind("σ_k", ("σ_s", "σ_s"), False, {"friction": 1}, (0.0, 0.95), limits=(0.0, 0.99)),
+    "friction": Kind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
     "strength": Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
     "offset": Kind("offset", ("λc", "m"), False, {"offset": 1}),
     "model_factor": Kind("model factor", ("", ""), True, {"length": 1}),
@@ -291,7 +291,7 @@ def parameter_set(
     held: dict[str, float] = {}
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front, chosen), *_arrests(m)):
         name = parameter.name
-        reference, acts = _reference(m, name), _acts(m, name, rows)
+        reference, acts = inputs.get(name, _reference(m, name)), _acts(m, name, rows)
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
@@ -357,7 +357,7 @@ def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]
 
 def _reference(m: Measurements, name: str) -> np.ndarray:
     """θ at which a parameter adds nothing to any row: the value stated with the measurements."""
-    column = m.or_zero(name) if name in ("prestress", "threshold_slope") else getattr(m, name, None)
+    column = getattr(m, name, None)
     if column is None:
         return np.zeros(len(m))
     if name in HEIGHTS and m.correlation_length is not None:
@@ -373,12 +373,14 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
     if kind.log:
         low, high, mean, sigma = np.log(low), np.log(high), np.log(mean), sigma / mean
     numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.correlation_length is not None]
-    return Free(label, parameter.name, kind.symbol, unit, kind.log, *numbers, parameter.nuisance)
+    symbol = kind.symbol or front.inputs[parameter.name].symbol
+    return Free(label, parameter.name, symbol, unit, kind.log, *numbers, parameter.nuisance)
 
 
 def _uncertain(m: Measurements, front: Front, chosen: Sequence[Parameter]) -> Iterator[tuple[Parameter, str, np.ndarray]]:
     """A parameter with a prior per true value of an input that rows share: same specimen, same stated value and error."""
-    for name in ("height", "poisson", "correlation_length", "young", *(["push_height"] if front.body == "block" else [])):
+    of_blocks = ("push_height", "friction") if front.body == "block" else ()
+    for name in ("height", "poisson", "correlation_length", "young", *of_blocks):
         sigma = getattr(m, f"{name}_sigma")
         if sigma is None or not np.nan_to_num(sigma).any():
             continue

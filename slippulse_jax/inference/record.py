@@ -259,7 +259,8 @@ def data_hash(m: Measurements) -> str:
             column = getattr(table, name)
             if column is not None:
                 digest.update(name.encode() + b"=" + np.ascontiguousarray(column, "<f8").tobytes())
-    for name in ("kind", "push_control", "specimen", "provenance"):
+    since = [name for name in ("contact_law", "top") if getattr(m, name)]  # which tables of version 0.2 have not
+    for name in ("kind", "push_control", "specimen", "provenance", *since):
         digest.update(json.dumps([name, *getattr(m, name)]).encode())
     return digest.hexdigest()
 

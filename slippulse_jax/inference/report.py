@@ -32,7 +32,12 @@ WITHOUT_VALUE = {
 """Verdicts under which no value is preferred."""
 NOTHING_HOLDS = GRAVITY[: 1 + GRAVITY.index(Identifiability.AT_MAXIMUM)]
 """Verdicts that leave nothing to hold for a body."""
-CONSTANTS = {"young": ("E", 1e-9, " GPa"), "poisson": ("ν", 1.0, ""), "correlation_length": ("λc", 1e6, " µm")}
+CONSTANTS = {
+    "young": ("E", 1e-9, " GPa"),
+    "poisson": ("ν", 1.0, ""),
+    "correlation_length": ("λc", 1e6, " µm"),
+    "friction": ("μ", 1.0, ""),
+}
 """Constants of the material by column: symbol, factor and unit with which papers state them."""
 NONE = 1e-6
 """Change of a prestress, or of another number of either sign, that is none."""
@@ -307,7 +312,7 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
     needed += [f"{still} does not move during the event"] * bool(still)
     body = f"{'tried with' if result.identifiability in NOTHING_HOLDS else 'holds for'} {q.front.carrier}"
     body += f" with the stated {' and '.join(stated)}" * bool(stated) + f", if {' and '.join(needed)}" * bool(needed)
-    yield body + ", with uniform thresholds" + f" and {q.front.lengths_are_of}" * bool(q.front.lengths_are_of)
+    yield body + f", with {q.front.thresholds}" + f" and {q.front.lengths_are_of}" * bool(q.front.lengths_are_of)
     for change in changes:
         moves = [by for moves in change.moves.values() for by in moves]
         factors = [math.exp(by) for by in moves if not math.isnan(by)]
@@ -407,7 +412,7 @@ def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by
     if not result.parameters.named(name).log:
         return f"{by * shown[name].size:+.2g} {shown[name].unit}".rstrip() if abs(by) > NONE else "0"
     ratio = math.exp(by)
-    if change.name in ("threshold", "block", "push_width") or not 1 / MANY < ratio < MANY:
+    if change.name in ("threshold", "block", "push_width", "pressure") or not 1 / MANY < ratio < MANY:
         return f"× {format_number(ratio, 2)}"
     text = f"{ratio - 1:+.1%}".replace("%", " %")
     return text[1:] if text[1:] == "0.0 %" else text
@@ -461,7 +466,8 @@ def _details(result: Fitted, shown: dict[str, Shown]) -> list[str]:
     scale, unit = m.unit
     specimens = len(set(m.specimen))
     counted = plural(len(m), "measurement") + f", {plural(specimens, 'specimen')}" * bool(specimens)
-    body = "block with a free end" if "log_sites" in q.inputs.more else q.front.body_modelled
+    ended = "log_sites" in q.inputs.more and q.front.body == "slider"
+    body = "block with a free end" if ended else q.front.body_modelled
     body += " pushed through a spring" * ("log_machine" in q.inputs.more)
     rows = [
         "Details",

@@ -85,7 +85,13 @@ def _smooth(request: Request, columns: Columns) -> np.ndarray:
 
 def _block(request: Request, columns: Columns) -> np.ndarray:
     numbers = _fields(columns, *SLIDER, "push_height")
-    block = resolution.many(*numbers, push_width=columns.get("push_width"), control=request.push_control)
+    block = resolution.many(
+        *numbers,
+        control=request.push_control,
+        contact_law=request.contact_law,
+        top=request.top,
+        **{name: columns.get(name) for name in PUSH if name != "push_height"},
+    )
     prestress, slope = _fields(columns, "prestress", "threshold_slope")
     return resolution.lengths(block, Interface(prestress, slope), "full")
 

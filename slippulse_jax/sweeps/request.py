@@ -11,9 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from slippulse_jax.block import OF_SIDE, Control, Push, has_push
+from slippulse_jax.block import OF_SIDE, Block, ContactLaw, Control, Push, Top, has_push
 from slippulse_jax.bodies.modes import RightEnd
-from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, STIFFNESS, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.domains import (
+    FRICTION,
+    HEIGHT,
+    NORMAL_STIFFNESS,
+    POISSON,
+    PRESTRESS,
+    STIFFNESS,
+    THRESHOLD_SLOPE,
+    check_domain,
+)
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import WIDTH, SmoothBreak
@@ -31,6 +40,8 @@ INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name
 PUSH = {
     "push_height": Quantity("h/H", "1", name="height of the push over that of the block, h/H"),
     "push_width": Quantity("w/H", "1", name="height of the pusher over that of the block, w/H"),
+    "friction": Quantity("\\mu", "1", name="friction coefficient by which thresholds follow the pressure, μ"),
+    "normal_stiffness": Quantity("k_n/k", "1", name="normal over shear stiffness of a contact, k_n/k"),
 }
 PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBreak), **PUSH}
 """Parameters that can be swept, in the order of the axes."""
@@ -44,6 +55,8 @@ DOMAINS = {
     "width": ("SmoothBreak.", WIDTH),
     "push_height": ("", OF_SIDE),
     "push_width": ("", OF_SIDE),
+    "friction": ("", FRICTION),
+    "normal_stiffness": ("", NORMAL_STIFFNESS),
 }
 """Owner and domain of each parameter; `repin_delay` must be whole."""
 
@@ -61,6 +74,8 @@ class Request(NamedTuple):
         As for `slippulse_jax.precursor_length`.
     push_control
         As for `slippulse_jax.Push`.
+    contact_law, top
+        As for `slippulse_jax.Block`.
     """
 
     axes: xr.Dataset
@@ -69,6 +84,8 @@ class Request(NamedTuple):
     sites: int | None = None
     max_contacts: int = DEFAULT_MAX_CONTACTS
     push_control: Control = "displacement"
+    contact_law: ContactLaw = "amontons"
+    top: Top = "free"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -93,6 +110,8 @@ class Request(NamedTuple):
             "sites": self.sites,
             "max_contacts": self.max_contacts,
             **({"push_control": self.push_control} if "push_height" in self.axes else {}),
+            **({"contact_law": self.contact_law} if self.contact_law != "amontons" else {}),
+            **({"top": self.top} if self.top != "free" else {}),
         }
 
     @property
@@ -141,7 +160,13 @@ def _with_interface(given: dict[str, Any], interface: Interface | None) -> dict[
 
 
 def make_axes(
-    given: dict[str, Any], interface: Interface | None = None, *, points: bool = False, push_control: Control = "displacement"
+    given: dict[str, Any],
+    interface: Interface | None = None,
+    *,
+    points: bool = False,
+    push_control: Control = "displacement",
+    contact_law: ContactLaw = "amontons",
+    top: Top = "free",
 ) -> xr.Dataset:
     """Check all parameters before anything is computed, and label them; None is one that is not given.
 
@@ -155,7 +180,12 @@ def make_axes(
     if points and len(set(sizes.values())) != 1:
         raise ValueError(f"points are given as arrays of one length, got {sizes or 'no array'}")
     axes = labelled_axes(values, points=points)
-    if has_push(axes, push_control) and "push_width" in axes:
+    Block(2, 1, 0.3, friction=0.0 if "friction" in axes else None, contact_law=contact_law, top=top)  # which checks them
+    pushed = has_push(axes, push_control)
+    of_block = [name for name in ("friction", "normal_stiffness") if name in axes] + ["top"] * (top != "free")
+    if of_block and not pushed:
+        raise ValueError(f"{of_block[0]} describes a block: give push_height too")
+    if pushed and "push_width" in axes:
         at, width = (one.values.ravel() for one in xr.broadcast(axes["push_height"], axes["push_width"]))
         beyond = (at - width / 2 <= 0) | (at + width / 2 >= 1)
         if beyond.any():

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
-from slippulse_jax.block import Control
+from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.bodies.modes import RightEnd, check_right_end
 from slippulse_jax.bulk.chunks import in_this_thread
 from slippulse_jax.front.arrest import check_max_contacts
@@ -51,6 +51,10 @@ def sweep(
     push_height: ArrayLike | None = None,
     push_width: ArrayLike | None = None,
     push_control: Control = "displacement",
+    friction: ArrayLike | None = None,
+    normal_stiffness: ArrayLike | None = None,
+    contact_law: ContactLaw = "amontons",
+    top: Top = "free",
     interface: Interface | None = None,
     points: bool = False,
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
@@ -80,6 +84,11 @@ def sweep(
         `Push`.
     push_control : {"displacement", "force"}
         What is held while an event of a block runs.
+    friction, normal_stiffness : array_like, optional
+        μ and k_n/k of a block, as for `Block`; a length is NaN where the block lifts off.
+    contact_law : {"amontons", "multicontact"}
+    top : {"free", "held"}
+        As for `Block`.
     interface : Interface, optional
         Of numbers, for the parameters of the interface that are fixed.
     points : bool
@@ -129,10 +138,10 @@ def sweep(
     or number of devices.
     """
     given = {name: value for name, value in locals().items() if name in PARAMETERS}
-    axes = make_axes(given, interface, points=points, push_control=push_control)
+    axes = make_axes(given, interface, points=points, push_control=push_control, contact_law=contact_law, top=top)
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
-    request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control)
+    request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control, contact_law, top)
     _check_options(request, store, chunk, share, client, lazy)
     most = chunk or _default_chunk(request, tasks=lazy or (client is not None and store is None))
     if lazy:
