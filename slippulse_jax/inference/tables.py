@@ -12,7 +12,8 @@ lengths in λc
     ``height``, ``poisson``, ``length``; optionally ``length_sigma``, ``block_length``, ``push_height``, ``push_width``,
     ``machine_stiffness`` over the width of the block and E, ``height_sigma``, ``push_height_sigma``
 optional in both
-    ``prestress``, ``threshold_slope``, ``poisson_sigma``, ``kind``, ``push_control``, ``specimen``, ``provenance``, ``label``
+    ``prestress``, ``threshold_slope``, ``poisson_sigma``, ``friction``, ``friction_sigma``, ``normal_stiffness``,
+    ``contact_law``, ``top``, ``kind``, ``push_control``, ``specimen``, ``provenance``, ``label``
 
 A cell is blank where NaN is described, and in a column of σ beside a kind other than ``length``. Other columns are kept and
 named in the report, and have no effect; but one that seems to mean a quantity that the table lacks, by a symbol, an English

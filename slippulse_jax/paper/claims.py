@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax import theory
+from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, chain
 from slippulse_jax.bodies.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.bodies.modes import lattice_modes
@@ -224,7 +225,15 @@ def threshold() -> Finding:
     """Λ does not depend on σ_s, and therefore not on a uniform normal load."""
     at = [float(first_precursor(FIG2, interface=Profile(np.full(1, t))).length) for t in (0.1, 1.0, 10.0)]
     spread = max(at) - min(at)
-    return Finding(f"thresholds of 0.1, 1 and 10: ℓ differs by {spread:.1e} λc", judge(spread < 1e-9))
+    friction = (0.0, 0.1, 0.3, 0.5)  # at μ = 0 the whole event of the others, under level thresholds
+    on_block = [precursor_length(Block(24.0, 0.3 / (2.6 * 24), 0.3, length=72, friction=mu), event="full") for mu in friction]
+    over = ", ".join(f"{float(length) / 24:.2f}" for length in on_block)
+    text = (
+        f"thresholds of 0.1, 1 and 10: ℓ differs by {spread:.1e} λc. On a block that is pushed above H/4 and whose thresholds are μ times "
+        f"a pressure, which this push tilts (H/λc = 24, b = 0.3, L = 3 H), ℓ/H = {over} at μ = {', '.join(map(str, friction))}: there it "
+        "depends on μ, though not on the load"
+    )
+    return Finding(text, judge(spread < 1e-9))
 
 
 @claim(

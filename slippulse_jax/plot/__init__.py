@@ -14,6 +14,7 @@ from slippulse_jax.plot.events import break_order as break_order
 from slippulse_jax.plot.events import displacements as displacements
 from slippulse_jax.plot.events import friction_curve as friction_curve
 from slippulse_jax.plot.events import front_stress as front_stress
+from slippulse_jax.plot.events import precursors as precursors
 from slippulse_jax.plot.events import sensitivity as sensitivity
 from slippulse_jax.plot.events import space_time as space_time
 from slippulse_jax.plot.events import stress as stress

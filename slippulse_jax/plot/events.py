@@ -1,10 +1,11 @@
-"""Pictures of events: the fields, order of breaks and sensitivities of one; friction curve and space–time map of a series."""
+"""Pictures of events: fields, order of breaks, sensitivities of one; friction curve, precursors, space–time map of a series."""
 
 import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain
 from slippulse_jax.bodies.equilibrium import Equilibrium
 from slippulse_jax.events.catalogue import Catalogue, EventClass, table
@@ -163,6 +164,56 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     ax.set(xlabel=axis_label("load", "u_s"), ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
     ax.legend(**ABOVE, ncols=2, title="event", alignment="left")
+    return ax
+
+
+@drawn
+def precursors(
+    catalogue: Catalogue, body: Block | Chain, *, label: str | None = None, colour: str = "blue", ax: "Axes | None" = None
+) -> "Axes":
+    """Draw how far precursors get against the driving force, as experiments report it.
+
+    Extent of every event over the length of the body, against the force as it starts over that at which all contacts would be
+    at their threshold (of a block with friction, μ times the normal load). The line follows the farthest contact broken so far.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Of a series on `body`.
+    body : Block or Chain
+        With an end.
+    label : str, optional
+        Legend entry, for several series in one picture.
+    colour : str
+        Name in `slippulse_jax.plot.style.Colours`.
+    ax : matplotlib.axes.Axes, optional
+
+    Raises
+    ------
+    ValueError
+        If the block has no end, or the catalogue is a batch.
+    """
+    if isinstance(body, Block):
+        if body.contacts is None:
+            raise ValueError("a block without end has no length that a precursor could be compared with: give Block.length")
+        contacts, strength = body.contacts, body.contacts * float(body.stiffness)
+    else:
+        contacts, strength = len(body.threshold), float(body.stiffness) * float(np.sum(body.threshold))
+    ax = axes(ax)
+    c, events = colours(ax), table(catalogue)
+    force, extent = events["force_before"] / strength, events["extent"] / contacts
+    farthest = np.maximum.accumulate(extent)
+    farther = np.diff(np.append(0, farthest)) > 0
+    spans = events["kind"] == EventClass.SPANNING
+    ax.plot(force[farther], farthest[farther], color=getattr(c, colour), lw=1)
+    ax.plot(force[~spans], extent[~spans], ".", color=getattr(c, colour), ms=4, label=label or "precursor")
+    if spans.any():
+        ax.plot(force[spans], extent[spans], "D", color=getattr(c, colour), ms=5, label=None if label else "spanning")
+    right = max(1.05 * force.max(initial=0), ax.get_xlim()[1] if ax.get_xlim()[0] == 0 else 0)  # of what else is drawn
+    ax.set(
+        xlabel="force over that of friction, $F/\\mu F_N$", ylabel="extent over length, $x/L$", xlim=(0, right), ylim=(0, 1.05)
+    )
+    ax.legend(**ABOVE, ncols=2)
     return ax
 
 

@@ -18,7 +18,7 @@ import slippulse_jax as sp
 from slippulse_jax.cli import claims as claims_command
 from slippulse_jax.cli import series as series_command
 from slippulse_jax.events.catalogue import COLUMNS, EventClass, write_series
-from slippulse_jax.plot import friction_curve, space_time
+from slippulse_jax.plot import friction_curve, precursors, space_time
 
 SMALL = ["--height", "10", "--stiffness", "0.03", "--poisson", "0.3", "--sites", "40", "--events", "12"]
 
@@ -145,6 +145,28 @@ def ax():
     figure, ax = plt.subplots()
     yield ax
     plt.close(figure)
+
+
+@pytest.mark.ci
+def test_precursors_against_force(ax):
+    """Of a chain and of a block: the force over that of all thresholds, and how far events got."""
+    chain = sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=30)
+    block = sp.Block(10.0, 0.04, 0.3, sp.Push(0.25), length=20, friction=0.3)
+    for body, contacts in ((chain, 30), (block, 20)):
+        found = sp.series(body, events=60)
+        ax.clear()
+        precursors(found, body, ax=ax)
+        force, extent = ax.lines[1].get_data()
+        before = np.asarray(found.kind) != EventClass.SPANNING
+        events = found.table()
+        np.testing.assert_allclose(force, (events["force_before"] / body.stiffness / contacts)[before[: len(events["load"])]])
+        assert (extent <= 1).all()
+        assert (np.diff(ax.lines[0].get_ydata()) > 0).all()  # ever farther
+    # as the first contact breaks, the mean stress on all contacts
+    first = sp.first_precursor(block, event="full")
+    assert force[0] == pytest.approx(float(first.stress_before.mean()), rel=1e-9)
+    with pytest.raises(ValueError, match="give Block.length"):
+        precursors(found, sp.Block(10.0, 0.04, 0.3), ax=ax)
 
 
 @pytest.mark.ci

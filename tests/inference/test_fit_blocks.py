@@ -356,7 +356,12 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
         ({"push_height": None, "push_width": 9.0}, {}, r"push_width is given without push_height"),
         ({"push_height": None}, {"body": "block"}, r"needs the height of the push: give push_height"),
         ({"push_height": [75, np.nan, 130, 175, 225]}, {"body": "block"}, r"measurement 1, column push_height: missing"),
-        ({"block_length": 9 * HEIGHT}, {}, r"block_length beside push_height: a fit of a block takes one without an end"),
+        ({"machine_stiffness": 1.0}, {}, r"machine_stiffness beside push_height: a fit of a block takes one whose pusher is held"),
+        ({"friction": -0.1}, {}, r"column friction: -0.1: must be 0 or more, and finite: the friction coefficient"),
+        ({"push_height": None, "friction": 0.3}, {}, r"friction is given without push_height"),
+        ({"contact_law": ("multicontact",) * 5}, {}, r"contact_law is given without friction"),
+        ({"top": ("clamped",) * 5}, {}, r"column top: 'clamped': one of free, held"),
+        ({}, {"free": ["stiffness", "friction"]}, r"parameter friction: the measurements state no friction to start from"),
         ({"threshold_slope": 1e-4}, {}, r"threshold_slope: a fit of a block takes level thresholds"),
         pytest.param({}, {"body": "block", "event": "domino"}, r"so its length is that of the whole event: 'full'", marks=pytest.mark.ci),
         ({}, {"body": "brick"}, r"body = 'brick': must be one of 'slider', 'block'"),
@@ -463,10 +468,11 @@ def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     ]
 
 
-def test_a_block_that_ends_is_refused_by_the_names_of_its_columns():
+def test_a_machine_beside_a_push_is_refused_by_the_names_of_its_columns():
     """No other body is recommended: the slider would give another stiffness."""
-    table = pd.read_csv(ROOT / "fit_examples/pmma_block/lengths.csv").assign(block_length_mm=500.0, push_height_mm=5.0)
-    with pytest.raises(ValueError, match="block_length_mm beside push_height_mm") as refused:
+    table = pd.read_csv(ROOT / "fit_examples/pmma_block/lengths.csv")
+    table = table.assign(machine_stiffness_N_per_m=1e9, block_width_mm=10.0, push_height_mm=5.0)
+    with pytest.raises(ValueError, match="machine_stiffness_N_per_m beside push_height_mm") as refused:
         sp.fit(table)
     assert "slider" not in str(refused.value)
     assert "leave it out" in str(refused.value)
@@ -489,3 +495,108 @@ def test_long_computations_are_announced_once(slow, capsys, monkeypatch):
     assert out == ""
     assert bool(re.fullmatch(rf"following {24} events of blocks, which takes about \d+ s more\n", err)) == slow
     assert bool(err) == slow
+
+
+# --- pressure ------------------------------------------------------------------------------------------------------------
+
+
+def of_pressed(stiffness=4e-3, ratio=None, **given):
+    """Lengths of blocks with friction on their own contacts, with errors of 2 %, as a table."""
+    rows = [(h, at) for h in (40.0, 60.0, 80.0) for at in (0.15, 0.25)]
+    height, push = np.array(rows).T
+    law = {"contact_law": given.get("contact_law", "amontons"), "top": given.get("top", "free")}
+    ends = [None if ratio is None else round(ratio * h) for h in height]
+    blocks = [
+        sp.Block(h, stiffness, 0.3, sp.Push(at, 0.1), length=end, friction=given["friction"], **law)
+        for h, at, end in zip(height, push, ends, strict=True)
+    ]
+    length = np.array([float(sp.precursor_length(one, event="full")) for one in blocks])
+    noise = np.random.default_rng(3).normal(size=len(length))
+    columns = {name: (x,) * len(height) if isinstance(x, str) else x for name, x in given.items()}
+    return sp.Measurements(
+        height=height, poisson=0.3, length=length * (1 + 0.02 * noise), length_sigma=0.02 * length, push_height=push * height,
+        push_width=0.1 * height, block_length=None if ratio is None else ratio * height, **columns,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def with_friction():
+    m = of_pressed(friction=0.25)
+    return m, sp.fit(m)
+
+
+@pytest.mark.ci
+def test_a_fit_of_blocks_with_friction(with_friction):
+    m, found = with_friction
+    assert found.identifiability is Identifiability.IDENTIFIED
+    (piece,) = found.intervals["stiffness"][0.95]
+    assert piece.low < 4e-3 < piece.high
+    assert "thresholds that follow the pressure" in unfolded(found.report())
+    assert "μ = 0.25" in found.methods()
+    assert 0.7 < np.exp(moves(found)["friction"]["stiffness"]) < 1.3  # μ larger by 10 %
+    # without friction a length is that of contacts more than twice as stiff, and a fit of all is worse than any error
+    moved = np.exp(moves(found)["pressure"]["stiffness"])
+    ratio = found.fitted / m.height
+    i = int(np.argsort(ratio)[len(ratio) // 2])
+    block = sp.Block(
+        m.height[i], moved * found.values["stiffness"], 0.3, sp.Push(m.push_height[i] / m.height[i], 0.1), normal_stiffness=1.2
+    )
+    assert float(sp.precursor_length(block, event="full")) == pytest.approx(found.fitted[i], rel=0.03)
+    without = sp.fit(dataclasses.replace(m, friction=0.0))
+    assert without.identifiability is Identifiability.POOR_FIT
+    assert without.values["stiffness"] > 2 * found.values["stiffness"]
+
+
+@pytest.mark.ci
+def test_a_fit_of_blocks_that_end():
+    """Lengths followed are those of the block itself, pressure and end included, to what contacts of two sizes leave."""
+    m = of_pressed(friction=0.25, ratio=3)
+    found = sp.fit(m)
+    (piece,) = found.intervals["stiffness"][0.95]
+    assert piece.low < 4e-3 < piece.high
+    assert "with the stated end" in unfolded(found.report())
+    assert "block with a free end under two-dimensional elasticity" in unfolded(found.report(verbose=True))
+    for i in (0, 3):
+        push = sp.Push(m.push_height[i] / m.height[i], 0.1)
+        block = sp.Block(m.height[i], found.values["stiffness"], 0.3, push, length=round(m.block_length[i]), friction=0.25)
+        assert found.fitted[i] == pytest.approx(float(sp.precursor_length(block, event="full")), rel=0.03)
+
+
+@pytest.mark.ci
+def test_friction_with_an_error_is_fitted_beside(with_friction):
+    m, exact = with_friction
+    found = sp.fit(dataclasses.replace(m, friction_sigma=0.025))
+    assert "friction[0.25]" in found.inputs
+    assert found.stderrs["stiffness"] > exact.stderrs["stiffness"]
+    fitted = sp.fit(m, free=["stiffness", sp.Parameter("friction", prior=(0.3, 0.05))])
+    assert fitted.parameters.named("friction").symbol == "μ"
+    low, high = fitted.values["friction"] - 0.1, fitted.values["friction"] + 0.1
+    assert low < 0.25 < high
+
+
+@pytest.mark.ci
+def test_a_table_without_friction_is_told_what_pressure_would_make_of_it():
+    m = dataclasses.replace(of_pressed(friction=0.0), friction=None)
+    found = sp.fit(m)
+    some, much = np.exp(next(one for one in found.changes if one.name == "pressure").moves["stiffness"])
+    assert some < 0.7  # pressure shortens fronts: contacts must be softer
+    assert np.isnan(much) or much < some
+    assert "thresholds that follow the pressure, at μ = 0.3 or 0.6" in found.report()
+
+
+@pytest.mark.ci
+def test_heights_of_pushes_may_share_their_error(study):
+    _, m = study
+    found = sp.fit(dataclasses.replace(m, push_height_sigma=0.02 * m.push_height))
+    (step,) = [one for one in found.next_steps if "each push has an error" in one]
+    assert "leave push_height_sigma out" in step
+    shared = sp.fit(m, free=["stiffness", sp.Parameter("push_height", prior=(m.push_height[0], 0.02 * m.push_height[0]))])
+    assert shared.stderrs["stiffness"] > found.stderrs["stiffness"]
+
+
+@pytest.mark.ci
+@pytest.mark.slow
+def test_a_fit_of_rough_contacts():
+    found = sp.fit(of_pressed(friction=0.25, contact_law="multicontact", ratio=2))
+    (piece,) = found.intervals["stiffness"][0.95]
+    assert piece.low < 4e-3 < piece.high

@@ -219,5 +219,5 @@ def test_lengths_that_nothing_reaches_and_a_single_one():
 def test_no_block_is_suggested_where_the_table_states_what_one_cannot_take():
     """Of the lengths that suggest one otherwise (`test_a_trend_in_height`)."""
     length = lengths(0.004, prestress=0.3) + NOISE
-    _, steps = rejected(length, block_length=1e5)
+    _, steps = rejected(length, machine_stiffness=1e5)
     assert not any("push_height" in step for step in steps)
