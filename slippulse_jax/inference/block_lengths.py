@@ -155,25 +155,27 @@ class BlockLengths:
             weight = np.stack([1 - part, part])[:, None] * np.stack([1 - share[lanes], share[lanes]])[None]
             used = (weight > 0) & np.isfinite(there)
             good = used & np.isfinite(before) & (there > least) & (before > least)
-            total = [(weight * every).sum(axis=(0, 1)) for every in (good, used)]
+            share_good, share_used = ((weight * every).sum(axis=(0, 1)) for every in (good, used))
             with np.errstate(all="ignore"):
-                log_ratio = (weight * np.where(good, np.log(there / before), 0)).sum(axis=(0, 1)) / total[0]
-                alone = np.where(total[1] > 0, (weight * np.where(used, there, 0)).sum(axis=(0, 1)) / total[1], np.inf)
-            value[lanes] = np.where(total[0] > 0, value[lanes] * np.exp(log_ratio), alone)
+                log_ratio = (weight * np.where(good, np.log(there / before), 0)).sum(axis=(0, 1)) / share_good
+                alike = np.where(share_good > 0, share_good * value[lanes] * np.exp(log_ratio), 0)
+                others = (weight * np.where(used & ~good, there, 0)).sum(axis=(0, 1))  # by themselves
+                value[lanes] = np.where(share_used > 0, (alike + others) / share_used, np.inf)
         return np.stack([value, error])
 
     def _beside(self, origin: np.ndarray, axis: int, step: np.ndarray, j: np.ndarray) -> Float[np.ndarray, "2 2 2 n"]:
         """ℓ/H of blocks moved so many steps along an axis or one more, at two nodes in ln b; and of the blocks themselves."""
+        rows, own = distinct_rows(np.column_stack([origin, step, j]).astype(float))
         moved, still = [], []
         for side in (0, 1):
             for beside in (0, WIDEST):
-                for i, m, node in zip(origin.tolist(), step.tolist(), j.tolist(), strict=True):
+                for i, m, node in rows.astype(int).tolist():
                     height = self._height(i)
                     moved.append((self._moved(i, axis, m + side), height, node + beside))
                     still.append((self.origins[i], height, node + beside))
         _follow([*moved, *still])
         values = [_known[geometry, height][node].value for geometry, height, node in (*moved, *still)]
-        return np.array(values).reshape(2, 2, 2, -1)
+        return np.array(values).reshape(2, 2, 2, -1)[..., own]
 
     def _height(self, i: int) -> float:
         """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
