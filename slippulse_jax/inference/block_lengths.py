@@ -224,9 +224,14 @@ class BlockLengths:
 
 
 def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
-    """What the blocks are like, beside λc/H and b."""
-    ratio = inputs.more.get("log_sites", np.full_like(inputs.log_height, np.inf)) - inputs.log_height
-    return np.stack([ratio if name == "log_ratio" else inputs.get(name) for name in GEOMETRY], axis=-1)
+    """What the blocks are like, beside λc/H and b; without an end, friction and what else is not among the inputs."""
+    absent = {"log_sites": np.inf, "log_normal_stiffness": np.inf}
+
+    def stated(name: str) -> np.ndarray:
+        return inputs.get(name) if name in inputs.names else np.full_like(inputs.log_height, absent.get(name, 0))
+
+    ratio = stated("log_sites") - inputs.log_height
+    return np.stack([ratio if name == "log_ratio" else stated(name) for name in GEOMETRY], axis=-1)
 
 
 def _ratio(geometry: Geometry) -> float:
