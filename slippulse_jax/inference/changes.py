@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.block_lengths import BlockLengths, b_of_tall, geometry_of
+from slippulse_jax.inference.block_lengths import FAR, UNIT, BlockLengths, b_of_tall, geometry_of
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
@@ -311,12 +311,18 @@ def _pressed(fitted: Fitted, i: int, friction: float) -> float:
     normal = np.where(np.isinf(normal), math.log(USUAL_NORMAL_STIFFNESS), normal)
     other = one.given(friction=np.array([friction]), log_normal_stiffness=normal)
     grid = np.linspace(np.log(q.front.softest(m)[i]), np.log(q.front.stiffest(m)[i]), SCANNED)
-    scanned = other.take(np.zeros(SCANNED, int))._replace(log_stiffness=grid)
-    off = BlockLengths(geometry_of(other), length / np.exp(one.log_height))(scanned)[0] - length
+    followed = BlockLengths(geometry_of(other), length / np.exp(one.log_height))
+
+    def lengths(log_stiffness: np.ndarray) -> np.ndarray:
+        return followed(other.take(np.zeros(log_stiffness.size, int))._replace(log_stiffness=log_stiffness))[0]
+
+    off = lengths(grid) - length
     with np.errstate(invalid="ignore"):  # inf − inf
         crossed = np.flatnonzero(np.isfinite(off[:-1] + off[1:]) & (np.sign(off[:-1]) != np.sign(off[1:])))
-    moves = grid[crossed] + np.diff(grid)[crossed] * off[crossed] / (off[crossed] - off[crossed + 1]) - one.log_stiffness
-    return float(moves[np.abs(moves).argmin()]) if len(moves) else math.nan
+    found = grid[crossed] + np.diff(grid)[crossed] * off[crossed] / (off[crossed] - off[crossed + 1])
+    # between nodes of which one has an event of few breaks, there is none of this length
+    found = found[[bool((lengths(at + np.array([-UNIT, UNIT])) > length / FAR).all()) for at in found]] if found.size else found
+    return float((found - one.log_stiffness)[np.abs(found - one.log_stiffness).argmin()]) if found.size else math.nan
 
 
 def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:

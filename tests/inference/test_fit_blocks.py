@@ -142,7 +142,9 @@ def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
     expected = BlockLengths()(moved)[0]
     long = expected > 0.3 * expected.max()
     assert found.max() < 1.05 * expected.max()
-    np.testing.assert_allclose(found[long & (b < 20)], expected[long & (b < 20)], rtol=0.04)
+    last = np.exp(2 * block_lengths.WIDEST * block_lengths.UNIT)  # node before those at which events stop early
+    np.testing.assert_allclose(found[long & (b < last)], expected[long & (b < last)], rtol=0.04)
+    np.testing.assert_allclose(found[long & (b < 20)], expected[long & (b < 20)], rtol=0.06)
 
 
 @pytest.mark.ci
@@ -512,7 +514,7 @@ def of_pressed(stiffness=4e-3, ratio=None, **given):
     ]
     length = np.array([float(sp.precursor_length(one, event="full")) for one in blocks])
     noise = np.random.default_rng(3).normal(size=len(length))
-    columns = {name: (x,) * len(height) if isinstance(x, str) else x for name, x in given.items()}
+    columns = {name: (x,) * len(height) if isinstance(x, str) else x for name, x in given.items() if x is not None}
     return sp.Measurements(
         height=height, poisson=0.3, length=length * (1 + 0.02 * noise), length_sigma=0.02 * length, push_height=push * height,
         push_width=0.1 * height, block_length=None if ratio is None else ratio * height, **columns,
@@ -576,11 +578,17 @@ def test_friction_with_an_error_is_fitted_beside(with_friction):
 
 @pytest.mark.ci
 def test_a_table_without_friction_is_told_what_pressure_would_make_of_it():
-    m = dataclasses.replace(of_pressed(friction=0.0), friction=None)
+    m = of_pressed(friction=None)
     found = sp.fit(m)
-    some, much = np.exp(next(one for one in found.changes if one.name == "pressure").moves["stiffness"])
-    assert some < 0.7  # pressure shortens fronts: contacts must be softer
-    assert np.isnan(much) or much < some
+    moved = np.exp(next(one for one in found.changes if one.name == "pressure").moves["stiffness"])
+    assert moved.shape == (2,)
+    ratio = found.fitted / m.height
+    i = int(np.argsort(ratio)[len(ratio) // 2])
+    push = sp.Push(m.push_height[i] / m.height[i], 0.1)
+    for factor, friction in zip(moved[np.isfinite(moved)], np.array([0.3, 0.6])[np.isfinite(moved)], strict=True):
+        block = sp.Block(m.height[i], factor * found.values["stiffness"], 0.3, push, friction=friction)
+        assert float(sp.precursor_length(block, event="full")) == pytest.approx(found.fitted[i], rel=0.04)
+    assert not np.allclose(moved, 1, atol=0.1)
     assert "thresholds that follow the pressure, at μ = 0.3 or 0.6" in found.report()
 
 
