@@ -10,11 +10,10 @@ them acts on it as a force. Newton's method finds their balance and the load at 
 stiffnesses are those at its nucleation; a break then moves every stretch by a known amount again.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.response import Response, of_matrix
@@ -69,19 +68,19 @@ def balance(
         pull = q * jnp.where(body.friction * q == 0, 1, -jnp.expm1(-body.friction * q) / _or_one(body.friction * q))
         return stretch, q, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
 
-    def linear(z: Array) -> tuple[tuple[Array, Array], Any]:
-        """Derivatives of the force, in ⟨u_x⟩ and in ⟨u_y⟩ of the same contact, and 1 − M times them as factors."""
+    def linear(z: Array) -> tuple[tuple[Array, Array], Array]:
+        """Derivatives of the force, in ⟨u_x⟩ and in ⟨u_y⟩ of the same contact, and the inverse of 1 − M times them."""
         stretch, _, pressure, _ = at(z)
         less = 1 - pressure
         along, across = jnp.concatenate([less, body.normal * less]), body.normal * body.friction * pressure * stretch
         coupled = body.matrix * along[None]
         coupled = coupled.at[:, sites:].add(body.matrix[:, :sites] * across[None])
-        return (along, across), lu_factor(jnp.eye(2 * sites, dtype=z.dtype) - coupled)
+        return (along, across), inverse(jnp.eye(2 * sites, dtype=z.dtype) - coupled)
 
-    def step(z: Array, slopes: tuple[Array, Array], factors: Any) -> tuple[Array, Array, Array]:
+    def step(z: Array, slopes: tuple[Array, Array], solve: Array) -> tuple[Array, Array, Array]:
         along, across = slopes
         short = (at(z)[3] - along * z).at[:sites].add(-across * z[sites:])
-        still, moved = lu_solve(factors, jnp.stack([body.matrix @ short, body.push], -1)).T
+        still, moved = solve @ (body.matrix @ short), solve @ body.push
         rising = moved[:sites] > 0
         needed = jnp.where(rising, (threshold + free - still[:sites]) / jnp.where(rising, moved[:sites], 1), jnp.inf)
         first = jnp.argmin(needed)
