@@ -88,7 +88,7 @@ def command(
             raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
         if friction is not None or normal_stiffness is not None or (contact_law, top) != ("amontons", "free"):
             raise click.UsageError(
-                "friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
+                "--friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
             )
         length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
         if length is not None and right == "semi-infinite":

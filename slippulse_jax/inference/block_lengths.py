@@ -326,7 +326,7 @@ def _follow(keys: Sequence[tuple[Geometry, float, int]]) -> None:
         found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
         for key, value, off in zip(part, found, error, strict=True):
             _known[key[:2]][key[2]] = Node(value, 0.0, off)
-    _pairs([key for key in new if key not in set(held)])
+    _pairs([key for key in new if not (key[0][1] > 0 and np.isinf(_ratio(key[0])))])
 
 
 def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:

@@ -417,6 +417,8 @@ def _default_bounds(
             reach = PRIOR_REACH * sigma / mean
             return mean * np.exp(-reach), mean * np.exp(reach)
         low, high = PARAMETERS[name].limits
+        if name in front.inputs:
+            high = min(high, 0.99 * front.inputs[name].high)
         return max(low, mean - PRIOR_REACH * sigma), min(high, mean + PRIOR_REACH * sigma)
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
