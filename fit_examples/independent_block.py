@@ -41,12 +41,13 @@ def element(width, height, poisson):
     return stiffness
 
 
-def responses(height, contacts, low, high, stiffness, poisson, normal):
-    """Stress of every contact and what its pressure has lost, over σ_s and p̄/μ: per unit of the push, and per pinning point.
+def responses(height, contacts, low, high, stiffness, poisson, normal=None, reach=None):
+    """Stress of the first contacts and what their pressure has lost, over σ_s and p̄/μ, per unit of push and pinning points.
 
     The left side is pushed from `low` to `high`; the top and the right end are free. A spring k = `stiffness` acts on the mean
-    of u_x over each contact, and `normal` times as much on u_y, spread evenly.
+    of u_x over each contact, and `normal` times as much on u_y, spread evenly; None: the bottom stays on the track.
     """
+    reach = contacts if reach is None else reach
     fine = CORNER * height
     y = np.append(graded(low, AT_INTERFACE, fine), low + graded(high - low, fine, fine if high < height else None)[1:])
     y = np.append(y, high + graded(height - high, fine)[1:]) if high < height else y
@@ -65,20 +66,23 @@ def responses(height, contacts, low, high, stiffness, poisson, normal):
     part = np.diff(x)[:, None] * np.array([1, 4, 1]) / 6
     at = np.repeat(contact, 3), below.ravel()
     mean, across = (sparse.csc_matrix((part.ravel(), (at[0], at[1] + axis)), (contacts, size)) for axis in (0, 1))
-    spread = np.array([[4, 2, -1], [2, 16, 2], [-1, 2, 4]]) / 30
-    foundation = assembled(normal * stiffness * np.diff(x)[:, None, None] * spread, below + 1, size)
-    K = (K + stiffness * mean.T @ mean + foundation).tocsc()
+    K = K + stiffness * mean.T @ mean
+    if normal is not None:
+        spread = np.array([[4, 2, -1], [2, 16, 2], [-1, 2, 4]]) / 30
+        K = K + assembled(normal * stiffness * np.diff(x)[:, None, None] * spread, below + 1, size)
+    K = K.tocsc()
     side = np.zeros(rows)
     side[0::2], side[1::2] = y, (y[1:] + y[:-1]) / 2
     held = 2 * np.flatnonzero((side >= low * (1 - 1e-9)) & (side <= high * (1 + 1e-9)))
-    free = np.setdiff1d(np.arange(size), held)
+    free = np.setdiff1d(np.arange(size), held if normal is not None else np.append(held, below + 1))
     solve = splu(K[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve
     pushed = solve(-K[free][:, held] @ np.ones(len(held)))
-    mean, across = mean[:, free], across[:, free]
-    pulls = [mean[n : n + AT_ONCE].T.toarray() for n in range(0, contacts, AT_ONCE)]
+    mean, across = mean[:reach, free], across[:reach, free]
+    pulls = [mean[n : n + AT_ONCE].T.toarray() for n in range(0, reach, AT_ONCE)]
     slip = [solve(stiffness * pull) for pull in pulls]
     response, lost = (np.hstack([part @ one for one in slip]) for part in (mean, across))
-    return mean @ pushed, response, normal * (across @ pushed), normal * lost
+    relief = normal or 0
+    return mean @ pushed, response, relief * (across @ pushed), relief * lost
 
 
 def assembled(every, freedom, size):
@@ -87,7 +91,7 @@ def assembled(every, freedom, size):
     return sparse.csc_matrix((v.ravel(), (i.ravel(), j.ravel())), (size, size))
 
 
-def precursor(push, response, push_lost, lost, friction):
+def precursor(push, response, push_lost, lost, friction=0.0):
     """Length of the first precursor: largest Coulomb stress s + μ q breaks next, down to 1, the pusher held meanwhile.
 
     A straight line from what the last contact had too much to what the next one lacks. It is inf if no contact is left.

@@ -32,8 +32,6 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.bodies.response import Response, of_matrix
 from slippulse_jax.bulk.compiler import in_full, inverse_without_pivots
 
-BAND = 3
-"""How far apart in a column freedoms may be on which one layer of elements acts, two of each node."""
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
 
@@ -126,24 +124,42 @@ def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> t
 
 @in_full
 def doubled(slab: Slab, along: Along) -> Slab:
-    """Join two slabs in a row; readings of the column between them are passed on to the outer columns.
+    """Join two slabs in a row."""
+    read = slab.reading_right + slab.reading_left
+    apart = slab._replace(across=jnp.zeros_like(slab.across), own=2 * slab.own)
+    return joined(apart, slab.across, 2 * slab.left, read, along)
 
-    A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S, and D_01 S is symmetric. So
-    displacements of the column between along and across the guide do not act on each other: each half is inverted by itself.
+
+def joined(sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along) -> Slab:
+    """Eliminate the column in the middle of a slab; what reads it is passed on to the outer columns.
+
+    A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S. So displacements of the middle
+    along and across the guide do not act on each other: each half is inverted by itself.
+
+    Parameters
+    ----------
+    sides : Slab
+        The outer columns, as they are without the middle.
+    toward : array, shape (n, n)
+        Stiffness between the left column and the middle; of the right one it is the mirror image.
+    middle : array, shape (n, n)
+        Stiffness of the middle. Only what acts within either half is used.
+    read : array, shape (r, n)
+        How the interface reads the middle.
+    along : tuple of int
+        Numbers of the freedoms along the guide.
     """
-    parts, sign = _halves(along, len(slab.left))
-    mirrored, read = slab.across * sign[None], slab.reading_right + slab.reading_left
+    parts, sign = _halves(along, len(toward))
     moved, halves = jnp.zeros_like(read), []
     for part in parts:
-        toward = mirrored[:, part]
-        between = inverse_of_definite(2 * slab.left[part[:, None], part])
-        halves.append(toward @ between @ toward.T)
+        between = inverse_of_definite(middle[part[:, None], part])
+        halves.append(toward[:, part] @ between @ toward[:, part].T)
         moved = moved.at[:, part].set(read[:, part] @ between)
-    left, across = slab.left - (halves[0] + halves[1]), halves[1] - halves[0]
+    left, across = sides.left - (halves[0] + halves[1]), sides.across * sign[None] + halves[1] - halves[0]
     left, across = (left + left.T) / 2, (across + across.T) / 2
     return Slab(
-        left, across * sign[None], sign[:, None] * left * sign[None], slab.reading_left - (moved * sign[None]) @ mirrored,
-        slab.reading_right - (moved @ mirrored) * sign[None], 2 * slab.own + read @ moved.T,
+        left, across * sign[None], sign[:, None] * left * sign[None], sides.reading_left - moved @ toward.T,
+        sides.reading_right - ((moved * sign[None]) @ toward.T) * sign[None], sides.own + read @ moved.T,
     )  # fmt: skip
 
 
@@ -211,7 +227,7 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
     Parameters
     ----------
     layers : Slab
-        Over contact 0 from the pusher on; each number has a leading axis. Within `BAND` of the diagonal, as of single elements.
+        Over contact 0 from the pusher on; each number has a leading axis.
     displaced : array, shape (n,)
         1 for the freedoms of column 0 that move with the pusher.
     force : array, shape (n,)
@@ -228,8 +244,8 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
         inner = keep[:, None] * (behind.stiffness + layer.left) * keep[None] + jnp.diag(held)
         free = keep[:, None] * inverse_of_definite(inner) * keep[None]
         load = behind.load - layer.left @ held
-        moved, back = held + free @ load, _times_banded(free, layer.across)
-        stiffness = layer.right - _times_banded(back.T, layer.across).T
+        moved, back = held + free @ load, free @ layer.across
+        stiffness = layer.right - layer.across.T @ back
         found = behind._replace(
             stiffness=(stiffness + stiffness.T) / 2,  # what rounding leaves beside would grow from layer to layer
             load=-moved @ layer.across,
@@ -241,16 +257,6 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
 
     (found, _), passed = lax.scan(pass_layer, (begin, displaced), layers)
     return found._replace(layers=passed)
-
-
-def _times_banded(matrix: Float[Array, "n n"], band: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Product with a matrix that has nothing beyond `BAND` diagonals on either side."""
-    n, padded = len(band), jnp.pad(matrix, ((0, 0), (BAND, BAND)))
-    found = jnp.zeros_like(matrix)
-    for by in range(-min(BAND, n - 1), min(BAND, n - 1) + 1):
-        diagonal = jnp.pad(jnp.diagonal(band, -by), (max(-by, 0), max(by, 0)))  # band[j + by, j]
-        found = found + padded[:, BAND + by : BAND + by + n] * diagonal[None]
-    return found
 
 
 def attached_edge(edge: Edge, contact: Array) -> Edge:

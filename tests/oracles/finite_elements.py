@@ -9,29 +9,25 @@ import scipy.sparse as sparse
 from numpy.polynomial import Polynomial
 from scipy.sparse.linalg import splu
 
-# on an edge from −1 to 1: its two linear shapes, a bubble, and a constant; ∫ f g, ∫ f′ g and ∫ f′ g′
-EDGE = [Polynomial([0.5, -0.5]), Polynomial([0.5, 0.5]), Polynomial([1, 0, -1]), Polynomial([1])]
-PRODUCTS = [
+# on an edge from −1 to 1: 1 at its start, its middle and its end, and 0 at the other two; ∫ f g, ∫ f′ g and ∫ f′ g′
+EDGE = [Polynomial([0, -0.5, 0.5]), Polynomial([1, 0, -1]), Polynomial([0, 0.5, 0.5])]
+PLAIN, MIXED, BENT = (
     np.array([[np.diff((f.deriv(m) * g.deriv(n)).integ()([-1, 1]))[0] for g in EDGE] for f in EDGE])
     for m, n in ((0, 0), (1, 0), (1, 1))
-]
-ALONG, ACROSS = np.array([0, 1, 1, 0, 2, 3]), np.array([0, 0, 1, 1, 3, 2])
-"""Which of them, along x and along y, make up the four nodal shapes and the two incompatible modes."""
+)
 
 
 def rectangle(width, height, poisson):
-    """Four-node rectangle with incompatible modes 1 − ξ² and 1 − η², plane stress, E = 1."""
-    plain_x, mixed_x, bent_x = (one[np.ix_(ALONG, ALONG)] for one in PRODUCTS)
-    plain_y, mixed_y, bent_y = (one[np.ix_(ACROSS, ACROSS)] for one in PRODUCTS)
-    xx, xy, yy = bent_x * plain_y * height / width, mixed_x * mixed_y.T, plain_x * bent_y * width / height
+    """Biquadratic element, plane stress, E = 1; u_x and u_y of nine nodes, row by row from below."""
+    xx, yy = np.kron(PLAIN, BENT) * height / width, np.kron(BENT, PLAIN) * width / height
+    xy = np.kron(MIXED.T, MIXED)
     stiff, shear = 1 / (1 - poisson**2), 1 / (2 * (1 + poisson))
-    K = np.zeros((12, 12))
+    K = np.zeros((18, 18))
     K[0::2, 0::2] = stiff * xx + shear * yy
     K[1::2, 1::2] = stiff * yy + shear * xx
     K[0::2, 1::2] = stiff * poisson * xy + shear * xy.T
     K[1::2, 0::2] = K[0::2, 1::2].T
-    nodal, mixed, inner = K[:8, :8], K[:8, 8:], K[8:, 8:]
-    return nodal - mixed @ np.linalg.solve(inner, mixed.T)
+    return K
 
 
 class WholeBlock:
@@ -41,32 +37,31 @@ class WholeBlock:
     """
 
     def __init__(self, y, widths, stiffness, poisson, pushed, force=None, reach=None, normal=None, top="free"):
-        contacts, every, ends = len(widths), np.concatenate(widths), np.append(0, np.cumsum([len(x) for x in widths]))
-        rows, columns = y.size, every.size + 1
+        contacts, every = len(widths), np.concatenate(widths)
+        contact = np.repeat(np.arange(contacts), [len(own) for own in widths])
+        rows, columns = y.size, 2 * every.size + 1
         index = np.arange(2 * rows * columns).reshape(columns, rows, 2)
-        of_width = {w: [rectangle(w, h, poisson) for h in np.diff(y)] for w in set(every.tolist())}
+        of_width = {w: [rectangle(w, h, poisson) for h in np.diff(y[::2])] for w in set(every.tolist())}
         elements = np.array([of_width[w] for w in every.tolist()])
-        corners = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-        at = np.concatenate(corners, axis=-1)  # of every element its eight freedoms
+        nodes = [index[i : columns - 2 + i : 2, j : rows - 2 + j : 2] for j in range(3) for i in range(3)]
+        at = np.concatenate(nodes, axis=-1)  # of every element its eighteen freedoms
         i, j, v = np.broadcast_arrays(at[..., :, None], at[..., None, :], elements)
         size = index.size
         K = sparse.csr_matrix((v.ravel(), (i.ravel(), j.ravel())), (size, size))
-        mean, across = sparse.lil_matrix((contacts, size)), sparse.lil_matrix((contacts, size))
-        for n, (start, own) in enumerate(zip(ends, widths, strict=False)):
-            shape = (np.append(own, 0) + np.append(0, own)) / 2  # of ∫ u dx over a contact, of length 1
-            mean[n, index[start : start + len(own) + 1, 0, 0]] = shape
-            across[n, index[start : start + len(own) + 1, 0, 1]] = shape
-        mean, across = mean.tocsr(), across.tocsr()
+        lower = [index[i : columns - 2 + i : 2, 0] for i in range(3)]
+        mean, across = (  # ∫ u dx over a contact, of length 1
+            sum(sparse.csr_matrix((every * w / 6, (contact, part[:, axis])), (contacts, size))
+                for w, part in zip((1, 4, 1), lower, strict=True)) for axis in (0, 1)
+        )  # fmt: skip
         K = K + stiffness * mean.T @ mean
         held = np.zeros(size, bool)
         if normal is None:
             held[index[:, 0, 1]] = True
-        else:  # a spring under every point of the lower edge, by Simpson's rule exact for its linear shapes
-            for weight, at_left in ((1, 1.0), (4, 0.5), (1, 0.0)):
-                for a, first in ((at_left, index[:-1, 0, 1]), (1 - at_left, index[1:, 0, 1])):
-                    for b, second in ((at_left, index[:-1, 0, 1]), (1 - at_left, index[1:, 0, 1])):
-                        spring = normal * stiffness * every * weight / 6 * a * b
-                        K = K + sparse.csr_matrix((spring, (first, second)), (size, size))
+        else:  # a spring under every point of the lower edge
+            for i, first in enumerate(lower):
+                for j, second in enumerate(lower):
+                    spring = normal * stiffness * every / 2 * PLAIN[i, j]
+                    K = K + sparse.csr_matrix((spring, (first[:, 1], second[:, 1])), (size, size))
         if top == "held":
             held[index[:, -1, 1]] = True
         load = np.zeros(size)
@@ -85,7 +80,7 @@ class WholeBlock:
         inner = mean[:reach, free]
         moved = solve(np.ascontiguousarray(inner.T.toarray()))
         self.matrix, self.across = stiffness * (inner @ moved), stiffness * (across[:reach, free] @ moved)
-        self.x, self.lower, self.heights = np.append(0, np.cumsum(every)), index[:, 0, 1], y
+        self.ends, self.lower, self.heights = np.append(0, np.cumsum(every)), index[:, 0, 1], y
         self.under_push = x
         reaction = K @ x - load
         self.at_pusher = reaction[at] if force is None else np.asarray(load[at])
