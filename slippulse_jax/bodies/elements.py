@@ -113,7 +113,9 @@ def slabs(block: Block, finer: int = 0) -> tuple[Slab, Slab]:
         All over any other contact.
     """
     corner, other = widths(block, finer)
-    every = jax.vmap(lambda width: _column(block, heights(block, finer), width, along(block, finer)))(jnp.append(corner, other[0]))
+    every = jax.vmap(lambda width: _column(block, heights(block, finer), width, along(block, finer)))(
+        jnp.append(corner, other[0])
+    )
     layers, slab = jax.tree.map(lambda x: x[:-1], every), jax.tree.map(lambda x: x[-1], every)
     for _ in range(HALVINGS + finer):
         slab = doubled(slab, along(block, finer))
@@ -178,5 +180,5 @@ def loaded(block: Block, finer: int = 0) -> tuple[Float[Array, " n"], Float[Arra
     if push.control == "displacement":
         return along(under), none
     part = jnp.diff(y[::2]) * (under[2::2] & under[:-2:2]).astype(y.dtype)
-    first, middle, last = (jnp.zeros_like(y).at[at:at + 2 * part.size:2].add(mean * part) for at, mean in enumerate(_MEANS))
+    first, middle, last = (jnp.zeros_like(y).at[at : at + 2 * part.size : 2].add(mean * part) for at, mean in enumerate(_MEANS))
     return none, along((first + middle + last) / part.sum())

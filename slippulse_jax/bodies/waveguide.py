@@ -130,7 +130,9 @@ def doubled(slab: Slab, along: Along) -> Slab:
     return joined(apart, slab.across, 2 * slab.left, read, along)
 
 
-def joined(sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along) -> Slab:
+def joined(
+    sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along
+) -> Slab:
     """Eliminate the column in the middle of a slab; what reads it is passed on to the outer columns.
 
     A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S. So displacements of the middle

@@ -231,7 +231,10 @@ def test_a_block_with_a_free_end(push):
         block = sp.Block(4.0, 0.08, 0.3, push, length=contacts)
         dense = whole(block, contacts)
         found = response(block, 64)
-        np.testing.assert_allclose(found.push[0][:contacts], dense.push, rtol=1e-11, atol=1e-11)
+        # under a force nothing but contacts holds the block: rounding grows by what its elements are stiffer than they are
+        np.testing.assert_allclose(
+            found.push[0][:contacts], dense.push, rtol=1e-10 if push.control == "force" else 0, atol=1e-11
+        )
         np.testing.assert_allclose(found.near[0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
         assert not found.push[0][contacts:].any()
         assert not found.near[0][contacts:].any()
@@ -275,8 +278,10 @@ def test_derivatives_of_a_block_that_ends():
         return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(x[3]), length=80), sites=128)
 
     at = jnp.array([20.0, 0.02, 0.3, 0.3])
-    around = [float(length(at + d) - length(at - d)) / (2 * d.sum()) for d in np.diag(1e-6 * np.asarray(at))]
-    np.testing.assert_allclose(jax.grad(length)(at), around, rtol=2e-5)
+    steps = np.diag(2e-4 * np.asarray(at))
+    near, far = ([float(length(at + n * d) - length(at - n * d)) for d in steps] for n in (1, 2))
+    around = (8 * np.array(near) - far) / (12 * steps.sum(axis=1))
+    np.testing.assert_allclose(jax.grad(length)(at), around, rtol=1e-6)
 
 
 # --- closed forms -------------------------------------------------------------------------------------------------------
@@ -292,7 +297,10 @@ def strip(q, height, poisson):
 @pytest.mark.ci
 @pytest.mark.parametrize("reach", [1.0, *(pytest.param(x, marks=pytest.mark.ci) for x in (0.1, 5.0, 20.0, 100.0))])
 def test_stiffness_of_a_strip_at_one_wavelength(reach):
-    """The uniform tractions of patches are waves of q and all q + 2πn, whose compliances add; finer meshes come closer."""
+    """The uniform tractions of patches are waves of q and all q + 2πn, whose compliances add; finer meshes come closer.
+
+    At long waves rounding is all that is left.
+    """
     height, poisson = 200.0, 0.3
     q = reach / height
     every = q + 2 * np.pi * np.arange(-3000, 3001)
@@ -306,14 +314,14 @@ def test_stiffness_of_a_strip_at_one_wavelength(reach):
         reading = np.asarray(slab.reading_left[0]) + np.asarray(slab.reading_right[0]) * phase
         found = (reading @ np.linalg.solve(D, reading.conj())).real + float(slab.own[0, 0])
         off.append(abs(compliance / found - 1))
-    assert off[0] < (1e-3 if reach < 50 else 1e-2)
-    assert off[1] < off[0] / 3
+    assert off[0] < (1e-5 if reach <= 1 else 2e-3)
+    assert off[1] < max(off[0] / 3, 2e-7)
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
 def test_slow_decay_is_that_of_an_edge_load(b):
-    """The first root of the strip's characteristic equation on the imaginary axis; with the square of the elements' size."""
+    """The first root of the strip's characteristic equation on the imaginary axis."""
     poisson = 0.3
 
     def characteristic(z):
@@ -323,12 +331,12 @@ def test_slow_decay_is_that_of_an_edge_load(b):
     slow = brentq(characteristic, 1e-3, 1.2)
     height = 400.0
     off = []
-    for finer in (0, 1, 2):
+    for finer in (0, 1):
         transfer = jax.jit(lambda block, finer=finer: blocks.guide_of(block, finer).transfer)(at_b(height, b, sp.Push(0.3)))
         decay = np.abs(np.linalg.eigvals(np.asarray(transfer))).max()
         off.append(-np.log(decay) * height / slow - 1)
-    assert 0 < off[0] < 2e-3
-    assert off[0] > 3 * off[1] > 9 * off[2]
+    assert abs(off[0]) < 1e-6
+    assert abs(off[1]) < 1e-6
 
 
 @pytest.mark.ci

@@ -103,7 +103,7 @@ def test_a_stiff_interface_across_reads_the_reaction():
 def test_a_rigid_block_tilts_in_a_straight_line(law):
     """π = 1 + 12 μ f (h/L)(x/L − ½) where the pressure is linear; to 12 μ² f² in the exponent where it is not."""
     friction, contacts = 0.1, 60
-    block = pressed(20, 1e-5, sp.Push(0.3, 0.1, "force"), friction, contact_law=law)
+    block = pressed(20, 1e-4, sp.Push(0.3, 0.1, "force"), friction, contact_law=law)
     record = sp.first_precursor(block)
     x = (np.arange(contacts) + 0.5) / contacts
     share = float(record.stress_before.mean())
@@ -129,27 +129,30 @@ TABLE = [
 
 Three more rows have Λ of 1.2 to 1.8 H, next to run-away, where the mesh counts most.
 """
-LONG = [(48, 0.1, 1.257), (24, 0, 1.807), (24, 0.1, 1.196)]
+LONG = [(48, 0.1, 1.257, 1.2702), (24, 0, 1.807, 1.8965), (24, 0.1, 1.196, 1.2104)]
+"""Of that program, and of `fit_examples/independent_block.py`, converged."""
 
 
 @pytest.mark.ci
 def test_values_of_a_separate_program():
     for height, push, friction, length, first, share, edge, most in TABLE:
         found = sp.first_precursor(pressed(height, 0.3, push, friction), event="full")
-        assert length * 0.999 <= float(found.length) / height <= length * 1.017  # two elements per contact: short
+        assert length * 0.999 <= float(found.length) / height <= length * 1.02  # two elements per contact: short
         assert int(found.nucleation) == first
         pressure = found.pressure_before
         np.testing.assert_allclose([found.stress_before.mean(), pressure[0], pressure.max()], [share, edge, most], rtol=0.01)
     assert np.isinf(sp.precursor_length(pressed(48, 0.3, sp.Push(0.25), 0.0), event="full"))
-    for height, friction, length in LONG:
+    for height, friction, length, converged in LONG:
         found = float(sp.precursor_length(pressed(height, 0.3, sp.Push(0.25), friction), event="full")) / height
-        assert length <= found < 1.02 * length
+        assert (
+            length <= found == pytest.approx(converged, rel=4e-3 if length > 1.5 else 1e-3)
+        )  # the longest all but runs through
 
 
 OF_TWO_HEIGHTS = [
-    ("amontons", 1, 0.25, 0.25, 0.7222, 0.6410, 0.821),
-    ("amontons", 1, 0.1, 0.25, 0.1696, 0.4803, 0.971),
-    ("amontons", 10, 0.25, 0.25, 0.6236, 0.4124, 0.573),
+    ("amontons", 1, 0.25, 0.25, 0.7271, 0.6413, 0.8203),
+    ("amontons", 1, 0.1, 0.25, 0.1714, 0.4805, 0.9707),
+    ("amontons", 10, 0.25, 0.25, 0.6251, 0.4130, 0.5728),
     ("multicontact", 1, 0.25, 0.25, 0.783, 0.675, None),
     ("multicontact", 1, 0.25, 0.5, 0.732, 0.651, None),
     ("multicontact", 1, 0.1, 0.5, 0.156, 0.471, None),
@@ -158,14 +161,18 @@ OF_TWO_HEIGHTS = [
 
 @pytest.mark.ci
 def test_values_of_two_contact_laws():
-    """H/λc = 100, L = 2 H, patches of 0.1 H: Λ/H, F/μF_N and the least pressure at nucleation."""
+    """H/λc = 100, L = 2 H, patches of 0.1 H: Λ/H, F/μF_N and the least pressure at nucleation.
+
+    Those of Amontons' law are of `fit_examples/independent_block.py`, whose mesh leaves 0.02 %.
+    """
     for law, b, at, friction, length, share, least in OF_TWO_HEIGHTS:
         block = pressed(100, b, sp.Push(at, 0.1), friction, 2.0, contact_law=law)
         found = sp.first_precursor(block, event="full")
-        assert float(found.length) / 100 == pytest.approx(length, rel=0.01)
-        assert float(found.stress_before.mean()) == pytest.approx(share, rel=0.01)
+        within = 1e-3 if law == "amontons" else 0.01
+        assert float(found.length) / 100 == pytest.approx(length, rel=within)
+        assert float(found.stress_before.mean()) == pytest.approx(share, rel=within)
         if least is not None:
-            assert float(found.pressure_before.min()) == pytest.approx(least, rel=0.01)
+            assert float(found.pressure_before.min()) == pytest.approx(least, rel=within)
 
 
 @pytest.mark.ci
