@@ -37,6 +37,7 @@ STEPS = 25  # of a minimisation at a node
 AT_NODES = 1e-7  # Newton decrement at which it ends
 CROSSING_ROUNDS = 14
 CROSSED = 1e-5  # distance of the deviance from a limit at which an end is found: 10⁻⁵ of the interval
+LARGEST = 1e6  # above a limit that a crossing is sought with; a measured length whose event does not stop has none
 SIMULATIONS = {1: 2000, 2: 500}
 """By the number of fitted parameters."""
 RESOLUTION = {1: 0.15, 2: 0.3}
@@ -238,7 +239,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
     limit = np.array([x for _, x in brackets])
     held = np.arange(problem.p) == j
     left, right = curve.node[index], curve.node[index + 1]
-    f_left, f_right = (np.minimum(curve.deviance[index + k] - limit, 1e6) for k in (0, 1))
+    f_left, f_right = (np.minimum(curve.deviance[index + k] - limit, LARGEST) for k in (0, 1))
     near = np.stack([curve.theta[index], curve.theta[index + 1]], axis=1)
     w_left, w_right, last = f_left.copy(), f_right.copy(), np.zeros(len(index))
     at = left
@@ -248,7 +249,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
         share = 0.5 if round_ % 3 == 2 else share
         at = left + share * (right - left)
         here = constrained(problem, held, at[:, None], near)
-        value = here.deviance - limit
+        value = np.minimum(here.deviance - limit, LARGEST)
         on_left = np.sign(value) == np.sign(f_left)
         left, right = np.where(on_left, at, left), np.where(on_left, right, at)
         w_right = np.where(on_left & (last == 1), w_right / 2, np.where(on_left, w_right, value))
