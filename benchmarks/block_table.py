@@ -7,10 +7,11 @@ import io
 
 import numpy as np
 
+import slippulse_jax as sp
+from slippulse_jax.events.resolution import many, tall_lengths
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.block_lengths import TABLE, TALLEST, BlockLengths
+from slippulse_jax.inference.block_lengths import TABLE, TALLEST
 from slippulse_jax.inference.fronts import BLOCK_FROM, BLOCK_TO
-from slippulse_jax.inference.inputs import Inputs
 
 POISSON, PUSHES = (0.2, 0.3, 0.4), (0.5, 0.25, 0.1)
 SPACING = 0.2
@@ -21,9 +22,9 @@ def main() -> None:
     """Write the table."""
     log_b = np.arange(np.log(BLOCK_FROM), np.log(BLOCK_TO), SPACING)
     poisson, push, at = np.meshgrid(POISSON, PUSHES, log_b, indexing="ij")
-    inputs = Inputs.of(TALLEST, np.exp(at) / (2 * (1 + poisson) * TALLEST), poisson)
-    pushed = inputs.given(log_push=np.log(push), log_push_width=np.full(push.shape, np.inf), push_force=np.zeros(push.shape))
-    found, content = BlockLengths()(pushed.ravel())[0].reshape(push.shape) / TALLEST, io.BytesIO()
+    stiffness, none = np.exp(at) / (2 * (1 + poisson) * TALLEST), np.zeros(at.size)
+    block = many(np.full(at.size, TALLEST), stiffness.ravel(), poisson.ravel(), push.ravel())
+    found, content = tall_lengths(block, sp.Interface(none, none), "full")[0].reshape(at.shape) / TALLEST, io.BytesIO()
     np.savez_compressed(content, poisson=POISSON, push=PUSHES, log_b=log_b, length=found)
     write_atomically(TABLE, content.getvalue())
 
