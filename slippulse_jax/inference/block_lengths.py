@@ -85,8 +85,12 @@ class Curve(NamedTuple):
     runs: list[Run]  # of neighbours at which the event stops
 
 
+Key = tuple[Geometry, float, int]
+"""Geometry, H/λc on whose contacts it is followed, and ln b over `UNIT`."""
 _known: dict[tuple[Geometry, float], dict[int, Node]] = {}
-"""Nodes by geometry, the H/λc on whose contacts they were followed, and ln b over `UNIT`."""
+"""Nodes that were computed, of each geometry and H/λc by their ln b."""
+_computed: dict[Key, float] = {}
+"""ℓ/H on contacts of one size."""
 
 
 class BlockLengths:
@@ -154,10 +158,11 @@ class BlockLengths:
             least = np.array([low / FAR for low, _ in self.target])[origin[lanes]]  # an event of few breaks is another kind
             weight = np.stack([1 - part, part])[:, None] * np.stack([1 - share[lanes], share[lanes]])[None]
             used = (weight > 0) & np.isfinite(there)
-            good = used & np.isfinite(before) & (there > least) & (before > least)
+            still = np.stack([step == 0, step == -1])[:, None] & np.isfinite(value[lanes])  # as measured
+            good = used & np.isfinite(before) & ((there > least) & (before > least) | still)
             share_good, share_used = ((weight * every).sum(axis=(0, 1)) for every in (good, used))
             with np.errstate(all="ignore"):
-                log_ratio = (weight * np.where(good, np.log(there / before), 0)).sum(axis=(0, 1)) / share_good
+                log_ratio = (weight * np.where(good & ~still, np.log(there / before), 0)).sum(axis=(0, 1)) / share_good
                 alike = np.where(share_good > 0, share_good * value[lanes] * np.exp(log_ratio), 0)
                 others = (weight * np.where(used & ~good, there, 0)).sum(axis=(0, 1))  # by themselves
                 value[lanes] = np.where(share_used > 0, (alike + others) / share_used, np.inf)
@@ -173,9 +178,8 @@ class BlockLengths:
                     height = self._height(i)
                     moved.append((self._moved(i, axis, m + side), height, node + beside))
                     still.append((self.origins[i], height, node + beside))
-        _follow([*moved, *still])
-        values = [_known[geometry, height][node].value for geometry, height, node in (*moved, *still)]
-        return np.array(values).reshape(2, 2, 2, -1)[..., own]
+        values = _beside_each_other(moved, still)
+        return values.reshape(2, 2, 2, -1)[..., own]
 
     def _height(self, i: int) -> float:
         """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
@@ -317,19 +321,36 @@ def b_of_tall(length: float, poisson: float) -> dict[str, float]:
 # --- nodes ----------------------------------------------------------------------------------------------------------------
 
 
-def _follow(keys: Sequence[tuple[Geometry, float, int]]) -> None:
+def _follow(keys: Sequence[Key]) -> None:
     """Compute nodes that are not known yet."""
     new = [key for key in dict.fromkeys(keys) if key[2] not in _known.setdefault(key[:2], {})]
-    held = [key for key in new if key[0][1] > 0 and np.isinf(_ratio(key[0]))]  # a prestress may drive an event on for ever
+    held = [key for key in new if _driven(key)]
     for part in _announced([held[i : i + AT_ONCE] for i in range(0, len(held), AT_ONCE)]):
         geometry = np.array([key[0] for key in part])
         found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
         for key, value, off in zip(part, found, error, strict=True):
             _known[key[:2]][key[2]] = Node(value, 0.0, off)
-    _pairs([key for key in new if not (key[0][1] > 0 and np.isinf(_ratio(key[0])))])
+    _pairs([key for key in new if not _driven(key)])
 
 
-def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
+def _beside_each_other(moved: Sequence[Key], still: Sequence[Key]) -> Float[np.ndarray, "2 n"]:
+    """ℓ/H of each block and of another: on contacts of one size, whose error is the same, where both events stop on those."""
+    every = dict.fromkeys((*moved, *still))
+    sized = dict.fromkeys(key for key in every if not _driven(key))
+    sized.update(zip(sized, _lengths(list(sized)), strict=True))
+    found = np.array([[sized.get(key, np.inf) for key in keys] for keys in (moved, still)])
+    longer = np.flatnonzero(~np.isfinite(found).all(axis=0))
+    _follow([keys[i] for keys in (moved, still) for i in longer])
+    found[:, longer] = [[_known[keys[i][:2]][keys[i][2]].value for i in longer] for keys in (moved, still)]
+    return found
+
+
+def _driven(key: Key) -> bool:
+    """Whether a prestress may drive the event on for ever."""
+    return key[0][1] > 0 and bool(np.isinf(_ratio(key[0])))
+
+
+def _pairs(keys: list[Key]) -> None:
     """Compute nodes on contacts of two sizes; on ever larger ones where the event leaves those that are followed."""
     found = dict(zip(keys, _lengths([(g, h, j) for g, h, j in keys]), strict=True))
     larger = dict(zip(keys, _lengths([(g, h / 2, j) for g, h, j in keys]), strict=True))
@@ -348,13 +369,13 @@ def _pairs(keys: list[tuple[Geometry, float, int]]) -> None:
         beyond, factor = [key for key in beyond if not np.isfinite(_known[key[:2]][key[2]].value)], 2 * factor
 
 
-def _lengths(keys: list[tuple[Geometry, float, int]]) -> list[float]:
+def _lengths(keys: list[Key]) -> list[float]:
     """ℓ/H of blocks of some H/λc, inf where the event leaves the contacts followed or the block lifts off."""
+    new = [key for key in dict.fromkeys(keys) if key not in _computed]
     by_block: dict[tuple[Geometry, float], list[int]] = {}
-    for g, h, j in keys:
+    for g, h, j in new:
         by_block.setdefault((g, h), []).append(j)
     lanes = [(*place, every[i : i + TOGETHER]) for place, every in by_block.items() for i in range(0, len(every), TOGETHER)]
-    found: dict[tuple[Geometry, float, int], float] = {}
     for alike in _alike(np.array([g for g, _, _ in lanes])) if lanes else ():
         kind = [lanes[i] for i in alike]
         for part in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
@@ -365,8 +386,8 @@ def _lengths(keys: list[tuple[Geometry, float, int]]) -> list[float]:
             endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
             length = np.where(endless, np.inf, length) / block.height[:, None]
             for (g, h, every), row in zip(part, length, strict=True):
-                found.update(((g, h, j), float(value)) for j, value in zip(every, row, strict=False))
-    return [found[key] for key in keys]
+                _computed.update(((g, h, j), float(value)) for j, value in zip(every, row, strict=False))
+    return [_computed[key] for key in keys]
 
 
 def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:

@@ -286,8 +286,11 @@ def scan(problem: Problem) -> Cells:
         ranges = np.concatenate([corner, centre[:, None]], axis=1)
         bound = 2 * problem.least(ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent, low, high)
         live = bound <= best + slack
-        width = ((high - low) / (box[1] - box[0])).max(axis=1)
-        resolved = (_in_sigmas(problem, bent) <= LINEAR) & np.isfinite(span).all(axis=1) | (width <= NARROWEST)
+        # a jump across a parameter is resolved where nothing changes but across it
+        narrow = (high - low) / (box[1] - box[0]) <= NARROWEST
+        flat = np.stack([_in_sigmas(problem, np.nan_to_num(change)) for change in _changes(corner, upper)], axis=1) <= LINEAR
+        jump = narrow.any(axis=1) & (narrow | flat).all(axis=1)
+        resolved = (_in_sigmas(problem, bent) <= LINEAR) & np.isfinite(span).all(axis=1) | jump
         ready = live & resolved
         done.append((low[ready], high[ready], corner[ready], centre[ready], bound[ready]))
         left = np.nonzero(live & ~resolved)[0]
