@@ -29,10 +29,15 @@ STATED, KNOWN_TO, SHORTEST = (0.1, 0.2, 0.3, 0.4), 0.1, 0.1
 """Coefficients of friction, their relative error, and the least length that is measured, over H."""
 
 
+def measurable(lengths: np.ndarray) -> np.ndarray:
+    """Which precursors stop and are long enough."""
+    return np.isfinite(lengths) & (lengths > SHORTEST * np.array([height for height, _, _ in BLOCKS]))
+
+
 def table(lengths: np.ndarray, measured: np.ndarray, error: float, friction: float | None = None) -> sp.Measurements:
     """What is measured of the blocks whose precursors stop."""
     height, low, high = np.array(BLOCKS, float).T
-    stops = np.isfinite(lengths) & (lengths > SHORTEST * height)
+    stops = measurable(lengths)
     H, low, high = height[stops], low[stops], high[stops]
     patch = high < 1
     pressed = {} if friction is None else {"friction": friction, "friction_sigma": KNOWN_TO * friction}
@@ -94,8 +99,10 @@ def main() -> None:
         exact = lengths(number, 0.0)
         m = table(exact, exact * (1 + 0.005 * rng.standard_normal(exact.size)), 0.005)
         plain.add(sp.fit(m), stiffness[number])
-        number, stated = int(rng.integers(len(B))), float(rng.choice(STATED))
-        exact = lengths(number, stated * (1 + KNOWN_TO * rng.standard_normal()))
+        exact = np.zeros(len(BLOCKS))
+        while measurable(exact).sum() < 3:
+            number, stated = int(rng.integers(len(B))), float(rng.choice(STATED))
+            exact = lengths(number, stated * (1 + KNOWN_TO * rng.standard_normal()))
         measured = exact * (1 + 0.02 * rng.standard_normal(exact.size))
         pressed.add(sp.fit(table(exact, measured, 0.02, stated)), stiffness[number])
         without.add(sp.fit(table(exact, measured, 0.02)), stiffness[number])

@@ -1,4 +1,4 @@
-"""Areal stiffness from blocks whose thresholds follow the pressure, and what a model without pressure makes of the same lengths."""
+"""Areal stiffness from blocks whose thresholds follow the pressure, and what the same lengths give without it."""
 
 from pathlib import Path
 

@@ -339,7 +339,7 @@ def _beside_each_other(moved: Sequence[Key], still: Sequence[Key]) -> Float[np.n
     sized = dict.fromkeys(key for key in every if not _driven(key))
     sized.update(zip(sized, _lengths(list(sized)), strict=True))
     found = np.array([[sized.get(key, np.inf) for key in keys] for keys in (moved, still)])
-    longer = np.flatnonzero(~np.isfinite(found).all(axis=0))
+    longer = np.flatnonzero(~np.isfinite(found).all(axis=0)).tolist()
     _follow([keys[i] for keys in (moved, still) for i in longer])
     found[:, longer] = [[_known[keys[i][:2]][keys[i][2]].value for i in longer] for keys in (moved, still)]
     return found
