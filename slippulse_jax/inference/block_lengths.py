@@ -29,7 +29,7 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.status import Outcome
 
 AXES = {
-    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.05,
+    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,
     "log_normal_stiffness": 0.5,
 }  # fmt: skip
 """Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
@@ -46,6 +46,8 @@ FAR = 4.0
 """Factor below the measured lengths from which on an event is of another kind."""
 BREAKING = 150
 """Contacts that an event as long as measured should break, of those that are followed."""
+SMALLEST = 4.0
+"""Least H/λc of a block that is followed: its larger contacts are twice as large."""
 TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
@@ -102,12 +104,20 @@ class BlockLengths:
         What they are like (`geometry_of`).
     ratio : array, shape (m,)
         Their lengths over H.
+    height : float or array, shape (m,)
+        Their H/λc: none is followed on smaller contacts than its own.
     """
 
-    def __init__(self, geometry: Float[np.ndarray, "m g"] = NONE, ratio: Float[np.ndarray, " m"] = NONE[:, 0]) -> None:
+    def __init__(
+        self,
+        geometry: Float[np.ndarray, "m g"] = NONE,
+        ratio: Float[np.ndarray, " m"] = NONE[:, 0],
+        height: float | Float[np.ndarray, " m"] = np.inf,
+    ) -> None:
         rows, own = distinct_rows(geometry)
         self.origins: list[Geometry] = [tuple(row) for row in rows.tolist()]
         self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
+        self.tallest = [float(np.broadcast_to(height, own.shape)[own == i].max()) for i in range(len(rows))]
         self.curves: dict[int, Curve] = {}
         self.nodes: list[set[int]] = [set() for _ in rows]
 
@@ -148,7 +158,7 @@ class BlockLengths:
         value, error = np.empty((2, len(log_b)))
         for i in which:
             here = origin == i
-            value[here], error[here] = _between(curves[i], log_b[here], inverse[here])
+            value[here], error[here] = _between(curves[i], log_b[here], inverse[here], self._height(i))
         offset = _offsets(geometry, np.array(self.origins)[origin])
         moved, cell, share = np.abs(offset) > 1e-9, *_cells(log_b / UNIT / WIDEST)
         for axis in np.flatnonzero(moved.any(axis=0)).tolist():
@@ -183,11 +193,14 @@ class BlockLengths:
 
     def _height(self, i: int) -> float:
         """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
-        low, high = self.target[i]
-        height, ratio = float(2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2)), _ratio(self.origins[i])
+        (low, high), ratio = self.target[i], _ratio(self.origins[i])
+        height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2)
+        height = float(min(height, max(self.tallest[i], SMALLEST)))
         if not np.isfinite(ratio):
             return height
-        return 2 * max(int(min(height * ratio, _sites(self.origins[i])) / 2), 2) / ratio  # whole contacts of either size
+        return (
+            2 * max(int(min(height * ratio + 1e-9, _most_sites(self.origins[i])) / 2), 2) / ratio
+        )  # whole ones of either size
 
     def _moved(self, i: int, axis: int, steps: int) -> Geometry:
         moved = list(self.origins[i])
@@ -243,10 +256,16 @@ def _ratio(geometry: Geometry) -> float:
     return float(np.exp(geometry[WITHOUT_END]))
 
 
-def _sites(geometry: Geometry) -> int:
-    """Contacts that are followed: all of a block that ends, half as many where balancing them takes iterations."""
-    ratio, halves = _ratio(geometry), 1 + int(geometry[MULTICONTACT])
-    return FOLLOWED if np.isinf(ratio) else max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * ratio)))) // halves
+def _most_sites(geometry: Geometry) -> int:
+    """Most contacts that are followed, of a block that ends; half as many where balancing them takes iterations."""
+    halves = 1 + int(geometry[MULTICONTACT])
+    return max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * _ratio(geometry))))) // halves
+
+
+def _sites(geometry: Geometry, height: float) -> int:
+    """Contacts that are followed: all of a block that ends."""
+    ratio = _ratio(geometry)
+    return FOLLOWED if np.isinf(ratio) else max(FOLLOWED, 1 << int(np.ceil(np.log2(ratio * height - 1e-6))))
 
 
 def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
@@ -254,9 +273,10 @@ def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
     return np.column_stack([geometry[:, len(AXES) :], np.isinf(geometry[:, : len(AXES)])])
 
 
-def _alike(geometry: Float[np.ndarray, "n g"]) -> list[np.ndarray]:
+def _alike(geometry: Float[np.ndarray, "n g"], height: Float[np.ndarray, " n"]) -> list[np.ndarray]:
     """Group blocks that can be followed together."""
-    own = distinct_rows(np.column_stack([_kinds(geometry), [_sites(tuple(one)) for one in geometry]]))[1]
+    sites = [_sites(tuple(one), at) for one, at in zip(geometry, height, strict=True)]
+    own = distinct_rows(np.column_stack([_kinds(geometry), sites]))[1]
     return [np.flatnonzero(own == i) for i in range(own.max() + 1)]
 
 
@@ -290,14 +310,18 @@ def _curve(nodes: dict[int, Node]) -> Curve:
     return Curve(at, stops, runs)
 
 
-def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ/H and its error at places along a curve: monotone cubics; next to an endless event the last length, else inf."""
+def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """ℓ/H and its error at places along a curve: monotone cubics; next to an endless event the last length, else inf.
+
+    The error is that of extrapolating from the contacts of H/λc = `height`.
+    """
     i = np.clip(np.searchsorted(curve.at, log_b, side="right") - 1, 0, len(curve.at) - 2)
     found, off = np.full((2, len(log_b)), [[np.inf], [1.0]])
     for first, last, through in curve.runs:
         inside = (i >= first - 1) & (i <= last)
         length, per, may = through(np.clip(log_b[inside], curve.at[first], curve.at[last])).T
-        found[inside], off[inside] = np.maximum(length + per * inverse[inside], 0), may
+        found[inside] = np.maximum(length + per * inverse[inside], 0)
+        off[inside] = may * np.abs(1 - height * inverse[inside])
     return found, off
 
 
@@ -359,8 +383,10 @@ def _pairs(keys: list[Key]) -> None:
         if np.isfinite(fine):
             value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST)) / TALLEST
             _known[g, h][j] = Node(value, -(value - fine) * h, error)
-        else:
+        elif np.isinf(_ratio(g)):
             _known[g, h][j] = Node(rough, 0.0, 0.1 * rough)
+        else:
+            _known[g, h][j] = Node(np.inf, 0.0, 1.0)
     endless = [key for key in keys if np.isinf(_ratio(key[0]))]
     beyond, factor = [key for key in endless if not np.isfinite(_known[key[:2]][key[2]].value)], 4
     while beyond := [key for key in beyond if key[1] / factor * MOST_HEIGHTS >= FOLLOWED]:
@@ -376,13 +402,13 @@ def _lengths(keys: list[Key]) -> list[float]:
     for g, h, j in new:
         by_block.setdefault((g, h), []).append(j)
     lanes = [(*place, every[i : i + TOGETHER]) for place, every in by_block.items() for i in range(0, len(every), TOGETHER)]
-    for alike in _alike(np.array([g for g, _, _ in lanes])) if lanes else ():
+    for alike in _alike(*map(np.array, zip(*(place for *place, _ in lanes), strict=True))) if lanes else ():
         kind = [lanes[i] for i in alike]
         for part in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
             block, interface = _bodies(np.array([g for g, _, _ in part]), np.array([h for _, h, _ in part]))
             log_b = np.array([(every + [np.nan] * TOGETHER)[:TOGETHER] for _, _, every in part], float) * UNIT
             stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
-            length, _, status = followed((block, interface), stiffness, _sites(part[0][0]), "full")
+            length, _, status = followed((block, interface), stiffness, _sites(*part[0][:2]), "full")
             endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
             length = np.where(endless, np.inf, length) / block.height[:, None]
             for (g, h, every), row in zip(part, length, strict=True):
@@ -394,7 +420,7 @@ def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.nda
     """ℓ/H of blocks without end, each on contacts that suit its own event, and how far it may be off."""
     found = np.empty((2, len(geometry)))
     height = 1 / np.maximum(inverse, 1 / TALLEST)
-    for here in _alike(geometry):
+    for here in _alike(geometry, height):
         block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
         found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
     return np.where(np.isnan(found[0]), [[np.inf], [1.0]], found)  # those that lift off
@@ -409,11 +435,12 @@ def _others(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.n
         found[:, once] = _each(geometry[once], log_b[once], inverse[once])
     if often.any():
         middle = [np.flatnonzero(own == i)[np.argsort(log_b[own == i])[(own == i).sum() // 2]] for i in np.flatnonzero(often)]
+        height = np.array([1 / inverse[own == i].min() for i in range(len(rows))])
         without = geometry[middle].copy()
         without[:, WITHOUT_END] = np.inf
         ratio = _each(without, log_b[middle], inverse[middle])[0]
         usual = np.where(np.isfinite(ratio) & (ratio > 0), ratio, 1.0)
-        length, error = BlockLengths(rows[often], usual)(_inputs(geometry[~once], log_b[~once], inverse[~once]))
+        length, error = BlockLengths(rows[often], usual, height[often])(_inputs(geometry[~once], log_b[~once], inverse[~once]))
         found[:, ~once] = np.stack([length, error]) * inverse[~once]
     return found
 

@@ -311,7 +311,7 @@ def _pressed(fitted: Fitted, i: int, friction: float) -> float:
     normal = np.where(np.isinf(normal), math.log(USUAL_NORMAL_STIFFNESS), normal)
     other = one.given(friction=np.array([friction]), log_normal_stiffness=normal)
     grid = np.linspace(np.log(q.front.softest(m)[i]), np.log(q.front.stiffest(m)[i]), SCANNED)
-    followed = BlockLengths(geometry_of(other), length / np.exp(one.log_height))
+    followed = BlockLengths(geometry_of(other), length / np.exp(one.log_height), np.exp(one.log_height))
 
     def lengths(log_stiffness: np.ndarray) -> np.ndarray:
         return followed(other.take(np.zeros(log_stiffness.size, int))._replace(log_stiffness=log_stiffness))[0]

@@ -383,7 +383,7 @@ class BlockEvent(Front):
         self.followed = BlockLengths()
         if m is not None and m.push_height is not None and not np.isnan(m.push_height).any():
             own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
-            self.followed = BlockLengths(geometry_of(own), m.length / m.height)
+            self.followed = BlockLengths(geometry_of(own), m.length / m.height, m.height)
             if m.block_length is not None:
                 self.body_modelled = self.body_modelled.replace("semi-infinite block", "block with a free end")
             if m.friction is not None:
