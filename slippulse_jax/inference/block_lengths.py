@@ -29,7 +29,7 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.status import Outcome
 
 AXES = {
-    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,
+    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.04,
     "log_normal_stiffness": 0.5,
 }  # fmt: skip
 """Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
@@ -37,7 +37,7 @@ FLAGS = ("push_force", "multicontact", "top_held")
 """Inputs that are 0 or 1."""
 GEOMETRY = (*AXES, *FLAGS)
 """What is one geometry, beside λc/H."""
-WITHOUT_END, MULTICONTACT = GEOMETRY.index("log_ratio"), GEOMETRY.index("multicontact")
+WITHOUT_END, FRICTION, MULTICONTACT = (GEOMETRY.index(name) for name in ("log_ratio", "friction", "multicontact"))
 UNIT, WIDEST = 0.16, 8
 """Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
 NEAR = {8: 1.5, 4: 1.2}
@@ -118,6 +118,8 @@ class BlockLengths:
         self.origins: list[Geometry] = [tuple(row) for row in rows.tolist()]
         self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
         self.tallest = [float(np.broadcast_to(height, own.shape)[own == i].max()) for i in range(len(rows))]
+        self.measured = len(rows)
+        self.beside: dict[tuple[int, int], int] = {}  # number of a block that differs from a measured one by steps of friction
         self.curves: dict[int, Curve] = {}
         self.nodes: list[set[int]] = [set() for _ in rows]
 
@@ -143,7 +145,7 @@ class BlockLengths:
     def _nearest(self, geometry: Float[np.ndarray, "n g"]) -> Int[np.ndarray, " n"]:
         """Number of the measured block that each is most like; −1 where there is none with such a pusher."""
         best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
-        for i, origin in enumerate(self.origins):
+        for i, origin in enumerate(self.origins[: self.measured]):
             apart = np.abs(_offsets(geometry, np.array(origin))).sum(axis=1)
             same = (_kinds(geometry) == _kinds(np.array([origin]))).all(axis=1)
             nearer = same & (apart < least)
@@ -153,14 +155,22 @@ class BlockLengths:
     def _followed(
         self, origin: np.ndarray, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray
     ) -> Float[np.ndarray, "2 n"]:
-        which = np.unique(origin).tolist()
-        curves = self._curves({i: (log_b[origin == i].min(), log_b[origin == i].max()) for i in which})
-        value, error = np.empty((2, len(log_b)))
-        for i in which:
-            here = origin == i
-            value[here], error[here] = _between(curves[i], log_b[here], inverse[here], self._height(i))
         offset = _offsets(geometry, np.array(self.origins)[origin])
         moved, cell, share = np.abs(offset) > 1e-9, *_cells(log_b / UNIT / WIDEST)
+        value, error = self._along(origin, log_b, inverse)
+        lanes = np.flatnonzero(moved[:, FRICTION])
+        if lanes.size:  # lengths may fall over it within a step: blocks on either side are followed too
+            step, part = _cells(offset[lanes, FRICTION])
+            beside = np.array([[self._with_friction(i, m + side) for i, m in zip(origin[lanes].tolist(), step.tolist(), strict=True)]
+                               for side in (0, 1)])  # fmt: skip
+            at = origin[lanes], log_b[lanes]
+            own = self._along(*at, np.array([1 / self._height(i) for i in at[0].tolist()]))[0]
+            with np.errstate(all="ignore"):
+                larger = value[lanes] / own  # for the size of its contacts
+            larger = np.where(np.isfinite(larger) & (larger > 0), larger, 1)
+            found = [np.where(near == at[0], value[lanes], larger * self._along(near, at[1], 0 * at[1])[0]) for near in beside]
+            value[lanes] = _blended(np.stack(found), np.stack([1 - part, part]))
+            moved[:, FRICTION] = False
         for axis in np.flatnonzero(moved.any(axis=0)).tolist():
             lanes = np.flatnonzero(moved[:, axis])
             step, part = _cells(offset[lanes, axis])
@@ -177,6 +187,26 @@ class BlockLengths:
                 others = (weight * np.where(used & ~good, there, 0)).sum(axis=(0, 1))  # by themselves
                 value[lanes] = np.where(share_used > 0, (alike + others) / share_used, np.inf)
         return np.stack([value, error])
+
+    def _along(self, which: np.ndarray, log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+        """ℓ/H and its error along the curves of some blocks."""
+        every = np.unique(which).tolist()
+        curves = self._curves({i: (log_b[which == i].min(), log_b[which == i].max()) for i in every})
+        found = np.empty((2, len(log_b)))
+        for i in every:
+            here = which == i
+            found[:, here] = _between(curves[i], log_b[here], inverse[here], self._height(i))
+        return found
+
+    def _with_friction(self, i: int, steps: int) -> int:
+        """Number of the block that differs from a measured one by so many steps of friction."""
+        if steps and (i, steps) not in self.beside:
+            self.beside[i, steps] = len(self.origins)
+            self.origins.append(self._moved(i, FRICTION, steps))
+            self.target.append(self.target[i])
+            self.tallest.append(self.tallest[i])
+            self.nodes.append(set())
+        return self.beside[i, steps] if steps else i
 
     def _beside(self, origin: np.ndarray, axis: int, step: np.ndarray, j: np.ndarray) -> Float[np.ndarray, "2 2 2 n"]:
         """ℓ/H of blocks moved so many steps along an axis or one more, at two nodes in ln b; and of the blocks themselves."""
@@ -219,12 +249,27 @@ class BlockLengths:
         }
         changed = [i for i, every in new.items() if every or i not in self.curves]
         while any(new.values()):
-            _follow([(*place[i], j) for i, every in new.items() for j in sorted(every)])
-            for i, every in new.items():
-                self.nodes[i] |= every
-            new = {i: self._between(i, _known[place[i]]) - self.nodes[i] for i in changed}
-        self.curves.update({i: _curve({j: _known[place[i]][j] for j in self.nodes[i]}) for i in changed})
+            self._add({i: every for i, every in new.items() if every})
+            new = {i: self._between(i, self._found(i)) - self.nodes[i] for i in changed}
+        self.curves.update({i: _curve(self._found(i)) for i in changed})
         return self.curves
+
+    def _add(self, new: dict[int, set[int]]) -> None:
+        """Compute nodes: of measured blocks on contacts of two sizes, of those beside them of one."""
+        every = [(self.origins[i], self._height(i), j) for i, nodes in new.items() if i < self.measured for j in sorted(nodes)]
+        _follow(every)
+        _lengths(
+            [(self.origins[i], self._height(i), j) for i, nodes in new.items() if i >= self.measured for j in sorted(nodes)]
+        )
+        for i, nodes in new.items():
+            self.nodes[i] |= nodes
+
+    def _found(self, i: int) -> dict[int, Node]:
+        """Nodes of one block."""
+        place = self.origins[i], self._height(i)
+        if i < self.measured:
+            return {j: _known[place][j] for j in self.nodes[i]}
+        return {j: Node(_computed[*place, j], 0.0, 0.0) for j in self.nodes[i]}
 
     def _between(self, i: int, known: dict[int, Node]) -> set[int]:
         """Nodes that are missing: near the measured length, and where the event begins or ceases to stop."""
@@ -291,6 +336,16 @@ def _cells(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Node below each place, and the share of the next one."""
     node = np.floor(place + 1e-9)
     return node.astype(int), np.maximum(place - node, 0)
+
+
+def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"]) -> Float[np.ndarray, " n"]:
+    """Length between two: of those that stop, along a straight line of the logarithm where they are alike."""
+    used = (weight > 0) & np.isfinite(length)
+    share, low = (weight * used).sum(axis=0), np.where(used, length, np.inf).min(axis=0)
+    with np.errstate(all="ignore"):
+        alike = low * FAR > np.where(used, length, 0).max(axis=0)
+        by_log = np.exp((weight * np.where(used, np.log(length), 0)).sum(axis=0) / share)
+        return np.where(share > 0, np.where(alike, by_log, (weight * np.where(used, length, 0)).sum(axis=0) / share), np.inf)
 
 
 def _kind(value: float) -> int:
