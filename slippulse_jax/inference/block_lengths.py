@@ -159,17 +159,8 @@ class BlockLengths:
         moved, cell, share = np.abs(offset) > 1e-9, *_cells(log_b / UNIT / WIDEST)
         value, error = self._along(origin, log_b, inverse)
         lanes = np.flatnonzero(moved[:, FRICTION])
-        if lanes.size:  # lengths may fall over it within a step: blocks on either side are followed too
-            step, part = _cells(offset[lanes, FRICTION])
-            beside = np.array([[self._with_friction(i, m + side) for i, m in zip(origin[lanes].tolist(), step.tolist(), strict=True)]
-                               for side in (0, 1)])  # fmt: skip
-            at = origin[lanes], log_b[lanes]
-            own = self._along(*at, np.array([1 / self._height(i) for i in at[0].tolist()]))[0]
-            with np.errstate(all="ignore"):
-                larger = value[lanes] / own  # for the size of its contacts
-            larger = np.where(np.isfinite(larger) & (larger > 0), larger, 1)
-            found = [np.where(near == at[0], value[lanes], larger * self._along(near, at[1], 0 * at[1])[0]) for near in beside]
-            value[lanes] = _blended(np.stack(found), np.stack([1 - part, part]))
+        if lanes.size:
+            value[lanes] = self._over_friction(origin[lanes], offset[lanes, FRICTION], log_b[lanes], value[lanes])
             moved[:, FRICTION] = False
         for axis in np.flatnonzero(moved.any(axis=0)).tolist():
             lanes = np.flatnonzero(moved[:, axis])
@@ -197,6 +188,24 @@ class BlockLengths:
             here = which == i
             found[:, here] = _between(curves[i], log_b[here], inverse[here], self._height(i))
         return found
+
+    def _over_friction(
+        self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, value: np.ndarray
+    ) -> Float[np.ndarray, " n"]:
+        """ℓ/H at other coefficients of friction: lengths may fall within a step of it, so blocks on either side are followed.
+
+        Their contacts have one size; `value`, ℓ/H of the measured blocks, says what smaller ones change.
+        """
+        step, part = _cells(offset)
+        own = self._along(origin, log_b, np.array([1 / self._height(i) for i in origin.tolist()]))[0]
+        with np.errstate(all="ignore"):
+            factor = value / own
+        factor, found = np.where(np.isfinite(factor) & (factor > 0), factor, 1), []
+        for side in (0, 1):
+            pairs = zip(origin.tolist(), (step + side).tolist(), strict=True)
+            near = np.array([self._with_friction(i, steps) for i, steps in pairs])
+            found.append(np.where(near == origin, value, factor * self._along(near, log_b, 0 * log_b)[0]))
+        return _blended(np.stack(found), np.stack([1 - part, part]))
 
     def _with_friction(self, i: int, steps: int) -> int:
         """Number of the block that differs from a measured one by so many steps of friction."""
@@ -242,7 +251,7 @@ class BlockLengths:
 
         They reach one spacing further than asked, so that no value depends on what else was asked for.
         """
-        cell, place = UNIT * WIDEST, {i: (self.origins[i], self._height(i)) for i in reach}
+        cell = UNIT * WIDEST
         new = {
             i: {WIDEST * n for n in range(int(np.floor(low / cell)) - 1, int(np.floor(high / cell)) + 3)} - self.nodes[i]
             for i, (low, high) in reach.items()
