@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.block_lengths import BlockLengths
-from slippulse_jax.inference.parameters import Inputs, pushed_at
+from slippulse_jax.inference.fronts import pushed
+from slippulse_jax.inference.inputs import Inputs
 
 DOCS = Path(__file__).resolve().parents[1]
 POISSON = 0.3
@@ -34,9 +35,8 @@ PUSHES = {
 def shares(height: float, b: np.ndarray, push: np.ndarray, width: float = np.nan, control: str = "displacement") -> np.ndarray:
     """ℓ/H of blocks of these b, pushed at these heights over H."""
     inputs = Inputs.of(np.full(b.shape, height), b / (2 * (1 + POISSON) * height), POISSON)
-    at = push * height
-    inputs = pushed_at(inputs, np.full(b.shape, height), at, np.full(b.shape, width * height), [control] * len(b))
-    return BlockLengths()(inputs)[0] / height
+    at = pushed(np.full(b.shape, height), push * height, np.full(b.shape, width * height), [control] * len(b))
+    return BlockLengths()(inputs.given(**at))[0] / height
 
 
 def bias(height: float, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
