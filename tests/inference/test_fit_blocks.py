@@ -586,6 +586,30 @@ def test_friction_with_an_error_is_fitted_beside(with_friction):
 
 
 @pytest.mark.ci
+def test_lengths_over_friction_have_no_jump_and_are_those_of_the_blocks():
+    """At every b, also where events are of another kind than the measured one; between blocks that are followed to 0.5 %."""
+    log_b = np.linspace(np.log(0.02), np.log(200), 40)
+    height = np.full(40, 50.0)
+    ended = {"log_sites": np.log(3 * height), "log_normal_stiffness": np.full(40, np.log(1.2))}
+    flags = {name: np.zeros(40) for name in ("multicontact", "top_held")}
+
+    def at(friction):
+        return inputs_of(height, np.exp(log_b), 0.25, width=0.1).given(**ended, **flags, friction=np.full(40, friction))
+
+    followed = BlockLengths(geometry_of(at(0.3))[:1], np.array([0.8]), 50.0)
+    length, (_, error) = followed(at(0.3))[0], followed(at(0.3))
+    assert np.isfinite(length).any()
+    assert np.all(error[np.isfinite(length)] < 1e-12)  # on its own contacts
+    for friction in (0.3 - 1e-6, 0.3 + 1e-6):
+        np.testing.assert_allclose(followed(at(friction))[0], length, rtol=1e-3, atol=1e-3)
+    i = int(np.argmin(np.abs(log_b)))
+    for friction in (0.26, 0.28, 0.34):
+        block = sp.Block(50.0, np.exp(log_b[i]) / 130, 0.3, sp.Push(0.25, 0.1), length=150, friction=friction)
+        expected = float(sp.precursor_length(block, event="full"))
+        assert followed(at(friction))[0][i] == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.ci
 def test_a_table_without_friction_is_told_what_pressure_would_make_of_it():
     m = of_pressed(friction=None)
     found = sp.fit(m)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.inference import intervals
 from slippulse_jax.status import Outcome
 
 EXAMPLES = Path(__file__).parents[2] / "fit_examples"
@@ -75,3 +76,16 @@ def test_a_curve_along_the_height_of_the_push_goes_through_the_fitted_lengths():
 def test_no_field_where_no_gauge_was():
     with pytest.raises(ValueError, match="no gauge read slip in measurement 0"):
         fitted().field(0, "slip", 1e-3)
+
+
+def test_an_interval_ends_next_to_values_at_which_no_event_stops(monkeypatch):
+    """The deviance is infinite there: D = 3 θ up to ½, and a limit of 1 is crossed at ⅓."""
+
+    def constrained(problem, held, at, near):
+        return intervals.Curve(at[:, 0], np.where(at[:, 0] > 0.5, np.inf, 3 * at[:, 0]), at)
+
+    monkeypatch.setattr(intervals, "constrained", constrained)
+    one = type("Problem", (), {"p": 1})()
+    profile = intervals.Curve(np.array([0.0, 1.0]), np.array([0.0, np.inf]), np.array([[0.0], [1.0]]))
+    (piece,) = intervals.allowed(one, 0, profile, {0.68: 1.0})[0.68]
+    assert (piece.low, piece.high) == (0, pytest.approx(1 / 3, abs=1e-3))
