@@ -6,7 +6,7 @@ its slope is the trend over many steps.
 Over the height, a length depends on b, ν, the push, the prestress, where the block ends and what the pressure does, and hardly
 on λc/H, in which it is linear. For every distinct block of a table it is computed at nodes along ln b, few where it is far from
 the measured one and more where it is near: on the block's own contacts and on ones twice as large, or, of a tall block, on
-contacts of two sizes that suit the measured length. Over friction, in which a length may fall at once, blocks on either side are
+contacts of two sizes that suit the measured length. Over friction, in which a length may fall at once, blocks on both sides are
 followed alike. Other inputs that differ from what the table states, because they have an error, multiply it by the ratio of
 lengths that differ in that input alone. Nodes are kept for the next fit.
 """
