@@ -1,8 +1,8 @@
 """Write lengths.csv: first precursors of one block, pushed above six heights, by finite elements in NumPy alone.
 
-Imports nothing of the package, and shares neither elements nor mesh nor method with it: biquadratic elements over a block
-twelve heights long with a free end, one column of them over each contact, eliminated one after another from that end. Takes two
-minutes.
+Imports nothing of the package, and shares the kind of element with it, but no code, mesh or method: biquadratic elements over a
+block twelve heights long with a free end, one column of them over each contact, eliminated one after another from that end.
+Takes two minutes.
 """
 
 import csv

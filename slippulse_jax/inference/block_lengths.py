@@ -238,9 +238,8 @@ class BlockLengths:
         height = float(min(height, max(self.tallest[i], SMALLEST)))
         if not np.isfinite(ratio):
             return height
-        return (
-            2 * max(int(min(height * ratio + 1e-9, _most_sites(self.origins[i])) / 2), 2) / ratio
-        )  # whole ones of either size
+        most = min(height * ratio + 1e-9, _most_sites(self.origins[i]))
+        return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
 
     def _moved(self, i: int, axis: int, steps: int) -> Geometry:
         moved = list(self.origins[i])
@@ -266,20 +265,23 @@ class BlockLengths:
 
     def _add(self, new: dict[int, set[int]]) -> None:
         """Compute nodes: of measured blocks on contacts of two sizes, of those beside them of one."""
-        every = [(self.origins[i], self._height(i), j) for i, nodes in new.items() if i < self.measured for j in sorted(nodes)]
-        _follow(every)
-        _lengths(
-            [(self.origins[i], self._height(i), j) for i, nodes in new.items() if i >= self.measured for j in sorted(nodes)]
-        )
+        of_two, of_one = [], []
         for i, nodes in new.items():
+            place = self.origins[i], self._height(i)
+            (of_one if self._of_one_size(i) else of_two).extend((*place, j) for j in sorted(nodes))
             self.nodes[i] |= nodes
+        _follow(of_two)
+        _lengths(of_one)
 
     def _found(self, i: int) -> dict[int, Node]:
         """Nodes of one block."""
         place = self.origins[i], self._height(i)
-        if i < self.measured:
-            return {j: _known[place][j] for j in self.nodes[i]}
-        return {j: Node(_computed[*place, j], 0.0, 0.0) for j in self.nodes[i]}
+        if self._of_one_size(i):
+            return {j: Node(_computed[*place, j], 0.0, 0.0) for j in self.nodes[i]}
+        return {j: _known[place][j] for j in self.nodes[i]}
+
+    def _of_one_size(self, i: int) -> bool:
+        return i >= self.measured and not _driven(self.origins[i])
 
     def _between(self, i: int, known: dict[int, Node]) -> set[int]:
         """Nodes that are missing: near the measured length, and where the event begins or ceases to stop."""
@@ -413,19 +415,19 @@ def b_of_tall(length: float, poisson: float) -> dict[str, float]:
 def _follow(keys: Sequence[Key]) -> None:
     """Compute nodes that are not known yet."""
     new = [key for key in dict.fromkeys(keys) if key[2] not in _known.setdefault(key[:2], {})]
-    held = [key for key in new if _driven(key)]
+    held = [key for key in new if _driven(key[0])]
     for part in _announced([held[i : i + AT_ONCE] for i in range(0, len(held), AT_ONCE)]):
         geometry = np.array([key[0] for key in part])
         found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
         for key, value, off in zip(part, found, error, strict=True):
             _known[key[:2]][key[2]] = Node(value, 0.0, off)
-    _pairs([key for key in new if not _driven(key)])
+    _pairs([key for key in new if not _driven(key[0])])
 
 
 def _beside_each_other(moved: Sequence[Key], still: Sequence[Key]) -> Float[np.ndarray, "2 n"]:
     """ℓ/H of each block and of another: on contacts of one size, whose error is the same, where both events stop on those."""
     every = dict.fromkeys((*moved, *still))
-    sized = dict.fromkeys(key for key in every if not _driven(key))
+    sized = dict.fromkeys(key for key in every if not _driven(key[0]))
     sized.update(zip(sized, _lengths(list(sized)), strict=True))
     found = np.array([[sized.get(key, np.inf) for key in keys] for keys in (moved, still)])
     longer = np.flatnonzero(~np.isfinite(found).all(axis=0)).tolist()
@@ -434,9 +436,9 @@ def _beside_each_other(moved: Sequence[Key], still: Sequence[Key]) -> Float[np.n
     return found
 
 
-def _driven(key: Key) -> bool:
+def _driven(geometry: Geometry) -> bool:
     """Whether a prestress may drive the event on for ever."""
-    return key[0][1] > 0 and bool(np.isinf(_ratio(key[0])))
+    return geometry[GEOMETRY.index("prestress")] > 0 and bool(np.isinf(_ratio(geometry)))
 
 
 def _pairs(keys: list[Key]) -> None:

@@ -414,7 +414,7 @@ def test_the_command_has_lengths_of_blocks():
 
 
 @pytest.mark.ci
-def test_lengths_by_finite_elements_that_share_nothing_with_the_package():
+def test_lengths_by_finite_elements_that_share_no_code_with_the_package():
     """The program of `fit_examples/independent_block.py`, whose mesh leaves 0.03 %: within 0.1 %, with friction and without."""
     spec = importlib.util.spec_from_file_location("independent_block", ROOT / "fit_examples/independent_block.py")
     assert spec is not None
