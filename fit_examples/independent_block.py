@@ -1,7 +1,7 @@
 """A block from first principles, in NumPy and SciPy: what these examples' lengths of real blocks are made with.
 
 Imports nothing of the package, and shares the kind of element with it, but no code, mesh or method: biquadratic elements over
-the whole block in one sparse matrix, graded towards the ends of the pusher, and contacts that break one by one. In λc and E = 1.
+the whole block in one sparse matrix, graded to the ends of the pusher, and contacts that break one by one. In λc and E = 1.
 """
 
 import numpy as np
