@@ -130,6 +130,7 @@ def doubled(slab: Slab, along: Along) -> Slab:
     return joined(apart, slab.across, 2 * slab.left, read, along)
 
 
+@in_full
 def joined(
     sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along
 ) -> Slab:
