@@ -13,13 +13,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import rivals
 from benchmarks.lengths import long_fronts
 from benchmarks.regimes import three, two
 from benchmarks.timing import side_by_side
-from slippulse_jax import Slider, exact_lengths, fit, precursor_lengths
+from slippulse_jax import Block, Push, Slider, exact_lengths, fit, precursor_length, precursor_lengths
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -73,6 +75,23 @@ def series() -> Iterator[Row]:
 
     ours, theirs, _ = single(2000, 10_000)
     yield "10 000 events at N = 2000, numba over this package", theirs / ours, "as before"
+
+
+def blocks() -> Iterator[Row]:
+    """The length of a block, and what its derivatives in H/λc, k/K, ν and the push add; compiled."""
+    for height, friction in ((100.0, None), (400.0, None), (100.0, 0.25), (400.0, 0.25)):
+
+        def length(x: jax.Array, sites: int = 256 if height < 200 else 512, friction: float | None = friction) -> jax.Array:
+            return precursor_length(Block(x[0], x[1], x[2], Push(x[3]), friction=friction), sites=sites)
+
+        with jax.enable_x64(True):
+            at = jnp.array([height, 1 / (2.6 * height), 0.3, 0.25])
+            programs = {"value": jax.jit(length), "both": jax.jit(jax.value_and_grad(length))}
+            each = {name: (lambda f=f, x=at: jax.block_until_ready(f(x))) for name, f in programs.items()}
+            taken = side_by_side(each, 48)
+        where = f"of a block, H/λc = {height:.0f}" + (f", μ = {friction}" if friction else "")
+        yield f"length {where}, ms", 1e3 * taken["value"], "≤ 30"
+        yield f"value with four derivatives over value, {where}", taken["both"] / taken["value"], "≤ 3"
 
 
 def fits() -> Iterator[Row]:
@@ -160,7 +179,16 @@ def path() -> Iterator[Row]:
     yield "of them, those of inference", len(set(fitting)), ""
 
 
-ROWS = {"points": points, "long": long, "ruptures": ruptures, "series": series, "fits": fits, "start": start, "path": path}
+ROWS = {
+    "points": points,
+    "long": long,
+    "ruptures": ruptures,
+    "series": series,
+    "fits": fits,
+    "blocks": blocks,
+    "start": start,
+    "path": path,
+}
 
 
 def main(names: list[str]) -> None:

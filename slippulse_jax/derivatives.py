@@ -30,7 +30,17 @@ def with_jacobian(f: Function) -> Function:
     return value_and_jacobian
 
 
-def by_forward_mode(f: Function) -> Function:
+def with_gradient(f: Function) -> Function:
+    """As `with_jacobian`, of a number; by one pass back, whatever the count of its arguments."""
+
+    def value_and_gradient(*arguments: Array) -> Float[Array, " numbers"]:
+        value, slopes = jax.value_and_grad(f, argnums=tuple(range(len(arguments))))(*arguments)
+        return jnp.concatenate([value[None], *(x.reshape(-1) for x in slopes)])
+
+    return value_and_gradient
+
+
+def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_jacobian) -> Function:
     """Give `f` derivatives of every order in every mode, all computed forward.
 
     ``lax.while_loop`` has a forward derivative but no reverse one. With n parameters, one pass of the loop that carries
@@ -42,18 +52,20 @@ def by_forward_mode(f: Function) -> Function:
     f : callable
         From arrays, of n numbers in all, to an array; differentiable forward. Under ``vmap`` an argument without the mapped
         axis stays without it: what depends on it alone is computed once.
+    first : callable
+        What computes the first derivatives: `with_gradient` where `f` has a reverse mode.
 
     Returns
     -------
     callable
-        The same function, with derivatives. Differentiating costs one pass with n tangents whatever the mode.
+        The same function, with derivatives. Differentiating costs one pass of `first` whatever the mode.
     """
     differentiable = jax.custom_jvp(f)
 
     @differentiable.defjvp
     @in_full
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
-        both = by_forward_mode(with_jacobian(f))(*primals)
+        both = by_forward_mode(first(f))(*primals)
         return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents])
 
     return differentiable

@@ -47,7 +47,7 @@ class Balance(NamedTuple):
 def pressed(guide: Guide, contact: Array, sites: int, normal: Array, friction: Array) -> Pressed:
     """Contacts of stiffness k on a guide."""
     A, t = compliance(guide, sites, 2, 2)
-    matrix = jnp.moveaxis(A, (0, 2), (2, 3)).reshape(2 * sites, 2 * sites)
+    matrix = A.transpose(2, 3, 1, 0).reshape(2 * sites, 2 * sites)
     return Pressed(contact * matrix, t.reshape(-1), contact * held_by_all(guide, t), normal, friction)
 
 

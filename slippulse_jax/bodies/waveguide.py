@@ -205,12 +205,20 @@ def driving_point(slab: Slab, along: Along) -> Float[Array, "n n"]:
 @driving_point.defjvp
 @in_full
 def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
-    """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab. The sum of (Tᵀ)^m F T^m, by doubling."""
+    """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab."""
     (slab,), (change,) = primals, tangents
     X = driving_point(slab, along)
     T = -inverse_of_definite(X + slab.right) @ slab.across.T
     across = change.across @ T
     F = change.left + across + across.T + T.T @ change.right @ T
+    return X, lax.custom_linear_solve(
+        lambda sum: sum - T.T @ sum @ T, F, lambda _, F: _sum_along(T, F), lambda _, F: _sum_along(T.T, F)
+    )
+
+
+@in_full
+def _sum_along(T: Float[Array, "n n"], F: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Sum of (Tᵀ)^m F T^m, by doubling."""
 
     def felt(state: tuple[Array, Array, Array]) -> Array:
         power, _, count = state
@@ -220,7 +228,7 @@ def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]
         power, total, count = state
         return power @ power, total + power.T @ total @ power, count + 1
 
-    return X, lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
+    return lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
 
 
 @in_full
@@ -306,12 +314,15 @@ def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Arra
 def _column_response(guide: Guide, column: Int[Array, ""]) -> Float[Array, "n n"]:
     """G_L of one column of the half-infinite guide, by doubling: as many columns at a time as the bits of L − 1 say."""
 
-    def twice(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        bits, T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
-        G = jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
-        return bits // 2, T @ T, steps + T @ steps @ T.T, G
+    def twice(bits: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
+        return T @ T, steps + T @ steps @ T.T, jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
 
-    return lax.while_loop(lambda state: state[0] > 0, twice, (column - 1, guide.transfer, guide.step, guide.free))[-1]
+    def next_bit(state: tuple[Array, Array, Array], bits: Array) -> tuple[tuple[Array, Array, Array], None]:
+        return lax.cond(bits > 0, twice, lambda _, state: state, bits, state), None
+
+    every = (column - 1) >> jnp.arange(jnp.iinfo(column.dtype).bits - 1, dtype=column.dtype)
+    return lax.scan(next_bit, (guide.transfer, guide.step, guide.free), every)[0][-1]
 
 
 @in_full
@@ -319,14 +330,30 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
     """q_0 … q_{N−1} of the uniform guide, which begins at column 1."""
     slab, T = guide.slab, guide.transfer
     first = slab.reading_left + slab.reading_right @ T
-    rest = lax.scan(lambda q, _: (q @ T, q), first, length=sites - 1)[1]
-    return jnp.concatenate([slab.reading_right[None], rest])
+    return jnp.concatenate(
+        [slab.reading_right[None], _carried(T, jnp.zeros((sites - 1, *first.shape), T.dtype).at[0].set(first))]
+    )
+
+
+@jax.custom_jvp
+@in_full
+def _carried(T: Float[Array, "n n"], given: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
+    """Rows that T carries from column to column, with what each column is given."""
+    return lax.scan(lambda q, here: ((after := q @ T + here), after), jnp.zeros_like(given[0]), given)[1]
+
+
+@_carried.defjvp
+@in_full
+def _carried_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    """What a change of T gives to all columns is one product, in reverse mode too."""
+    T, found = primals[0], _carried(*primals)
+    return found, _carried(T, tangents[1].at[1:].add(found[:-1] @ tangents[0]))
 
 
 @in_full
 def compliance(
     guide: Guide, sites: int, read: int = 1, sources: int = 1
-) -> tuple[Float[Array, "s r N N"], Float[Array, "r N"]]:
+) -> tuple[Float[Array, "N s r N"], Float[Array, "r N"]]:
     """A and t of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and 0 beyond.
 
     Parameters
@@ -338,38 +365,39 @@ def compliance(
 
     Returns
     -------
-    A : array, shape (sources, read, sites, sites)
+    A : array, shape (sites, sources, read, sites)
         Reading per force, that of the source first.
     t : array, shape (read, sites)
         Reading per load.
     """
     slab, q = guide.slab, readings(guide, sites)[:, :read]
-    behind, ahead = (jnp.moveaxis(x, 1, 0) for x in (q[:-1], q[1:]))
+    none = jnp.zeros_like(q[:1])
+    behind, ahead = jnp.concatenate([none, q[:-1]]), jnp.concatenate([none, q[1:]])
 
-    def between(matrix: Array, at: Float[Array, "r N n"]) -> Float[Array, "s r N N"]:
-        return jnp.einsum("sim,rjm->srij", at[:sources] @ matrix, at)
+    def between(matrix: Array, at: Float[Array, "N r n"]) -> Float[Array, "N s r N"]:
+        acting, felt = at[:, :sources] @ matrix, jnp.moveaxis(at, 1, 0)
+        found = acting.reshape(-1, len(matrix)) @ felt.reshape(-1, len(matrix)).T
+        return found.reshape(*acting.shape[:2], *felt.shape[:2])
 
     # sums along the diagonals: each row adds the one above, shifted by a contact
-    rows = jnp.moveaxis(between(guide.step, behind), 2, 0)
+    rows = between(guide.step, behind)
     direct = lax.scan(lambda above, row: (jnp.pad(row + above, ((0, 0), (0, 0), (1, 0)))[..., :-1], row + above),
                       jnp.zeros_like(rows[0]), rows)[1]  # fmt: skip
-    each = slab.own[:sources, :read, None, None] * jnp.eye(sites - 1, dtype=q.dtype)[None, None]
-    A, t = jnp.moveaxis(direct, 0, 2) + between(guide.free, ahead) + each, ahead @ guide.pushed
+    site = jnp.arange(sites)
+    A = (direct + between(guide.free, ahead)).at[site, :, :, site].add(slab.own[None, :sources, :read])
     # contact 0 on itself, on the others, and they on it
     own, reading = guide.edge.own[:sources, :read], guide.edge.reading[:read]
     from_next = reading @ guide.free
-    itself = from_next[:sources] @ reading.T + own
-    onto, back = jnp.einsum("sm,rjm->srj", from_next[:sources], ahead), jnp.einsum("rm,sjm->srj", from_next, ahead[:sources])
-    first = jnp.concatenate([itself[..., None], onto], -1)
-    A = jnp.concatenate([first[..., None, :], jnp.concatenate([back[..., None], A], -1)], -2)
-    t = jnp.concatenate([(reading @ guide.pushed + guide.edge.direct[:read])[:, None], t], -1)
+    onto, back = jnp.einsum("sm,jrm->srj", from_next[:sources], ahead), jnp.einsum("rm,ism->isr", from_next, ahead[:, :sources])
+    A = A.at[0].set(onto).at[..., 0].set(back).at[0, ..., 0].set(from_next[:sources] @ reading.T + own)
+    t = (ahead @ guide.pushed).T.at[:, 0].set(reading @ guide.pushed + guide.edge.direct[:read])
     if guide.end is None:
         return A, t
     length, back = guide.end
     pushed, reached = _at_column(guide, length, q, from_next)
-    there = (jnp.arange(sites, dtype=length.dtype) < length).astype(q.dtype)
-    returned = jnp.einsum("sim,rjm->srij", reached[:sources] @ back, reached)
-    return (A + returned) * jnp.outer(there, there)[None, None], (t + reached @ back @ pushed) * there[None]
+    there = (site < length).astype(q.dtype)
+    both = there[:, None, None, None] * there[None, None, None]
+    return (A + between(back, reached)) * both, (t + (reached @ (back @ pushed)).T) * there[None]
 
 
 @in_full
@@ -388,13 +416,13 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
     With `relief`, the pressure that a contact loses per displacement across it, that of their pressure too.
     """
     A, t = compliance(guide, sites, 1 if relief is None else 2)
-    found = of_matrix(contact * A[0, 0], t[0], contact * held_by_all(guide, t))
-    return found if relief is None else found._replace(relief=relief * contact * A[0, 1:], push_relief=relief * t[1:])
+    found = of_matrix(contact * A[:, 0, 0], t[0], contact * held_by_all(guide, t))
+    return found if relief is None else found._replace(relief=(relief * contact * A[:, 0, 1])[None], push_relief=relief * t[1:])
 
 
 def _at_column(
     guide: Guide, column: Int[Array, ""], q: Float[Array, "N r n"], from_next: Float[Array, "r n"]
-) -> tuple[Array, Float[Array, "r N n"]]:
+) -> tuple[Array, Float[Array, "N r n"]]:
     """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
     r, sites = q.shape[1], jnp.arange(q.shape[0], dtype=column.dtype)
     # column i + 1 per force on contact i: of each path, the terms T^m that it passes
@@ -405,7 +433,7 @@ def _at_column(
     far = _by_powers(guide.transfer, next_to[column - 1 - sites])  # by the distance from the column
     reached = jnp.where((sites < column)[:, None, None], far[column - 1 - sites], 0)
     pushed = _by_powers(guide.transfer, jnp.broadcast_to(guide.pushed, (q.shape[0], 1, q.shape[2])))
-    return pushed[column - 1, 0], jnp.moveaxis(reached, 1, 0)
+    return pushed[column - 1, 0], reached
 
 
 def _by_powers(T: Float[Array, "n n"], rows: Float[Array, "N r n"]) -> Float[Array, "N r n"]:

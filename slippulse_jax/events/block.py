@@ -28,9 +28,19 @@ from slippulse_jax.bodies.pressed import balance, pressed
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bodies.waveguide import Edge, Guide, Slab
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
-from slippulse_jax.events.event import LOST, Relaxed, first_event, nucleated, overload
+from slippulse_jax.events.event import (
+    LOST,
+    Event,
+    Nucleation,
+    Relaxed,
+    event_from,
+    first_event,
+    nucleated,
+    overload,
+    slopes_of_length,
+)
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
@@ -169,30 +179,18 @@ def record(
     """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
     body = contacts_of(block, interface, sites, bare)
     found, start = first_event(body, kind=kind)
-    after, last = jax.tree.map(lambda x: x[0], found.contacts), body.last
-    excess, pinning = overload(after.stress, body.threshold, after.pressure), after.released
-    before, stress, pressure = start.stress, after.stress, after.pressure
+    after = jax.tree.map(lambda x: x[0], found.contacts)
+    pinning, before, stress, pressure = after.released, start.stress, after.stress, after.pressure
     if body.pressed is not None:
         ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
         before, stress, pressure = start.stress * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
-    never = body.pressed is not None  # their pressure decays for ever
-    lifted = [] if never else [(x < LOST).any() for x in (start.pressure, pressure) if x is not None]
-    again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(sites, bool)
-    endings = {
-        Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
-        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
-        Outcome.RAN_THROUGH: found.broken[last],
-        Outcome.LIMIT: ((excess >= 0) & ~again).any(),
-        Outcome.NO_DOMINO: found.rightmost == 0,
-        Outcome.REBREAK: again.any(),
-    }
-    status = first_of(endings)
+    status, length = _ended(found, start, body, kind)
     return BlockPrecursor(
         block=block,
         nucleation=start.first.astype(jnp.int32),
         contacts_broken=found.broken.sum().astype(jnp.int32),
         breaks=found.record.breaks,
-        length=length_or_reason(status, found.length(excess, sites - 1)),
+        length=length,
         load=start.load,
         status=status,
         stress_before=before,
@@ -203,6 +201,44 @@ def record(
         pinning=pinning,
         event=kind,
     )
+
+
+def _ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
+    """How an event ended, and ℓ."""
+    after = jax.tree.map(lambda x: x[0], found.contacts)
+    excess = overload(after.stress, body.threshold, after.pressure)
+    # that of rough contacts decays for ever
+    lifted = [] if after.pressure is None else [(x < LOST).any() for x in (jnp.asarray(start.pressure), after.pressure)]
+    again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(excess.size, bool)
+    endings = {
+        Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
+        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
+        Outcome.RAN_THROUGH: found.broken[body.last],
+        Outcome.LIMIT: ((excess >= 0) & ~again).any(),
+        Outcome.NO_DOMINO: found.rightmost == 0,
+        Outcome.REBREAK: again.any(),
+    }
+    status = first_of(endings)
+    return status, length_or_reason(status, found.length(excess, excess.size - 1))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _length_from(start: Nucleation, body: Relaxed, kind: EventKind) -> Float[Array, ""]:
+    """ℓ of the event that a nucleation begins."""
+    return _ended(event_from(start, body, kind=kind), start, body, kind)[1]
+
+
+@_length_from.defjvp
+def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """At a fixed order of breaks."""
+    (start, body), (moved, changed) = primals, tangents
+    found = event_from(start, body, kind=kind, logged=True)
+    length = _ended(found, start, body, kind)[1]
+    pressure = (None, None) if start.response.relief is None else (moved.pressure, moved.response.relief[0])
+    given = moved.stress, moved.response.near[0], *pressure, changed.threshold
+    slopes = slopes_of_length(found, start, body.threshold)
+    change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
+    return length, jnp.where(jnp.isfinite(length), change, jnp.nan)  # what has no length has no derivative either
 
 
 def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
@@ -237,11 +273,13 @@ def length(
     def one(*numbers: Array) -> Array:
         here = [x.astype(like.dtype) for x, like in zip(numbers, given, strict=True)]
         block, interface, rule = jax.tree.unflatten(tree, here)
+        body = contacts_of(block, interface, sites)
         if isinstance(rule, SmoothBreak):
-            return faded(contacts_of(block, interface, sites), rule)
-        return record(block, interface, sites, kind).length
+            return faded(body, rule)
+        return _length_from(nucleated(body), body, kind)
 
-    return by_forward_mode(one)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
+    first = with_jacobian if isinstance(rule, SmoothBreak) else with_gradient
+    return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
 
 
 def checked_sites(block: Block, sites: Numbers | None) -> int:

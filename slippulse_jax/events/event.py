@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float, Int
 from slippulse_jax.bodies.pressed import Pressed, balance, frozen
 from slippulse_jax.bodies.response import Response, carried, within
 from slippulse_jax.bulk.compiler import solve_without_pivots
-from slippulse_jax.front.front import EventKind
+from slippulse_jax.front.front import EventKind, straight_line
 
 SLACK_DIGITS = 4096
 """Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
@@ -143,10 +143,13 @@ class Event(NamedTuple):
         later break ℓ would fall where the event becomes larger, because a contact that just breaks again has no overload.
         """
         at, ahead = jnp.maximum(self.rightmost, 0), jnp.minimum(self.rightmost + 1, last)
+        return self.line(at.astype(excess.dtype), self.contacts.overload.reshape(-1)[at], excess[ahead])
+
+    @staticmethod
+    def line(at: Array, over: Array, excess: Array) -> Float[Array, ""]:
+        """ℓ from the overload of contact `at` as it broke, and the excess on the next one."""
         # rounding may leave a contact that was made to break just below its threshold
-        behind = jnp.maximum(self.contacts.overload.reshape(-1)[at], 0)
-        short_by = jnp.minimum(excess[ahead], 0)
-        return at.astype(excess.dtype) + behind / (behind - short_by)
+        return straight_line(at, jnp.maximum(over, 0), jnp.minimum(excess, 0))
 
 
 class Turn(NamedTuple):
@@ -294,20 +297,77 @@ def first_event(
 
     In the first front no contact breaks again. The event is given up after `limit` breaks, at least one.
     """
-    threshold, sites = body.threshold, body.threshold.size
     start = nucleated(body)
-    follows = start.pressure is not None and body.pressed is None
-    found = event(
+    return event_from(start, body, limit, kind), start
+
+
+def event_from(
+    start: Nucleation,
+    body: Relaxed,
+    limit: Int[Array, ""] | int | None = None,
+    kind: EventKind = "domino",
+    *,
+    logged: bool = False,
+) -> Event:
+    """The event that a nucleation begins (see `first_event`); with `logged`, its record has the order of breaks."""
+    threshold, sites = body.threshold, body.threshold.size
+    most = BREAKS_PER_SITE * sites
+    follows = start.response.relief is not None and start.pressure is not None
+    return event(
         start.response,
         start.stress[None],
         threshold[None],
-        limit=BREAKS_PER_SITE * sites if limit is None else limit,
+        limit=most if limit is None else limit,
         renewed=None if kind == "full" else jnp.full((1, sites), jnp.inf, start.stress.dtype),
         trigger=start.first,
         last=jnp.asarray(body.last) % sites,
         pressure=start.pressure[None] if follows and start.pressure is not None else None,
+        log=(jnp.full(most + 1, -1, jnp.int32), jnp.zeros(most + 1, threshold.dtype), 0) if logged else None,
     )
-    return found, start
+
+
+def slopes_of_length(found: Event, start: Nucleation, threshold: Float[Array, " N"]) -> tuple[Array | None, ...]:
+    """Derivatives of ℓ at a fixed order of breaks, in the stress, the transfer, the pressure, its relief and the threshold.
+
+    From the last break back to the first, λ is the derivative in the stress on each contact, and ρ that in its pressure: a
+    break of contact o that released t set the stress on it to zero, added G_oi t to that on contact i, and took Q_oi t of the
+    pressure.
+
+    Parameters
+    ----------
+    found : Event
+        Logged, of a body of one block.
+    start : Nucleation
+    threshold : array, shape (N,)
+    """
+    record, contacts = found.record, jax.tree.map(lambda x: x[0], found.contacts)
+    order, each, G = record.order, record.each, start.response.near[0]
+    assert order is not None
+    assert each is not None
+    Q = None if contacts.pressure is None or start.response.relief is None else start.response.relief[0]
+    at, ahead = jnp.maximum(found.rightmost, 0), jnp.minimum(found.rightmost + 1, threshold.size - 1)
+    over, none = contacts.overload[at], jnp.zeros_like(threshold)
+    of_over, of_short = jax.grad(found.line, (1, 2))(at.astype(over.dtype), over, contacts.excess[ahead])
+    weak = threshold[at], threshold[ahead]  # both can break
+    passed = jnp.argmax(order == at)  # when the front did
+    of_threshold = none.at[at].add(-of_over * (each[passed] - over) / weak[0])
+    of_threshold = of_threshold.at[ahead].add(-of_short * (1 if contacts.pressure is None else contacts.pressure[ahead]))
+
+    def back(state: tuple) -> tuple:
+        number, of_stress, of_transfer, of_pressure, of_relief = state
+        site, t, front = order[number], each[number], (number == passed).astype(each.dtype)
+        of_t = G[site] @ of_stress + front * of_over
+        of_transfer = of_transfer.at[site].add(of_stress * t)
+        if Q is not None:
+            of_t = of_t - Q[site] @ of_pressure
+            of_relief = of_relief.at[site].add(-of_pressure * t)
+            of_pressure = of_pressure.at[site].add(-front * of_over * weak[0])
+        return number - 1, of_stress.at[site].set(of_t), of_transfer, of_pressure, of_relief
+
+    pressed = (None, None) if Q is None else (none.at[ahead].add(-of_short * weak[1]), jnp.zeros_like(Q))
+    begin = record.breaks - 1, none.at[ahead].add(of_short), jnp.zeros_like(G), *pressed
+    slopes = lax.while_loop(lambda state: state[0] >= 0, back, begin)[1:]
+    return *slopes, of_threshold
 
 
 def stresses(response: Response, event: Event) -> Float[Array, " N"]:

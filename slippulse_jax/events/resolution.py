@@ -129,9 +129,9 @@ def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[...
     reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
     count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
     while count <= blocks.MOST_CONTACTS:
-        found = event(*known, sites=count)
-        if not np.isposinf(found.length if isinstance(found, BlockPrecursor) else found):
-            return event(*given, sites=count) if is_traced(given) else found
+        found = event(*given, sites=count)
+        if not np.isposinf(_known(found.length if isinstance(found, BlockPrecursor) else found)):
+            return found
         count *= MORE_SITES
     raise NotFollowed(block, f"reaches beyond {count // MORE_SITES} contacts")  # under a wide smooth rule for ever
 

@@ -284,6 +284,62 @@ def test_derivatives_of_a_block_that_ends():
     np.testing.assert_allclose(jax.grad(length)(at), around, rtol=1e-6)
 
 
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    ("law", "event"),
+    [("glued", "domino"), ("glued", "full"), ("amontons", "full"), ("multicontact", "domino"), ("ended", "full")],
+)
+def test_derivatives_back_are_those_forward(law, event):
+    """The length goes back through its breaks; its record carries tangents through them. Both at a fixed order."""
+    rubs = {} if law == "glued" else {"friction": 0.2, "contact_law": "multicontact" if law == "multicontact" else "amontons"}
+    block = sp.Block(20.0, 0.02, 0.3, sp.Push(0.3, 0.2), length=60 if law == "ended" else None, **rubs)
+    with jax.enable_x64(True):
+        numbers, tree = jax.tree.flatten(jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, block))
+        interface = sp.Interface(0.02, 1e-4)
+
+        def length(*numbers):
+            return sp.precursor_length(jax.tree.unflatten(tree, numbers), interface, sites=64, event=event)
+
+        def recorded(*numbers):
+            return blocks.record(jax.tree.unflatten(tree, numbers), interface, 64, event).length
+
+        which = tuple(i for i, x in enumerate(numbers) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating))
+        assert len(which) == 5 + 2 * bool(rubs)
+        back, forward = jax.jit(jax.grad(length, which))(*numbers), jax.jit(jax.jacfwd(recorded, which))(*numbers)
+        assert 3 < length(*numbers) < 60
+        np.testing.assert_allclose(back, forward, rtol=1e-8)
+
+
+@pytest.mark.ci
+def test_derivative_in_every_threshold():
+    """Of an event that begins inside and runs both ways: only contacts that broke and the next one matter."""
+    threshold = 1 + 0.3 * np.random.default_rng(3).random(64)
+    threshold[7] = 0.2
+
+    def length(theta):
+        return sp.precursor_length(at_b(30.0, 1.0, sp.Push(0.4)), sp.Profile(threshold=theta), sites=64)
+
+    with jax.enable_x64(True):
+        found = sp.first_precursor(at_b(30.0, 1.0, sp.Push(0.4)), sp.Profile(threshold=threshold), sites=64)
+        assert int(found.nucleation) == 7
+        slopes = jax.grad(length)(jnp.asarray(threshold))
+        around = [(length(threshold + d) - length(threshold - d)) / 2e-6 for d in 1e-6 * np.eye(64)[:20]]
+    np.testing.assert_allclose(slopes[:20], around, rtol=1e-5, atol=1e-5)
+    assert not slopes[int(found.length) + 2 :].any()
+
+
+@pytest.mark.ci
+def test_second_derivatives_of_a_block():
+    def length(x):
+        return sp.precursor_length(sp.Block(x[0], x[1], 0.3, sp.Push(x[2])), sites=64)
+
+    with jax.enable_x64(True):
+        at, slopes = jnp.array([20.0, 0.02, 0.3]), jax.jit(jax.grad(length))
+        steps = 1e-5 * np.diag(np.asarray(at))
+        around = [(slopes(at + d) - slopes(at - d)) / (2 * d.sum()) for d in steps]
+        np.testing.assert_allclose(jax.hessian(length)(at), around, rtol=1e-4)
+
+
 # --- closed forms -------------------------------------------------------------------------------------------------------
 
 
