@@ -349,7 +349,7 @@ def slopes_of_length(found: Event, start: Nucleation, threshold: Float[Array, " 
     over, none = contacts.overload[at], jnp.zeros_like(threshold)
     of_over, of_short = jax.grad(found.line, (1, 2))(at.astype(over.dtype), over, contacts.excess[ahead])
     weak = threshold[at], threshold[ahead]  # both can break
-    passed = jnp.argmax(order == at)  # when the front did
+    passed = jnp.argmax(order == at).astype(jnp.int32)  # when the front did
     of_threshold = none.at[at].add(-of_over * (each[passed] - over) / weak[0])
     of_threshold = of_threshold.at[ahead].add(-of_short * (1 if contacts.pressure is None else contacts.pressure[ahead]))
 
