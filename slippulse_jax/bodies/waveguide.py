@@ -395,7 +395,7 @@ def compliance(
         return A, t
     length, back = guide.end
     pushed, reached = _at_column(guide, length, q, from_next)
-    there = (site < length).astype(q.dtype)
+    there = (site.astype(length.dtype) < length).astype(q.dtype)
     both = there[:, None, None, None] * there[None, None, None]
     return (A + between(back, reached)) * both, (t + (reached @ (back @ pushed)).T) * there[None]
 
