@@ -14,10 +14,11 @@ contact 0. The slider is the case n = 2; its columns are u_t and u.
 
 A second reading of the same columns is the mean across the interface, ⟨u_y⟩, of which nothing but the pressure takes notice.
 
-A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X. With
-G_L = Σ_{m<L−1} T^m Y (Tᵀ)^m + T^{L−1} G_1 (Tᵀ)^{L−1}, the response of that column to a force on itself, a force
-X (1 − G_L X)⁻¹ x_L on it takes X away, x_L being its displacement in the half-infinite guide: so the end sends back whatever
-arrives.
+A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X: a force
+X (1 − G_L X)⁻¹ x_L on that column takes it away, x_L being its displacement in the half-infinite guide. So the end sends back
+whatever arrives. A slab is its own mirror image, so what a force on column L does is seen in a mirror, S, as far as it travels
+left: with X' = S X S and T' = S T S, column m moves by T'^{L−m} (X + X')⁻¹ until that meets the edge, of stiffness E, which
+sends back T^{m−1} (X + E)⁻¹ (X' − E) times what arrives at column 1; G_L is the sum at column L.
 """
 
 from functools import partial
@@ -72,6 +73,17 @@ class Edge(NamedTuple):
     layers: Layers
 
 
+class End(NamedTuple):
+    """A free end at column L, and what a force on that column does in the half-infinite guide."""
+
+    length: Array  # L, the number of contacts before it
+    back: Array  # X (1 − G_L X)⁻¹, force that takes X away per displacement of column L
+    pushed: Array  # that displacement per unit of the load
+    mirrored: Array  # what it sends left from column L, seen in a mirror
+    reflected: Array  # what of it the edge sends back from column 1
+    first: Array  # displacement of column 1
+
+
 class Guide(NamedTuple):
     """A waveguide that is pushed at column 0, in the quantities of this module."""
 
@@ -81,9 +93,7 @@ class Guide(NamedTuple):
     transfer: Array  # T
     free: Array  # G_1, column 1 per force on it
     pushed: Array  # u_1, column 1 per unit of the load
-    # of a free end: L, the number of contacts before it, and X (1 − G_L X)⁻¹, force on column L per its displacement in the
-    # half-infinite guide
-    end: tuple[Array, Array] | None = None
+    end: End | None = None
 
 
 @jax.custom_batching.sequential_vmap
@@ -307,22 +317,29 @@ def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Arra
     found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load)
     if length is None:
         return found
-    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - _column_response(found, jnp.asarray(length)) @ X)
-    return found._replace(end=(jnp.asarray(length), (back + back.T) / 2))
+    length, mirror = jnp.asarray(length), _halves(along, len(X))[1]
+    reflected_in = mirror[:, None] * X * mirror[None]
+    far = _power(found.transfer, length - 1)
+    sent = inverse_of_definite(X + reflected_in)
+    arriving = mirror[:, None] * (far @ (mirror[:, None] * sent))
+    reflected = free @ ((reflected_in - at_edge.stiffness) @ arriving)
+    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - (sent + far @ reflected) @ X)
+    end = End(length, (back + back.T) / 2, far @ found.pushed, mirror[:, None] * sent, reflected, arriving + reflected)
+    return found._replace(end=end)
 
 
-def _column_response(guide: Guide, column: Int[Array, ""]) -> Float[Array, "n n"]:
-    """G_L of one column of the half-infinite guide, by doubling: as many columns at a time as the bits of L − 1 say."""
+def _power(T: Float[Array, "n n"], exponent: Int[Array, ""]) -> Float[Array, "n n"]:
+    """T^m of a whole number m, by squaring."""
 
-    def twice(bits: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        T, steps, G = state  # T^m, G of m columns whose first is held, and G of the columns so far
-        return T @ T, steps + T @ steps @ T.T, jnp.where(bits % 2 == 1, steps + T @ G @ T.T, G)
+    def square(bits: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        power, found = state
+        return power @ power, jnp.where(bits % 2 == 1, power @ found, found)
 
-    def next_bit(state: tuple[Array, Array, Array], bits: Array) -> tuple[tuple[Array, Array, Array], None]:
-        return lax.cond(bits > 0, twice, lambda _, state: state, bits, state), None
+    def next_bit(state: tuple[Array, Array], bits: Array) -> tuple[tuple[Array, Array], None]:
+        return lax.cond(bits > 0, square, lambda _, state: state, bits, state), None
 
-    every = (column - 1) >> jnp.arange(jnp.iinfo(column.dtype).bits - 1, dtype=column.dtype)
-    return lax.scan(next_bit, (guide.transfer, guide.step, guide.free), every)[0][-1]
+    every = exponent >> jnp.arange(jnp.iinfo(exponent.dtype).bits - 1, dtype=exponent.dtype)
+    return lax.scan(next_bit, (T, jnp.eye(len(T), dtype=T.dtype)), every)[0][1]
 
 
 @in_full
@@ -393,11 +410,16 @@ def compliance(
     t = (ahead @ guide.pushed).T.at[:, 0].set(reading @ guide.pushed + guide.edge.direct[:read])
     if guide.end is None:
         return A, t
-    length, back = guide.end
-    pushed, reached = _at_column(guide, length, q, from_next)
-    there = (site.astype(length.dtype) < length).astype(q.dtype)
+    # the reading of each contact per force on the last column; of displacements across, a mirror changes the sign
+    length, signs = guide.end.length, np.array([[1.0], [-1.0]])[:read]
+    distance = length - site.astype(length.dtype)
+    arriving = jnp.where((distance > 0)[:, None, None], q[jnp.clip(distance, 0, sites - 1)], 0) * signs[None]
+    reached = arriving @ guide.end.mirrored + q @ guide.end.reflected
+    reached = reached.at[0].set(reading @ guide.end.first)
+    there = (distance > 0).astype(q.dtype)
     both = there[:, None, None, None] * there[None, None, None]
-    return (A + between(back, reached)) * both, (t + (reached @ (back @ pushed)).T) * there[None]
+    A, t = A + between(guide.end.back, reached), t + (reached @ (guide.end.back @ guide.end.pushed)).T
+    return A * both, t * there[None]
 
 
 @in_full
@@ -420,39 +442,6 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
     return found if relief is None else found._replace(relief=(relief * contact * A[:, 0, 1])[None], push_relief=relief * t[1:])
 
 
-def _at_column(
-    guide: Guide, column: Int[Array, ""], q: Float[Array, "N r n"], from_next: Float[Array, "r n"]
-) -> tuple[Array, Float[Array, "N r n"]]:
-    """Displacements of one column in the half-infinite guide: per load, and per force on the contacts before it."""
-    r, sites = q.shape[1], jnp.arange(q.shape[0], dtype=column.dtype)
-    # column i + 1 per force on contact i: of each path, the terms T^m that it passes
-    passed = _by_powers(guide.transfer, jnp.concatenate([q[1:] @ guide.step.T, q[1:] @ guide.free.T], 1))
-    direct, last = jnp.cumsum(passed[:, :r], 0) - passed[:, :r], passed[:, r:]
-    next_to = q[0][None] @ guide.step.T + (direct + last) @ guide.transfer.T
-    next_to = jnp.concatenate([from_next[None], next_to])
-    far = _by_powers(guide.transfer, next_to[column - 1 - sites])  # by the distance from the column
-    reached = jnp.where((sites < column)[:, None, None], far[column - 1 - sites], 0)
-    pushed = _by_powers(guide.transfer, jnp.broadcast_to(guide.pushed, (q.shape[0], 1, q.shape[2])))
-    return pushed[column - 1, 0], reached
-
-
-def _by_powers(T: Float[Array, "n n"], rows: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
-    """Multiply row i by (Tᵀ)^i, through the powers up to √N and those of T^√N."""
-    count = rows.shape[0]
-    fine = 1 << (count.bit_length() + 1) // 2
-    coarse = -(-count // fine)
-
-    def power(P: Array, step: Array) -> tuple[Array, Array]:
-        return P @ step, P
-
-    one = jnp.eye(T.shape[0], dtype=T.dtype)
-    leap, fines = lax.scan(lambda P, _: power(P, T), one, length=fine)
-    coarses = lax.scan(lambda P, _: power(P, leap), one, length=coarse)[1]
-    blocks = jnp.pad(rows, ((0, fine * coarse - count), (0, 0), (0, 0))).reshape(coarse, fine, *rows.shape[1:])
-    found = jnp.einsum("cfrm,fnm,ckn->cfrk", blocks, fines, coarses)
-    return found.reshape(fine * coarse, *rows.shape[1:])[:count]
-
-
 @in_full
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
     """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
@@ -469,8 +458,8 @@ def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N
 
     found = under(load, force)
     if guide.end is not None:
-        length, back = guide.end
-        found = found + under(0 * load, jnp.zeros_like(force).at[length - 1].set(back @ found[length - 1]))
+        last = guide.end.length - 1
+        found = found + under(0 * load, jnp.zeros_like(force).at[last].set(guide.end.back @ found[last]))
     # back through the layers over contact 0, which pulls at all of them
     own = edge.reading[0] @ found[0] + edge.direct[0] * load + edge.own[0, 0] * contact * pinning[0]
     pull = contact * (pinning[0] - own)
