@@ -317,7 +317,7 @@ def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Arra
     found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load)
     if length is None:
         return found
-    length, mirror = jnp.asarray(length), _halves(along, len(X))[1]
+    length, mirror = jnp.asarray(length), jnp.asarray(_halves(along, len(X))[1])
     reflected_in = mirror[:, None] * X * mirror[None]
     far = _power(found.transfer, length - 1)
     sent = inverse_of_definite(X + reflected_in)

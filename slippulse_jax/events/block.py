@@ -222,6 +222,21 @@ def _ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> t
     return status, length_or_reason(status, found.length(excess, excess.size - 1))
 
 
+def rubbing(body: Relaxed, friction: Array) -> Relaxed:
+    """Contacts whose threshold follows their pressure, at a coefficient of friction, from those at 1."""
+    if body.pressed is not None:
+        return body._replace(pressed=body.pressed._replace(friction=friction))
+    relief, push_relief = (None if x is None else friction * x for x in (body.response.relief, body.response.push_relief))
+    return body._replace(response=body.response._replace(relief=relief, push_relief=push_relief))
+
+
+def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """ℓ of an event, how many contacts broke, and its `Outcome`."""
+    found, start = first_event(body, kind=kind)
+    status, length = _ended(found, start, body, kind)
+    return length, found.broken.sum(), status
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def _length_from(start: Nucleation, body: Relaxed, kind: EventKind) -> Float[Array, ""]:
     """ℓ of the event that a nucleation begins."""

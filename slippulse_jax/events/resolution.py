@@ -349,7 +349,7 @@ def _some(body: Body, which: Any) -> Body:
 
 def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lengths, contacts broken and statuses of many blocks; shapes (n,)."""
-    length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0]
+    length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0, 0]
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
     if lost.any():
         block, interface = _some(body, np.argmax(lost))
@@ -357,31 +357,53 @@ def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.nda
     return length, broken, status
 
 
-def followed(body: Body, stiffness: Float[np.ndarray, "n m"], sites: int, kind: EventKind) -> Float[np.ndarray, "3 n m"]:
+def followed(
+    body: Body,
+    stiffness: Float[np.ndarray, "n m"],
+    sites: int,
+    kind: EventKind,
+    friction: Float[np.ndarray, "n f"] | None = None,
+) -> Float[np.ndarray, "3 n m f"]:
     """Length, contacts broken and status of the events of many blocks, each at several contact stiffnesses.
 
-    Where the bottom of a block may not move up or down, the block itself is computed once for all. NaN asks for nothing.
+    Where the bottom of a block may not move up or down, the block itself is computed once for all stiffnesses. With `friction`,
+    each is followed at several coefficients of it, and its response is computed once for all. NaN asks for nothing.
     """
+    if friction is not None:
+        block = eqx.tree_at(lambda x: x.friction, body[0], np.ones(len(stiffness)))
+        body = block, body[1]
     leaves, tree = jax.tree.flatten(body)
-    lanes = [np.asarray(x, float) for x in (*leaves, *stiffness.T)]
-    return np.stack(over_lanes(_followed(tree, stiffness.shape[1], sites, kind), lanes, ONE_BY_ONE)).swapaxes(1, 2)
+    columns = [] if friction is None else [*friction.T]
+    lanes = [np.asarray(x, float) for x in (*leaves, *stiffness.T, *columns)]
+    kernel = _followed(tree, stiffness.shape[1], len(columns), sites, kind)
+    return np.moveaxis(np.stack(over_lanes(kernel, lanes, ONE_BY_ONE)), -1, 1)
 
 
 @functools.cache
-def _followed(tree: Any, count: int, sites: int, kind: EventKind) -> Kernel:
+def _followed(tree: Any, stiffnesses: int, frictions: int, sites: int, kind: EventKind) -> Kernel:
     def events(lane: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        block, interface = jax.tree.unflatten(tree, list(lane[:-count, 0]))
+        numbers, first = lane[:, 0], tree.num_leaves
+        block, interface = jax.tree.unflatten(tree, list(numbers[:first]))
         if block.length is not None:
             block = eqx.tree_at(lambda x: x.length, block, jnp.rint(block.length).astype(jnp.int32))
         bare = blocks.unattached(block) if block.normal_stiffness is None else None
+        asked = numbers[first + stiffnesses :] if frictions else jnp.zeros(1)
 
-        def one(k: Array) -> tuple[Array, Array, Array]:
-            found = blocks.record(eqx.tree_at(lambda x: x.stiffness, block, k), interface, sites, kind, bare)
-            return found.length, found.contacts_broken.astype(k.dtype), found.status.astype(k.dtype)
+        def at(k: Array) -> Float[Array, "f 3"]:
+            body = blocks.contacts_of(eqx.tree_at(lambda x: x.stiffness, block, k), interface, sites, bare)
 
-        def none(k: Array) -> tuple[Array, Array, Array]:
-            return k, k, k
+            def event(friction: Array) -> Float[Array, "3"]:
+                found = blocks.length_of(blocks.rubbing(body, friction) if frictions else body, kind)
+                return jnp.stack([x.astype(k.dtype) for x in found])
 
-        return tuple(x[:, None] for x in lax.map(lambda k: lax.cond(jnp.isnan(k), none, one, k), lane[-count:, 0]))
+            return _wanted(event, asked, 3)
+
+        found = _wanted(at, numbers[first : first + stiffnesses], asked.size, 3)
+        return tuple(found[:, :, i, None] for i in range(3))
 
     return events
+
+
+def _wanted(function: Callable[[Array], Array], given: Float[Array, " n"], *shape: int) -> Array:
+    """`function` of each number, one after another, and NaN for NaN."""
+    return lax.map(lambda x: lax.cond(jnp.isnan(x), lambda x: jnp.full(shape, x), function, x), given)

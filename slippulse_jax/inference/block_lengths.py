@@ -30,7 +30,7 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.status import Outcome
 
 AXES = {
-    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.04,
+    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,
     "log_normal_stiffness": 0.5,
 }  # fmt: skip
 """Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
@@ -43,10 +43,12 @@ UNIT, WIDEST = 0.16, 8
 """Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
 NEAR = {8: 1.5, 4: 1.2}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
-FAR = 4.0
-"""Factor below the measured lengths from which on an event is of another kind."""
+FAR, LIKE = 4.0, 1.25
+"""Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
 BREAKING = 150
 """Contacts that an event as long as measured should break, of those that are followed."""
+PARTS = 8
+"""Into how many parts a step of friction is divided where a length falls within it."""
 SMALLEST = 4.0
 """Least H/λc of a block that is followed: its larger contacts are twice as large."""
 TALLEST = 1e5
@@ -57,8 +59,8 @@ OF_END = 128
 """Contacts of each height of a block that ends, at most; their number is a power of 2, and at least twice `FOLLOWED`."""
 MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
-TOGETHER = 4
-"""Nodes of one block computed at once."""
+TOGETHER, RUBBING = 4, 32
+"""Nodes of one block computed at once: of several b, or, at one b, of several coefficients of friction."""
 AT_ONCE, LONG = 32, 20.0
 """Events after which progress is shown, and a long time in s."""
 
@@ -120,7 +122,8 @@ class BlockLengths:
         self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
         self.tallest = [float(np.broadcast_to(height, own.shape)[own == i].max()) for i in range(len(rows))]
         self.measured = len(rows)
-        self.beside: dict[tuple[int, int], int] = {}  # number of a block that differs from a measured one by steps of friction
+        # number of a block that differs from a measured one by parts of a step of friction
+        self.beside: dict[tuple[int, int], int] = {}
         self.curves: dict[int, Curve] = {}
         self.nodes: list[set[int]] = [set() for _ in rows]
 
@@ -193,30 +196,43 @@ class BlockLengths:
     def _over_friction(
         self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, value: np.ndarray
     ) -> Float[np.ndarray, " n"]:
-        """ℓ/H at other coefficients of friction: lengths may fall within a step of it, so blocks on either side are followed.
+        """ℓ/H at other coefficients of friction, from blocks followed on both sides; ever closer ones where it falls between.
 
         Their contacts have one size; `value`, ℓ/H of the measured blocks, says what smaller ones change.
         """
-        step, part = _cells(offset)
         own = self._along(origin, log_b, np.array([1 / self._height(i) for i in origin.tolist()]))[0]
         with np.errstate(all="ignore"):
             factor = value / own
-        factor, found = np.where(np.isfinite(factor) & (factor > 0), factor, 1), []
-        for side in (0, 1):
-            pairs = zip(origin.tolist(), (step + side).tolist(), strict=True)
-            near = np.array([self._with_friction(i, steps) for i, steps in pairs])
-            found.append(np.where(near == origin, value, factor * self._along(near, log_b, 0 * log_b)[0]))
-        return _blended(np.stack(found), np.stack([1 - part, part]))
+        factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1)
 
-    def _with_friction(self, i: int, steps: int) -> int:
-        """Number of the block that differs from a measured one by so many steps of friction."""
-        if steps and (i, steps) not in self.beside:
-            self.beside[i, steps] = len(self.origins)
-            self.origins.append(self._moved(i, FRICTION, steps))
+        def at(parts: Int[np.ndarray, " m"], lanes: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+            pairs = zip(origin[lanes].tolist(), parts.tolist(), strict=True)
+            near = np.array([self._with_friction(i, number) for i, number in pairs])
+            beside = self._along(near, log_b[lanes], 0 * log_b[lanes])[0]
+            return np.where(near == origin[lanes], value[lanes], factor[lanes] * beside)
+
+        lanes, place = np.arange(len(offset)), PARTS * offset
+        left, width = PARTS * _cells(offset)[0], np.full(len(offset), PARTS)
+        sides = at(np.concatenate([left, left + PARTS]), np.tile(lanes, 2)).reshape(2, -1)
+        target = np.array(self.target).T[:, origin]
+        while (lanes := lanes[_falls(*np.sort(sides, axis=0), *target)[lanes] & (width[lanes] > 1)]).size:
+            width[lanes] //= 2
+            middle = left[lanes] + width[lanes]
+            right = (place[lanes] >= middle).astype(int)
+            sides[1 - right, lanes] = at(middle, lanes)
+            left[lanes] = np.where(right, middle, left[lanes])
+        part = (place - left) / width
+        return _blended(sides, np.stack([1 - part, part]))
+
+    def _with_friction(self, i: int, parts: int) -> int:
+        """Number of the block that differs from a measured one by so many parts of a step of friction."""
+        if parts and (i, parts) not in self.beside:
+            self.beside[i, parts] = len(self.origins)
+            self.origins.append(self._moved(i, FRICTION, parts / PARTS))
             self.target.append(self.target[i])
             self.tallest.append(self.tallest[i])
             self.nodes.append(set())
-        return self.beside[i, steps] if steps else i
+        return self.beside[i, parts] if parts else i
 
     def _beside(self, origin: np.ndarray, axis: int, step: np.ndarray, j: np.ndarray) -> Float[np.ndarray, "2 2 2 n"]:
         """ℓ/H of blocks moved so many steps along an axis or one more, at two nodes in ln b; and of the blocks themselves."""
@@ -241,7 +257,7 @@ class BlockLengths:
         most = min(height * ratio + 1e-9, _most_sites(self.origins[i]))
         return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
 
-    def _moved(self, i: int, axis: int, steps: int) -> Geometry:
+    def _moved(self, i: int, axis: int, steps: float) -> Geometry:
         moved = list(self.origins[i])
         moved[axis] += steps * list(AXES.values())[axis]
         return tuple(moved)
@@ -288,7 +304,9 @@ class BlockLengths:
         (low, high), every, found = self.target[i], sorted(self.nodes[i]), set()
         for left, right in itertools.pairwise(every):
             apart, (a, b) = right - left, sorted((known[left].value, known[right].value))
-            if _kind(a) != _kind(b):
+            if _falls(a, b, low, high):
+                near = apart > 1
+            elif _kind(a) != _kind(b):
                 near = apart > 1 and b > low / FAR
             else:
                 near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
@@ -306,6 +324,11 @@ def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
 
     ratio = stated("log_sites") - inputs.log_height
     return np.stack([ratio if name == "log_ratio" else stated(name) for name in GEOMETRY], axis=-1)
+
+
+def _pressed(geometry: Geometry) -> bool:
+    """Whether the interface has a normal stiffness, so that friction matters."""
+    return bool(np.isfinite(geometry[GEOMETRY.index("log_normal_stiffness")]))
 
 
 def _ratio(geometry: Geometry) -> float:
@@ -358,6 +381,11 @@ def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"])
         alike = low * FAR > np.where(used, length, 0).max(axis=0)
         by_log = np.exp((weight * np.where(used, np.log(length), 0)).sum(axis=0) / share)
         return np.where(share > 0, np.where(alike, by_log, (weight * np.where(used, length, 0)).sum(axis=0) / share), np.inf)
+
+
+def _falls(low: Any, high: Any, least: Any, most: Any) -> Any:
+    """Whether a length like the measured ones, from `least` to `most`, falls to one of another kind."""
+    return (low * FAR < high) & (high * LIKE > least) & (high < most * LIKE)
 
 
 def _kind(value: float) -> int:
@@ -464,23 +492,38 @@ def _pairs(keys: list[Key]) -> None:
 
 def _lengths(keys: list[Key]) -> list[float]:
     """ℓ/H of blocks of some H/λc, inf where the event leaves the contacts followed or the block lifts off."""
-    new = [key for key in dict.fromkeys(keys) if key not in _computed]
-    by_block: dict[tuple[Geometry, float], list[int]] = {}
-    for g, h, j in new:
-        by_block.setdefault((g, h), []).append(j)
-    lanes = [(*place, every[i : i + TOGETHER]) for place, every in by_block.items() for i in range(0, len(every), TOGETHER)]
-    for alike in _alike(*map(np.array, zip(*(place for *place, _ in lanes), strict=True))) if lanes else ():
-        kind = [lanes[i] for i in alike]
-        for part in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
-            block, interface = _bodies(np.array([g for g, _, _ in part]), np.array([h for _, h, _ in part]))
-            log_b = np.array([(every + [np.nan] * TOGETHER)[:TOGETHER] for _, _, every in part], float) * UNIT
-            stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
-            length, _, status = followed((block, interface), stiffness, _sites(*part[0][:2]), "full")
-            endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
-            length = np.where(endless, np.inf, length) / block.height[:, None]
-            for (g, h, every), row in zip(part, length, strict=True):
-                _computed.update(((g, h, j), float(value)) for j, value in zip(every, row, strict=False))
+    lanes: dict[tuple[Geometry, float, int | None], list[Key]] = {}
+    for geometry, height, j in dict.fromkeys(keys):
+        if (geometry, height, j) not in _computed:
+            without = tuple(0.0 if i == FRICTION else x for i, x in enumerate(geometry))
+            place = (without, height, j) if _pressed(geometry) else (geometry, height, None)
+            lanes.setdefault(place, []).append((geometry, height, j))
+    parts = []
+    for (geometry, *_), every in lanes.items():
+        most = RUBBING if _pressed(geometry) else TOGETHER
+        parts += [every[i : i + most] for i in range(0, len(every), most)]
+    for alike in _alike(np.array([part[0][0] for part in parts]), np.array([part[0][1] for part in parts])) if parts else ():
+        kind = [parts[i] for i in alike]
+        for some in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
+            _computed.update(zip(itertools.chain(*some), _events(some), strict=True))
     return [_computed[key] for key in keys]
+
+
+def _events(parts: list[list[Key]]) -> list[float]:
+    """ℓ/H of blocks of one kind: each part is of one block at several b, or of several coefficients of friction."""
+    geometry, height = (np.array([part[0][i] for part in parts]) for i in (0, 1))
+    pressed = _pressed(parts[0][0][0])
+    most = RUBBING if pressed else TOGETHER
+    every = [[key[0][FRICTION] if pressed else UNIT * key[2] for key in part] for part in parts]
+    varied = np.array([(row + [np.nan] * most)[:most] for row in every])
+    log_b = np.array([[UNIT * part[0][2]] for part in parts]) if pressed else varied
+    block, interface = _bodies(geometry, height)
+    stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
+    friction = np.maximum(varied, 0) if pressed else None
+    length, _, status = followed((block, interface), stiffness, _sites(*parts[0][0][:2]), "full", friction)
+    endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
+    length = (np.where(endless, np.inf, length) / block.height[:, None, None]).reshape(len(parts), most)
+    return [float(value) for part, row in zip(parts, length, strict=True) for value in row[: len(part)]]
 
 
 def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
