@@ -120,7 +120,9 @@ class BlockLengths:
         rows, own = distinct_rows(geometry)
         self.origins: list[Geometry] = [tuple(row) for row in rows.tolist()]
         self.target = [(float(ratio[own == i].min()), float(ratio[own == i].max())) for i in range(len(rows))]
-        self.tallest = [float(np.broadcast_to(height, own.shape)[own == i].max()) for i in range(len(rows))]
+        own_height = [float(np.broadcast_to(height, own.shape)[own == i].max()) for i in range(len(rows))]
+        # H/λc on whose contacts each is followed
+        self.heights = [_height(*every) for every in zip(self.origins, self.target, own_height, strict=True)]
         self.measured = len(rows)
         # number of a block that differs from a measured one by parts of a step of friction
         self.beside: dict[tuple[int, int], int] = {}
@@ -190,7 +192,7 @@ class BlockLengths:
         found = np.empty((2, len(log_b)))
         for i in every:
             here = which == i
-            found[:, here] = _between(curves[i], log_b[here], inverse[here], self._height(i))
+            found[:, here] = _between(curves[i], log_b[here], inverse[here], self.heights[i])
         return found
 
     def _over_friction(
@@ -200,7 +202,7 @@ class BlockLengths:
 
         Their contacts have one size; `value`, ℓ/H of the measured blocks, says what smaller ones change.
         """
-        own = self._along(origin, log_b, np.array([1 / self._height(i) for i in origin.tolist()]))[0]
+        own = self._along(origin, log_b, 1 / np.array(self.heights)[origin])[0]
         with np.errstate(all="ignore"):
             factor = value / own
         factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1)
@@ -230,7 +232,7 @@ class BlockLengths:
             self.beside[i, parts] = len(self.origins)
             self.origins.append(self._moved(i, FRICTION, parts / PARTS))
             self.target.append(self.target[i])
-            self.tallest.append(self.tallest[i])
+            self.heights.append(self.heights[i])
             self.nodes.append(set())
         return self.beside[i, parts] if parts else i
 
@@ -241,21 +243,11 @@ class BlockLengths:
         for side in (0, 1):
             for beside in (0, WIDEST):
                 for i, m, node in rows.astype(int).tolist():
-                    height = self._height(i)
+                    height = self.heights[i]
                     moved.append((self._moved(i, axis, m + side), height, node + beside))
                     still.append((self.origins[i], height, node + beside))
         values = _beside_each_other(moved, still)
         return values.reshape(2, 2, 2, -1)[..., own]
-
-    def _height(self, i: int) -> float:
-        """H/λc on whose contacts one measured block is followed, by the length it has; the same for lengths that are alike."""
-        (low, high), ratio = self.target[i], _ratio(self.origins[i])
-        height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(low * high), 1e-3))) / 2)
-        height = float(min(height, max(self.tallest[i], SMALLEST)))
-        if not np.isfinite(ratio):
-            return height
-        most = min(height * ratio + 1e-9, _most_sites(self.origins[i]))
-        return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
 
     def _moved(self, i: int, axis: int, steps: float) -> Geometry:
         moved = list(self.origins[i])
@@ -283,7 +275,7 @@ class BlockLengths:
         """Compute nodes: of measured blocks on contacts of two sizes, of those beside them of one."""
         of_two, of_one = [], []
         for i, nodes in new.items():
-            place = self.origins[i], self._height(i)
+            place = self.origins[i], self.heights[i]
             (of_one if self._of_one_size(i) else of_two).extend((*place, j) for j in sorted(nodes))
             self.nodes[i] |= nodes
         _follow(of_two)
@@ -291,7 +283,7 @@ class BlockLengths:
 
     def _found(self, i: int) -> dict[int, Node]:
         """Nodes of one block."""
-        place = self.origins[i], self._height(i)
+        place = self.origins[i], self.heights[i]
         if self._of_one_size(i):
             return {j: Node(_computed[*place, j], 0.0, 0.0) for j in self.nodes[i]}
         return {j: _known[place][j] for j in self.nodes[i]}
@@ -346,6 +338,17 @@ def _sites(geometry: Geometry, height: float) -> int:
     """Contacts that are followed: all of a block that ends."""
     ratio = _ratio(geometry)
     return FOLLOWED if np.isinf(ratio) else max(FOLLOWED, 1 << int(np.ceil(np.log2(ratio * height - 1e-6))))
+
+
+def _height(geometry: Geometry, target: tuple[float, float], own: float) -> float:
+    """H/λc on whose contacts a measured block is followed, by the length it has; the same for lengths that are alike."""
+    ratio = _ratio(geometry)
+    height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(target[0] * target[1]), 1e-3))) / 2)
+    height = float(min(height, max(own, SMALLEST)))
+    if not np.isfinite(ratio):
+        return height
+    most = min(height * ratio + 1e-9, _most_sites(geometry))
+    return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
 
 
 def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
