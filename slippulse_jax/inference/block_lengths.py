@@ -39,9 +39,9 @@ FLAGS = ("push_force", "multicontact", "top_held")
 GEOMETRY = (*AXES, *FLAGS)
 """What is one geometry, beside λc/H."""
 WITHOUT_END, FRICTION, MULTICONTACT = (GEOMETRY.index(name) for name in ("log_ratio", "friction", "multicontact"))
-UNIT, WIDEST = 0.16, 8
+UNIT, WIDEST = 0.04, 32
 """Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
-NEAR = {8: 1.5, 4: 1.2}
+NEAR = {32: 1.5, 16: 1.2}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
 FAR, LIKE = 4.0, 1.25
 """Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
