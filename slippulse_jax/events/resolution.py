@@ -182,20 +182,26 @@ def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> t
         found = on(block, interface)
         return found, jnp.zeros_like(found)
     pair = [on(*_coarser((block, interface), size)) for size in (height, height / 2)]
-    return extrapolated(pair[0], pair[1], height, block.height)
+    return extrapolated(pair[0], pair[1], height, block.height, _b(block))
 
 
-def extrapolated(fine: Any, rough: Any, height: Any, tall: Any) -> tuple[Any, Any]:
+def _b(block: Block) -> Any:
+    """Stiffness of the interface over that of the block."""
+    return 2 * (1 + block.poisson) * block.stiffness * block.height
+
+
+def extrapolated(fine: Any, rough: Any, height: Any, tall: Any, b: Any) -> tuple[Any, Any]:
     """ℓ of a block from those on contacts of two sizes, at H/λc = `height` and half of it; and how far it may be off.
 
     The length of an event of n breaks has a relative error of order 1/n; extrapolation leaves about a quarter of its own
-    correction. Lengths that differ by more than `ALIKE` belong to two kinds of event: the finer one is taken, and may be off by
-    their difference.
+    correction, and as much as that from b = 20 on, where stresses change within few contacts. Lengths that differ by more than
+    `ALIKE` belong to two kinds of event: the finer one is taken, and may be off by their difference.
     """
     fine, rough = fine * tall / height, rough * tall * 2 / height
     correction = (fine - rough) * (1 - height / tall)
     alike = _alike(fine, rough).astype(fine.dtype)
-    return fine + correction * alike, abs(correction) * (1 - 0.75 * alike)
+    left = jnp.clip(b / 20, 0.25, 1) if isinstance(b, jax.Array) else np.clip(b / 20, 0.25, 1)
+    return fine + correction * alike, abs(correction) * (1 - (1 - left) * alike)
 
 
 def _alike(fine: Any, rough: Any) -> Any:
@@ -321,7 +327,7 @@ def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> 
     height, _, fine, rough = _views((block, interface), kind)
     endless = np.isposinf(fine)
     with np.errstate(invalid="ignore"):  # inf − inf
-        found, error = extrapolated(fine, rough, height, block.height)
+        found, error = extrapolated(fine, rough, height, block.height, _b(block))
     return np.where(endless, np.inf, found), np.where(endless, np.asarray(block.height), error)
 
 

@@ -479,7 +479,7 @@ def _pairs(keys: list[Key]) -> None:
     for (g, h, j), fine in found.items():
         rough = larger[g, h, j]
         if np.isfinite(fine):
-            value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST)) / TALLEST
+            value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST, np.exp(UNIT * j))) / TALLEST
             _known[g, h][j] = Node(value, -(value - fine) * h, error)
         elif np.isinf(_ratio(g)):
             _known[g, h][j] = Node(rough, 0.0, 0.1 * rough)
