@@ -41,7 +41,7 @@ GEOMETRY = (*AXES, *FLAGS)
 WITHOUT_END, FRICTION, MULTICONTACT = (GEOMETRY.index(name) for name in ("log_ratio", "friction", "multicontact"))
 UNIT, WIDEST = 0.04, 32
 """Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
-NEAR = {32: 1.5, 16: 1.2}
+NEAR = {32: 1.5, 16: 1.2, 8: 1.1}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
 FAR, LIKE = 4.0, 1.25
 """Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
@@ -299,7 +299,7 @@ class BlockLengths:
             if _falls(a, b, low, high):
                 near = apart > 1
             elif _kind(a) != _kind(b):
-                near = apart > 1 and b > low / FAR
+                near = apart > 4 and b > low / FAR
             else:
                 near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
             if near:
