@@ -342,13 +342,15 @@ def _fields(block: Block, load: Array, pinning: Float[Array, " N"], guide: Guide
 @partial(jax.jit, static_argnames=("sites", "kind"))
 def stages(
     block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"], kind: EventKind
-) -> tuple[Float[Array, "n N"], Float[Array, "n N cells"]]:
+) -> tuple[Float[Array, "n N"], Float[Array, "n N"], Float[Array, "n N cells"]]:
     """Stresses after so many breaks of the first precursor, 0 for none; in σ_s.
 
     Returns
     -------
     contact : array, shape (n, sites)
         On the contacts.
+    threshold : array, shape (n, sites)
+        Theirs, which follows their pressure where there is friction.
     shear : array, shape (n, sites, cells)
         σ_xy in the block over each contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the
         prestress.
@@ -358,11 +360,14 @@ def stages(
     per_stress = jnp.ones(sites) if body.pressed is None else jnp.asarray(start.pressure)  # or per stretch
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
-    def at(limit: Array) -> tuple[Array, Array]:
+    def at(limit: Array) -> tuple[Array, Array, Array]:
         now = first_event(body, limit, kind)[0].contacts
+        pressure = per_stress
+        if now.pressure is not None:
+            pressure = jnp.where(limit > 0, now.pressure[0], jnp.asarray(start.pressure))
         field = _fields(block, start.load, jnp.where(limit > 0, now.released[0], 0), guide)
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
-        return per_stress * jnp.where(limit > 0, now.stress[0], start.stress), shear
+        return per_stress * jnp.where(limit > 0, now.stress[0], start.stress), pressure * body.threshold, shear
 
     return lax.map(at, breaks.astype(jnp.int32))

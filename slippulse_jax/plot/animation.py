@@ -118,7 +118,7 @@ def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) 
     stress = np.asarray(fields.stress)[:, :shown]
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
-    carried, words = _contact_stress(below, x, stress)
+    carried, _, words = _contact_stress(below, x, stress, np.ones_like(stress))
     (on_top,) = above.plot(x, upper[0], color=c.blue, label="upper layer $u_t$")
     (in_layer,) = above.plot(x, layer[0], color=c.vermilion, label="interfacial layer $u$")
     fronts = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in (above, below)]
@@ -144,28 +144,29 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
     above, below = panels
     mesh = draw_block(above, frames, 0)
     above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
-    x, stress = np.arange(frames.shown) + 0.5, frames.contact[:, : frames.shown]
-    carried, words = _contact_stress(below, x, stress)
-    below.set_ylim(min(0, 1.1 * stress.min()), 1.15 * max(stress.max(), 1))
+    x, stress, threshold = np.arange(frames.shown) + 0.5, frames.contact[:, : frames.shown], frames.threshold[:, : frames.shown]
+    carried, holds, words = _contact_stress(below, x, stress, threshold)
+    below.set_ylim(min(0, 1.1 * stress.min()), 1.15 * max(stress.max(), threshold[:, -1].max(), 1))
     below.legend(handles=below.lines[:2], loc="lower right")
 
     def frame(number: int) -> list[Any]:
         mesh.set_array(frames.shear[number, : frames.shown].T)
         carried.set_ydata(stress[number])
+        holds.set_ydata(threshold[number])
         words.set_text(f"{frames.breaks[number]} breaks{_at_end(number, frames.breaks)}")
-        return [mesh, carried, words]
+        return [mesh, carried, holds, words]
 
     return frame
 
 
-def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray) -> "tuple[Line2D, Text]":
-    """Draw the stress at nucleation and the threshold; return the line and the text that change between frames."""
+def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray, threshold: np.ndarray) -> "tuple[Line2D, Line2D, Text]":
+    """Draw the stress at nucleation and the threshold; return the lines and the text that change between frames."""
     c = style.colours(below)
     below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
-    below.axhline(1, color=c.grey, lw=0.8, label="threshold")
+    (holds,) = below.plot(x, threshold[0], color=c.grey, lw=0.8, label="threshold")
     (carried,) = below.plot(x, stress[0], color=c.ink)
     below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
-    return carried, below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
+    return carried, holds, below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
 
 
 def _at_end(number: int, frames: np.ndarray) -> str:

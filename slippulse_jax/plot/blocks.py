@@ -26,6 +26,7 @@ class Frames(NamedTuple):
     breaks: np.ndarray
     y: np.ndarray  # heights of the nodes, in λc
     contact: np.ndarray  # stress on the contacts, in σ_s; by breaks and contacts
+    threshold: np.ndarray  # of the contacts
     shear: np.ndarray  # σ_xy in the block over each contact, from one node to the next
     shown: int  # contacts in sight: those that broke, and half as many again
 
@@ -37,12 +38,15 @@ def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | 
     last = int(found.breaks)
     if breaks.min() < 0 or breaks.max() > last:
         raise ValueError(f"breaks = {breaks.max() if breaks.max() > last else breaks.min()}: this event has 0 to {last}")
-    contact, shear = map(np.asarray, blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event))
-    if breaks[-1] == last and not np.allclose(contact[-1], found.stress, atol=1e-3):
+    every = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event)
+    contact, threshold, shear = map(np.asarray, every)
+    # the stiffnesses of rough contacts are those at nucleation until the event is over
+    near = 1e-3 if found.block.contact_law == "amontons" else 0.1
+    if breaks[-1] == last and not np.allclose(contact[-1], found.stress, atol=near):
         raise ValueError("this is not the event of this interface: give interface= as first_precursor had it")
     furthest = int(np.max(np.nonzero(np.asarray(found.pinning))[0], initial=0)) + 1
     shown = min(found.stress.size, max(round(1.5 * furthest), round(float(found.block.height))))
-    return Frames(found, breaks, np.asarray(heights(found.block)), contact, shear, shown)
+    return Frames(found, breaks, np.asarray(heights(found.block)), contact, threshold, shear, shown)
 
 
 @drawn

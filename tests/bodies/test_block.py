@@ -883,7 +883,7 @@ def test_blocks_under_strict_promotion(double):
                 sp.Block(h, 0.05, 0.3, block.push, length=block.length, normal_stiffness=block.normal_stiffness)))(12.0))  # fmt: skip
         assert jnp.isfinite(sp.precursor_length(sp.Block(600.0, 0.01, 0.3)))
         assert jnp.isfinite(sp.precursor_length(sp.Block(12.0, 0.05, 0.3), rule=sp.SmoothBreak(0.01)))
-        assert jnp.isfinite(blocks.stages(found.block, interface, 40, jnp.arange(3), "domino")[1]).all()
+        assert jnp.isfinite(blocks.stages(found.block, interface, 40, jnp.arange(3), "domino")[2]).all()
         for protocol in (Adiabatic(), Steps(0.05), Spring(0.7)):
             many = sp.series(sp.Block(12.0, 0.05, 0.3), protocol, events=3, sites=64, interface=interface)
             assert int(many.number) == 3

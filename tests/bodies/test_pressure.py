@@ -9,7 +9,7 @@ from oracles.finite_elements import break_all
 
 import slippulse_jax as sp
 from slippulse_jax.events import block as blocks
-from slippulse_jax.events.series import Adiabatic, Spring
+from slippulse_jax.events.series import Adiabatic, Spring, Steps
 from slippulse_jax.status import Outcome
 
 
@@ -262,7 +262,7 @@ def test_bad_friction_is_named():
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.3)], ids=["edge", "spring"])
+@pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.3), Steps(0.01)], ids=["edge", "spring", "steps"])
 def test_a_series_is_that_of_the_finite_elements(protocol):
     """Loads, sites and extents of twelve events, from breaks one by one; forces and energies in balance."""
     block = pressed(8, 1.0, sp.Push(0.25), 0.3)
@@ -281,9 +281,13 @@ def test_a_series_is_that_of_the_finite_elements(protocol):
         rate = push + push_relief
         needed = np.where(rate > 0, (1 - fixed) / np.where(rate > 0, rate, 1), np.inf)
         j = int(np.argmin(needed))
-        loads.append(needed[j])
-        sites.append(j)
-        broken, coulomb = [], np.eye(block.contacts)[j]
+        load = needed[j] if not isinstance(protocol, Steps) else 0.01 * np.ceil(needed[j] / 0.01)
+        loads.append(load)
+        coulomb = np.eye(block.contacts)[j]
+        if isinstance(protocol, Steps):
+            coulomb = load * rate + (matrix - np.eye(block.contacts)) @ pinning + relief @ pinning
+        sites.append(int(np.argmax(coulomb)))
+        broken = []
         while coulomb.max() >= 1:
             j = int(np.argmax(coulomb))
             broken.append(j)
@@ -328,7 +332,13 @@ def test_rough_contacts_series():
 def test_pictures_of_a_block_with_friction(law):
     """Of rough contacts those after the event are of the stiffnesses at nucleation."""
     record = sp.first_precursor(pressed(12, 0.5, sp.Push(0.25), 0.2, contact_law=law), event="full")
-    contact, shear = blocks.stages(record.block, None, record.stress.size, jnp.array([0, int(record.breaks)]), "full")
+    contact, threshold, shear = blocks.stages(
+        record.block, None, record.stress.size, jnp.array([0, int(record.breaks)]), "full"
+    )
     np.testing.assert_allclose(contact[0], record.stress_before, atol=1e-12)
     np.testing.assert_allclose(contact[1], record.stress, atol=1e-12 if law == "amontons" else 0.02)
+    np.testing.assert_allclose(threshold[0], record.pressure_before, atol=1e-12)
+    if law == "amontons":
+        np.testing.assert_allclose(threshold[1], record.pressure, atol=1e-12)
     assert np.isfinite(shear).all()
+    assert sp.plot.block_stress(record).get_title("left") == f"{int(record.breaks)} breaks"

@@ -22,10 +22,11 @@ def test_stresses_from_nucleation_to_the_end(found):
     with jax.enable_x64(True):
         first, half, last = range(3)
         breaks = jnp.array([0, int(found.breaks) // 2, int(found.breaks)])
-        contact, shear = stages(BLOCK, None, found.stress.size, breaks, found.event)
+        contact, threshold, shear = stages(BLOCK, None, found.stress.size, breaks, found.event)
     np.testing.assert_allclose(contact[first], found.stress_before, atol=1e-12)
     np.testing.assert_allclose(contact[last], found.stress, atol=1e-12)
     assert np.max(contact[half]) > 1
+    assert np.all(threshold == 1)
     # over a contact the lowest cell carries what the contact does, away from the corner and the jump at the front
     near = np.abs(np.asarray(shear)[:, 2:, 0] - np.asarray(contact)[:, 2:])
     assert near[first].max() < 0.02
