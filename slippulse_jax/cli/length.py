@@ -185,7 +185,6 @@ def _block_length(form: dict[str, float], poisson: float, push: tuple[Any, ...],
         length = float(precursor_length(block))
     except ValueError as error:
         refuse(error)
-    given = pressed if pressed["friction"] is not None else {}
     return {
         "height": float(slider.height),
         "stiffness": float(slider.stiffness),
@@ -193,7 +192,7 @@ def _block_length(form: dict[str, float], poisson: float, push: tuple[Any, ...],
         "push_height": height,
         "push_width": width,
         "push_control": control,
-        **given,
+        **pressed,
         "length": length,
         "length_of_slider": float(exact_length(slider)),
     }
@@ -206,7 +205,9 @@ def _block_text(result: dict[str, Any]) -> str:
     length = (
         f"{result['length']:.6g} λc{_in_mm(result)}" if result["length"] else "none: the neighbour of the first contact holds"
     )
-    pressed = f"; thresholds of μ = {result['friction']:g} times the pressure" if "friction" in result else ""
+    normal, friction = result["normal_stiffness"], result["friction"]
+    pressed = "" if normal is None else f"; k_n/k = {normal:g}"
+    pressed += "" if friction is None else f"; thresholds of μ = {friction:g} times the pressure"
     if math.isnan(result["length"]):
         length = "none: the block lifts off"
     return "\n".join(

@@ -423,7 +423,10 @@ class BlockEvent(Front):
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each event, by its length."""
         found = self.lengths(inputs)
-        return np.select([np.isinf(found), found > 0], [Outcome.RUN_AWAY, Outcome.ARRESTED], Outcome.NO_DOMINO)
+        ends = np.isfinite(inputs.get("log_sites")) if "log_sites" in inputs.names else np.zeros(found.shape, bool)
+        endless = np.isinf(found)
+        kinds = {Outcome.RAN_THROUGH: endless & ends, Outcome.RUN_AWAY: endless, Outcome.ARRESTED: found > 0}
+        return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """How far each length may be off, as coarser blocks show."""

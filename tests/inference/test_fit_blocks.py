@@ -234,6 +234,13 @@ def test_a_fit_of_lengths_where_no_event_stops():
     assert (BlockEvent().status(inputs) == Outcome.RUN_AWAY).all()
 
 
+@pytest.mark.ci
+def test_an_event_that_runs_through_a_block_is_not_one_that_never_stops():
+    inputs = inputs_of([30.0, 30.0], [2.0, 2.0], 0.4)
+    found = BlockEvent().status(inputs.given(log_sites=np.log([30.0, np.inf])))
+    assert found.tolist() == [Outcome.RAN_THROUGH, Outcome.ARRESTED]
+
+
 @pytest.mark.parametrize(("b", "decay"), [(0.1, 5.193), (0.3, 3.105), (1, 1.896), (3, 1.373), (10, 1.140), (1e9, 1.027)])
 def test_decay_of_an_edge_load(b, decay):
     """Values of a separate program."""
@@ -407,6 +414,10 @@ def test_the_command_has_lengths_of_blocks():
     assert content["length_of_slider"] == pytest.approx(float(sp.exact_length(sp.Slider(60.0, 0.006, 0.3))), rel=1e-12)
     text = CliRunner().invoke(length_command, [*given, "--push-width", "0.1"]).stdout
     assert "pushed over 0.1 H about 0.5 H, displacement held" in text
+    on_springs = [*given, "--normal-stiffness", "2", "--top", "held"]
+    content = json.loads(CliRunner().invoke(length_command, [*on_springs, "--json"]).stdout)
+    assert (content["normal_stiffness"], content["friction"], content["top"]) == (2, None, "held")
+    assert "displacement held; k_n/k = 2\n" in CliRunner().invoke(length_command, on_springs).stdout
     for more, message in [(["--sites", "30"], "half-infinite"), (["--push-width", "1.4"], "must lie in (0, 1)")]:
         refused = CliRunner().invoke(length_command, [*given, *more])
         assert refused.exit_code == 2
