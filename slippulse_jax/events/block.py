@@ -253,7 +253,7 @@ def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[
     given = moved.stress, moved.response.near[0], *pressure, changed.threshold
     slopes = slopes_of_length(found, start, body.threshold)
     change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
-    return length, jnp.where(jnp.isfinite(length), change, jnp.nan)  # what has no length has no derivative either
+    return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 
 
 def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:

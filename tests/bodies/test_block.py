@@ -311,6 +311,19 @@ def test_derivatives_back_are_those_forward(law, event):
 
 
 @pytest.mark.ci
+def test_an_event_without_a_length_has_no_derivative():
+    """Where it runs through zero would be wrong; where no domino starts it is right."""
+
+    def length(stiffness, **more):
+        return sp.precursor_length(sp.Block(20.0, stiffness, 0.3, sp.Push(0.3), **more), sites=64)
+
+    with jax.enable_x64(True):
+        assert np.isnan(jax.grad(functools.partial(length, length=8))(0.02))
+        assert float(length(1e-6)) == 0
+        assert abs(float(jax.grad(length)(1e-6))) < 1e-6
+
+
+@pytest.mark.ci
 def test_derivative_in_every_threshold():
     """Of an event that begins inside and runs both ways: only contacts that broke and the next one matter."""
     threshold = 1 + 0.3 * np.random.default_rng(3).random(64)
