@@ -39,8 +39,8 @@ FLAGS = ("push_force", "multicontact", "top_held")
 GEOMETRY = (*AXES, *FLAGS)
 """What is one geometry, beside λc/H."""
 WITHOUT_END, FRICTION, MULTICONTACT = (GEOMETRY.index(name) for name in ("log_ratio", "friction", "multicontact"))
-UNIT, WIDEST = 0.04, 32
-"""Spacing of the closest nodes in ln b, and of the first ones, in that unit."""
+UNIT, CLOSE, WIDEST = 0.04, 4, 32
+"""Spacing of nodes in ln b next to a fall; in that unit, of those near a measured length, and of the first ones."""
 NEAR = {32: 1.5, 16: 1.2, 8: 1.1}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
 FAR, LIKE = 4.0, 1.25
@@ -299,7 +299,7 @@ class BlockLengths:
             if _falls(a, b, low, high):
                 near = apart > 1
             elif _kind(a) != _kind(b):
-                near = apart > 4 and b > low / FAR
+                near = apart > CLOSE and b > low / FAR
             else:
                 near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
             if near:

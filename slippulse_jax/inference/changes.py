@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.block_lengths import FAR, UNIT, BlockLengths, b_of_tall, geometry_of
+from slippulse_jax.inference.block_lengths import CLOSE, FAR, UNIT, BlockLengths, b_of_tall, geometry_of
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
@@ -321,7 +321,9 @@ def _pressed(fitted: Fitted, i: int, friction: float) -> float:
         crossed = np.flatnonzero(np.isfinite(off[:-1] + off[1:]) & (np.sign(off[:-1]) != np.sign(off[1:])))
     found = grid[crossed] + np.diff(grid)[crossed] * off[crossed] / (off[crossed] - off[crossed + 1])
     # between nodes of which one has an event of few breaks, there is none of this length
-    found = found[[bool((lengths(at + np.array([-UNIT, UNIT])) > length / FAR).all()) for at in found]] if found.size else found
+    if found.size:
+        around = found[:, None] + CLOSE * UNIT * np.array([-1, 1])[None]
+        found = found[(lengths(around.ravel()).reshape(around.shape) > length / FAR).all(axis=1)]
     return float((found - one.log_stiffness)[np.abs(found - one.log_stiffness).argmin()]) if found.size else math.nan
 
 

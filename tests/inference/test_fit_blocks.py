@@ -647,9 +647,12 @@ def test_a_table_without_friction_is_told_what_pressure_would_make_of_it():
     ratio = found.fitted / m.height
     i = int(np.argsort(ratio)[len(ratio) // 2])
     push = sp.Push(m.push_height[i] / m.height[i], 0.1)
-    for factor, friction in zip(moved[np.isfinite(moved)], np.array([0.3, 0.6])[np.isfinite(moved)], strict=True):
-        block = sp.Block(m.height[i], factor * found.values["stiffness"], 0.3, push, friction=friction)
-        assert float(sp.precursor_length(block, event="full")) == pytest.approx(found.fitted[i], rel=0.04)
+    for factor, friction in zip(moved, (0.3, 0.6), strict=True):
+        searched = np.geomspace(0.05, 30, 12) if np.isnan(factor) else [factor]
+        for each in searched:
+            block = sp.Block(m.height[i], each * found.values["stiffness"], 0.3, push, friction=friction)
+            off = float(sp.precursor_length(block, event="full")) / found.fitted[i] - 1
+            assert (abs(off) > 0.1) if np.isnan(factor) else (abs(off) < 0.04)
     assert not np.allclose(moved, 1, atol=0.1)
     assert "thresholds that follow the pressure, at μ = 0.3 or 0.6" in found.report()
 
