@@ -128,8 +128,9 @@ def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[...
         return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
     reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
     count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
+    numbers = given if is_traced(given) else known
     while count <= blocks.MOST_CONTACTS:
-        found = event(*given, sites=count)
+        found = event(*numbers, sites=count)
         if not np.isposinf(_known(found.length if isinstance(found, BlockPrecursor) else found)):
             return found
         count *= MORE_SITES
