@@ -119,6 +119,8 @@ Found = TypeVar("Found", Array, BlockPrecursor)
 def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[..., Found]) -> Found:
     """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop."""
     block = given[0]
+    if not is_traced(given):
+        given = jax.tree.map(np.asarray, given)
     if sites is not None:
         return event(*given, sites=blocks.checked_sites(block, sites))
     known = _known(given)
@@ -128,9 +130,8 @@ def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[...
         return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
     reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
     count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
-    numbers = given if is_traced(given) else known
     while count <= blocks.MOST_CONTACTS:
-        found = event(*numbers, sites=count)
+        found = event(*given, sites=count)
         if not np.isposinf(_known(found.length if isinstance(found, BlockPrecursor) else found)):
             return found
         count *= MORE_SITES
