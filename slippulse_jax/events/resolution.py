@@ -202,8 +202,7 @@ def extrapolated(fine: Any, rough: Any, height: Any, tall: Any, b: Any) -> tuple
     fine, rough = fine * tall / height, rough * tall * 2 / height
     correction = (fine - rough) * (1 - height / tall)
     alike = _alike(fine, rough).astype(fine.dtype)
-    left = jnp.clip(b / 20, 0.25, 1) if isinstance(b, jax.Array) else np.clip(b / 20, 0.25, 1)
-    return fine + correction * alike, abs(correction) * (1 - (1 - left) * alike)
+    return fine + correction * alike, abs(correction) * (1 - (1 - (b / 20).clip(0.25, 1)) * alike)
 
 
 def _alike(fine: Any, rough: Any) -> Any:
