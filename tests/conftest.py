@@ -43,6 +43,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 MOST_MEMORY = max(2.5e9, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 5)
 """Bytes that a worker may keep in compiled programs and the rest: to compile them again takes longest where there is room for all."""
+MOST_MAPS = 32_000
+"""Pieces of memory that it may have mapped, several for every program: Linux allows 65 530, and XLA ends the process at the next."""
 
 
 def resident():
@@ -51,6 +53,22 @@ def resident():
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def mapped():
+    """Pieces of memory that this process has mapped, where Linux tells."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
+@pytest.fixture(autouse=True)
+def forget_programs_before_there_are_too_many():
+    """One file alone may compile more than a process can hold."""
+    yield
+    if mapped() > MOST_MAPS:
+        jax.clear_caches()
 
 
 @pytest.fixture(autouse=True, scope="module")
