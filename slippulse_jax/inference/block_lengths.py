@@ -7,8 +7,9 @@ Over the height, a length depends on b, ν, the push, the prestress, where the b
 on λc/H, in which it is linear. For every distinct block of a table it is computed at nodes along ln b, few where it is far from
 the measured one and more where it is near: on the block's own contacts and on ones twice as large, or, of a tall block, on
 contacts of two sizes that suit the measured length. Over friction, in which a length may fall at once, blocks on both sides are
-followed alike. Other inputs that differ from what the table states, because they have an error, multiply it by the ratio of
-lengths that differ in that input alone. Nodes are kept for the next fit.
+followed alike. Between the nodes on the two sides of a fall a length may be of either kind, and says so. Other inputs that
+differ from what the table states, because they have an error, multiply it by the ratio of lengths that differ in that
+input alone. Nodes are kept for the next fit.
 """
 
 import itertools
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.interpolate import PchipInterpolator
 from tqdm.auto import tqdm
 
@@ -86,7 +87,7 @@ class Curve(NamedTuple):
     """Nodes of one block along ln b, in order."""
 
     at: Float[np.ndarray, " n"]
-    stops: Bool[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]  # ℓ/H
     runs: list[Run]  # of neighbours at which the event stops
 
 
@@ -163,10 +164,12 @@ class BlockLengths:
     ) -> Float[np.ndarray, "2 n"]:
         offset = _offsets(geometry, np.array(self.origins)[origin])
         moved, cell, share = np.abs(offset) > 1e-9, *_cells(log_b / UNIT / WIDEST)
-        value, error = self._along(origin, log_b, inverse)
+        value, error, off = self._along(origin, log_b, inverse)
         lanes = np.flatnonzero(moved[:, FRICTION])
         if lanes.size:
-            value[lanes] = self._over_friction(origin[lanes], offset[lanes, FRICTION], log_b[lanes], value[lanes])
+            value[lanes], off[lanes] = self._over_friction(
+                origin[lanes], offset[lanes, FRICTION], log_b[lanes], np.stack([value, off])[:, lanes]
+            )
             moved[:, FRICTION] = False
         for axis in np.flatnonzero(moved.any(axis=0)).tolist():
             lanes = np.flatnonzero(moved[:, axis])
@@ -183,48 +186,53 @@ class BlockLengths:
                 alike = np.where(share_good > 0, share_good * value[lanes] * np.exp(log_ratio), 0)
                 others = (weight * np.where(used & ~good, there, 0)).sum(axis=(0, 1))  # by themselves
                 value[lanes] = np.where(share_used > 0, (alike + others) / share_used, np.inf)
-        return np.stack([value, error])
+        return np.stack([value, np.hypot(error, off)])
 
-    def _along(self, which: np.ndarray, log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
-        """ℓ/H and its error along the curves of some blocks."""
+    def _along(self, which: np.ndarray, log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "3 n"]:
+        """ℓ/H along the curves of some blocks, its error, and how far it may be off where it falls."""
         every = np.unique(which).tolist()
         curves = self._curves({i: (log_b[which == i].min(), log_b[which == i].max()) for i in every})
-        found = np.empty((2, len(log_b)))
+        found = np.empty((3, len(log_b)))
         for i in every:
             here = which == i
-            found[:, here] = _between(curves[i], log_b[here], inverse[here], self.heights[i])
+            found[:2, here] = _between(curves[i], log_b[here], inverse[here], self.heights[i])
+            cell = np.clip(np.searchsorted(curves[i].at, log_b[here], side="right") - 1, 0, len(curves[i].at) - 2)
+            left, right = curves[i].at[cell], curves[i].at[cell + 1]
+            sides = np.stack([curves[i].value[cell], curves[i].value[cell + 1]])
+            found[2, here] = _off(sides, np.clip((log_b[here] - left) / (right - left), 0, 1), *self.target[i])
         return found
 
     def _over_friction(
-        self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, value: np.ndarray
-    ) -> Float[np.ndarray, " n"]:
+        self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, own: Float[np.ndarray, "2 n"]
+    ) -> Float[np.ndarray, "2 n"]:
         """ℓ/H at other coefficients of friction, from blocks followed on both sides; ever closer ones where it falls between.
 
-        Their contacts have one size; `value`, ℓ/H of the measured blocks, says what smaller ones change.
+        Their contacts have one size; `own`, of the measured blocks, says what smaller ones change. The second row is how far
+        the first may be off where it falls.
         """
-        own = self._along(origin, log_b, 1 / np.array(self.heights)[origin])[0]
         with np.errstate(all="ignore"):
-            factor = value / own
+            factor = own[0] / self._along(origin, log_b, 1 / np.array(self.heights)[origin])[0]
         factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1)
 
-        def at(parts: Int[np.ndarray, " m"], lanes: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        def at(parts: Int[np.ndarray, " m"], lanes: Int[np.ndarray, " m"]) -> Float[np.ndarray, "2 m"]:
             pairs = zip(origin[lanes].tolist(), parts.tolist(), strict=True)
             near = np.array([self._with_friction(i, number) for i, number in pairs])
-            beside = self._along(near, log_b[lanes], 0 * log_b[lanes])[0]
-            return np.where(near == origin[lanes], value[lanes], factor[lanes] * beside)
+            beside = self._along(near, log_b[lanes], 0 * log_b[lanes])[::2]
+            return np.where(near == origin[lanes], own[:, lanes], factor[lanes] * beside)
 
         lanes, place = np.arange(len(offset)), PARTS * offset
         left, width = PARTS * _cells(offset)[0], np.full(len(offset), PARTS)
-        sides = at(np.concatenate([left, left + PARTS]), np.tile(lanes, 2)).reshape(2, -1)
+        sides, off = at(np.concatenate([left, left + PARTS]), np.tile(lanes, 2)).reshape(2, 2, -1)
         target = np.array(self.target).T[:, origin]
         while (lanes := lanes[_falls(*np.sort(sides, axis=0), *target)[lanes] & (width[lanes] > 1)]).size:
             width[lanes] //= 2
             middle = left[lanes] + width[lanes]
             right = (place[lanes] >= middle).astype(int)
-            sides[1 - right, lanes] = at(middle, lanes)
+            sides[1 - right, lanes], off[1 - right, lanes] = at(middle, lanes)
             left[lanes] = np.where(right, middle, left[lanes])
         part = (place - left) / width
-        return _blended(sides, np.stack([1 - part, part]))
+        weight = np.stack([1 - part, part])
+        return np.stack([_blended(sides, weight), np.hypot((weight * off).sum(axis=0), _off(sides, part, *target))])
 
     def _with_friction(self, i: int, parts: int) -> int:
         """Number of the block that differs from a measured one by so many parts of a step of friction."""
@@ -386,6 +394,16 @@ def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"])
         return np.where(share > 0, np.where(alike, by_log, (weight * np.where(used, length, 0)).sum(axis=0) / share), np.inf)
 
 
+def _off(sides: Float[np.ndarray, "2 n"], part: Float[np.ndarray, " n"], least: Any, most: Any) -> Float[np.ndarray, " n"]:
+    """How far a length between two may be off where it falls, at once and anywhere between them, past measured ones.
+
+    It is then the one or the other, as likely as it is near; this is the standard deviation.
+    """
+    low, high = np.sort(sides, axis=0)
+    past = np.isfinite(high) & (low * FAR < high) & (high * LIKE > least) & (low < most * LIKE)
+    return np.where(past, high - np.where(past, low, 0), 0) * np.sqrt(np.clip(part * (1 - part), 0, None))
+
+
 def _falls(low: Any, high: Any, least: Any, most: Any) -> Any:
     """Whether a length like the measured ones, from `least` to `most`, falls to one of another kind."""
     return (low * FAR < high) & (high * LIKE > least) & (high < most * LIKE)
@@ -405,7 +423,7 @@ def _curve(nodes: dict[int, Node]) -> Curve:
             alone = np.append(run, run[-1]) if len(run) == 1 else run  # a node by itself: the same all around
             place = at[run] if len(run) > 1 else at[run[0]] + np.array([-1.0, 1.0])
             runs.append((run[0], run[-1], PchipInterpolator(place, value[alone])))
-    return Curve(at, stops, runs)
+    return Curve(at, value[:, 0], runs)
 
 
 def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:

@@ -369,7 +369,10 @@ class BlockEvent(Front):
     body_modelled = "semi-infinite block under two-dimensional elasticity, pushed at a height"
     length_modelled = "length of the whole event, in which contacts may break again"
     held = "the pusher"
-    uncertain_as = "the length of an event on a block is interpolated between coarser blocks, which may change it by"
+    uncertain_as = (
+        "the length of an event on a block is interpolated, between coarser blocks and across a fall to a few contacts, which "
+        "may change it by"
+    )
     refused: ClassVar[dict[str, str]] = {
         "displacement": "from lengths alone: leave it out",
         "force": "from lengths alone: leave it out",
@@ -429,7 +432,7 @@ class BlockEvent(Front):
         return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """How far each length may be off, as coarser blocks show."""
+        """How far each length may be off, as coarser blocks show, and next to where it falls."""
         return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult
     from slippulse_jax.inference.measurements import Gauges
     from slippulse_jax.inference.parameters import Free
+    from slippulse_jax.inference.predicted import LengthCurve
 
 ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6
@@ -246,7 +247,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         low, high = of_push if along == "push_height" else (1.01, np.inf)
         height = height[(height > low) & (height < high)]
         x, curve = height * size, result.curve(rows, height, along=along)
-        longest = np.where(np.isfinite(curve.longest), curve.longest * size, np.nan)  # not where a block is run through
+        longest = _longest(result, rows, height, along, curve) * size
         curves.append((x, longest, curve.breaks_again.any()))
         dashed_where(ax, x, curve.length * size, curve.breaks_again, color=color, label=name)
         for low, high in () if _rejected(result) else curve.bands:
@@ -270,6 +271,21 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         handles.insert(handles.index(beyond), band)
     legend_above(ax, handles, most=2, title="Lengths and fit")
     return ax
+
+
+def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: str, curve: "LengthCurve") -> np.ndarray:
+    """Longest length at each height, in λc; NaN where a block is run through.
+
+    Where each costs many whole events, it is in proportion to the block as between the two nearest that were measured.
+    """
+    if result.parameters.front.interpolated:
+        m = result.measurements
+        at, first = np.unique(getattr(m, along)[rows], return_index=True)
+        longest = np.interp(height, at, (result.attainable / m.height)[rows][first])
+        longest = longest * (height if along == "height" else m.height[rows[0]])
+    else:
+        longest = curve.longest
+    return np.where(np.isfinite(longest), longest, np.nan)
 
 
 def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
