@@ -123,7 +123,8 @@ def as_type(x: Any, dtype: Any) -> Any:
     """`x` in this floating type; anything else as it is."""
     if isinstance(x, jax.Array):
         return lax.convert_element_type(x, dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
-    return np.asarray(x, dtype) if isinstance(x, float | np.ndarray) and np.asarray(x).dtype.kind == "f" else x
+    # a copy: as long as JAX holds the single-precision version of an array, it takes that for the array in double precision too
+    return np.array(x, dtype) if isinstance(x, float | np.ndarray) and np.asarray(x).dtype.kind == "f" else x
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:

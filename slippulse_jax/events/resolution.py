@@ -119,8 +119,6 @@ Found = TypeVar("Found", Array, BlockPrecursor)
 def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[..., Found]) -> Found:
     """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop."""
     block = given[0]
-    if not is_traced(given):
-        given = jax.tree.map(np.asarray, given)
     if sites is not None:
         return event(*given, sites=blocks.checked_sites(block, sites))
     known = _known(given)
