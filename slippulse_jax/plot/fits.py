@@ -276,13 +276,11 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: str, curve: "LengthCurve") -> np.ndarray:
     """Longest length at each height, in λc; NaN where a block is run through.
 
-    Where each costs many whole events, it is in proportion to the block as between the two nearest that were measured.
+    Where each costs many whole events, it is in proportion to the height as at the two nearest that were measured.
     """
     if result.parameters.front.interpolated:
-        m = result.measurements
-        at, first = np.unique(getattr(m, along)[rows], return_index=True)
-        longest = np.interp(height, at, (result.attainable / m.height)[rows][first])
-        longest = longest * (height if along == "height" else m.height[rows[0]])
+        at, first = np.unique(getattr(result.measurements, along)[rows], return_index=True)
+        longest = height * np.interp(height, at, result.attainable[rows][first] / at)
     else:
         longest = curve.longest
     return np.where(np.isfinite(longest), longest, np.nan)
