@@ -370,8 +370,8 @@ class BlockEvent(Front):
     length_modelled = "length of the whole event, in which contacts may break again"
     held = "the pusher"
     uncertain_as = (
-        "the length of an event on a block is interpolated, between coarser blocks and across a fall to a few contacts, which "
-        "may change it by"
+        "interpolating the length of an event on a block, between coarser blocks and across a fall to a few contacts, may "
+        "change it by"
     )
     refused: ClassVar[dict[str, str]] = {
         "displacement": "from lengths alone: leave it out",
