@@ -21,6 +21,7 @@ left: with X' = S X S and T' = S T S, column m moves by T'^{L−m} (X + X')⁻¹
 sends back T^{m−1} (X + E)⁻¹ (X' − E) times what arrives at column 1; G_L is the sum at column L.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -77,7 +78,7 @@ class End(NamedTuple):
     """A free end at column L, and what a force on that column does in the half-infinite guide."""
 
     length: Array  # L, the number of contacts before it
-    back: Array  # X (1 − G_L X)⁻¹, force that takes X away per displacement of column L
+    back: Array  # X (X − X G_L X)⁻¹ X, force that takes X away per displacement of column L
     pushed: Array  # that displacement per unit of the load
     mirrored: Array  # what it sends left from column L, seen in a mirror
     reflected: Array  # what of it the edge sends back from column 1
@@ -226,9 +227,21 @@ def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]
     )
 
 
-@in_full
 def _sum_along(T: Float[Array, "n n"], F: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Sum of (Tᵀ)^m F T^m, by doubling."""
+    """Sum of (Tᵀ)^m F T^m."""
+    return _by_doubling(T, F, lambda power, sum: power.T @ sum @ power)
+
+
+def _over_columns(T: Float[Array, "n n"], first: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Sum of T^m times the displacement of the first column."""
+    return lax.custom_linear_solve(
+        lambda sum: sum - T @ sum, first, lambda _, x: _by_doubling(T, x, jnp.dot), lambda _, x: _by_doubling(T.T, x, jnp.dot)
+    )
+
+
+@in_full
+def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array, Array], Array]) -> Array:
+    """Sum over m of what T^m carries on, by twice as many terms each time, until no more is carried."""
 
     def felt(state: tuple[Array, Array, Array]) -> Array:
         power, _, count = state
@@ -236,9 +249,9 @@ def _sum_along(T: Float[Array, "n n"], F: Float[Array, "n n"]) -> Float[Array, "
 
     def twice(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         power, total, count = state
-        return power @ power, total + power.T @ total @ power, count + 1
+        return power @ power, total + carried(power, total), count + 1
 
-    return lax.while_loop(felt, twice, (T, F, jnp.int32(0)))[1]
+    return lax.while_loop(felt, twice, (T, first, jnp.int32(0)))[1]
 
 
 @in_full
@@ -323,8 +336,9 @@ def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Arra
     sent = inverse_of_definite(X + reflected_in)
     arriving = mirror[:, None] * (far @ (mirror[:, None] * sent))
     reflected = free @ ((reflected_in - at_edge.stiffness) @ arriving)
-    back = X @ inverse(jnp.eye(X.shape[0], dtype=X.dtype) - (sent + far @ reflected) @ X)
-    end = End(length, (back + back.T) / 2, far @ found.pushed, mirror[:, None] * sent, reflected, arriving + reflected)
+    felt = sent + far @ reflected
+    back = X @ inverse_of_definite(X - X @ (felt + felt.T) @ X / 2) @ X
+    end = End(length, back, far @ found.pushed, mirror[:, None] * sent, reflected, arriving + reflected)
     return found._replace(end=end)
 
 
@@ -429,7 +443,7 @@ def held_by_all(guide: Guide, t: Float[Array, "r N"]) -> Array:
         return t[0].sum()
     slab, T = guide.slab, guide.transfer
     first = slab.reading_left[0] + slab.reading_right[0] @ T
-    return t[0, 0] + first @ inverse(jnp.eye(T.shape[0], dtype=T.dtype) - T) @ guide.pushed
+    return t[0, 0] + first @ _over_columns(T, guide.pushed)
 
 
 def response(guide: Guide, contact: Array, sites: int, relief: Array | None = None) -> Response:
