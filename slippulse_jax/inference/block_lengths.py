@@ -496,7 +496,9 @@ def _pairs(keys: list[Key]) -> None:
     larger = dict(zip(keys, _lengths([(g, h / 2, j) for g, h, j in keys]), strict=True))
     for (g, h, j), fine in found.items():
         rough = larger[g, h, j]
-        if np.isfinite(fine):
+        if np.isfinite(fine) and not np.isfinite(rough):  # of another kind
+            _known[g, h][j] = Node(fine, 0.0, 1.0)
+        elif np.isfinite(fine):
             value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST, np.exp(UNIT * j))) / TALLEST
             _known[g, h][j] = Node(value, -(value - fine) * h, error)
         elif np.isinf(_ratio(g)):

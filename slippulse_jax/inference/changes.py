@@ -43,6 +43,8 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, SCANNED = (0.3, 0.6), 257
 """Friction coefficients tried where a table of a block states none, and stiffnesses at which a length is looked for."""
+NORMAL = (1.0, 1.4)
+"""k_n/k tried where a table with friction states none."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
@@ -261,8 +263,13 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
             )
         else:
             tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
-        moves = tuple(_pressed(fitted, _median(fitted, q.rows_of(q.index(stiff[0]))), friction) for friction in tried)
+        i = _median(fitted, q.rows_of(q.index(stiff[0])))
+        moves = tuple(_pressed(fitted, i, friction=friction) for friction in tried)
         yield Change("pressure", what, dict.fromkeys(stiff, moves))
+        if m.friction is not None and m.normal_stiffness is None:
+            what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
+            moves = tuple(_pressed(fitted, i, log_normal_stiffness=math.log(ratio)) for ratio in NORMAL)
+            yield Change("normal_stiffness", what, dict.fromkeys(stiff, moves))
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
@@ -300,8 +307,8 @@ def _median(fitted: Fitted, rows: np.ndarray) -> int:
     return int(rows[np.argsort(ratio)[len(rows) // 2]])
 
 
-def _pressed(fitted: Fitted, i: int, friction: float) -> float:
-    """Move of ln k to where one measurement has the same length at another friction coefficient; NaN where none is.
+def _pressed(fitted: Fitted, i: int, **given: float) -> float:
+    """Move of ln k to where one measurement has the same length at another μ, or another ln k_n/k; NaN where none is.
 
     The nearest such stiffness.
     """
@@ -309,7 +316,7 @@ def _pressed(fitted: Fitted, i: int, friction: float) -> float:
     one = q.inputs_at(fitted.theta).take([i])
     length, normal = q.front.lengths(one), one.get("log_normal_stiffness")
     normal = np.where(np.isinf(normal), math.log(USUAL_NORMAL_STIFFNESS), normal)
-    other = one.given(friction=np.array([friction]), log_normal_stiffness=normal)
+    other = one.given(**({"log_normal_stiffness": normal} | {name: np.array([x]) for name, x in given.items()}))
     grid = np.linspace(np.log(q.front.softest(m)[i]), np.log(q.front.stiffest(m)[i]), SCANNED)
     followed = BlockLengths(geometry_of(other), length / np.exp(one.log_height), np.exp(one.log_height))
 

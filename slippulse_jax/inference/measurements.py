@@ -26,6 +26,8 @@ class MeasurementWarning(UserWarning):
 
 DIAMOND = 1.2e12
 """Young's modulus of diamond, in Pa."""
+MOST_FRICTION = 2.0
+"""Coefficient of friction above which it may be in per cent."""
 LIKELY = (0.02, 1.2)
 """Usual range of the length over the height."""
 SUSPECT = (0.01, 1.5)
@@ -446,6 +448,9 @@ def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[s
             may_be += [f"is {length} in {unit}" for unit in _other_units(length, lambda factor: over * factor)]
         if may_be:
             yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
+    if m.friction is not None and m.friction.max() > MOST_FRICTION:
+        column = m.columns.get("friction", "friction")
+        yield f"a coefficient of friction of {m.friction.max():g} is that of no dry contact: is {column} in per cent?"
     if m.correlation_length is None:
         return
     if (m.height * m.correlation_length).max() < 1e-3:

@@ -11,7 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from slippulse_jax.inference.changes import END, MANY, NARROW_PUSHER, Change, of_inputs, total, total_interval, total_of_ratio
+from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
+from slippulse_jax.inference.changes import (
+    END,
+    MANY,
+    NARROW_PUSHER,
+    NORMAL,
+    Change,
+    of_inputs,
+    total,
+    total_interval,
+    total_of_ratio,
+)
 from slippulse_jax.inference.columns import COLUMNS, READINGS
 from slippulse_jax.inference.fitted import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import ENDED
@@ -95,7 +106,7 @@ def methods(result: Fitted, changes: Sequence[Change]) -> str:
         usual = [re.split(" larger by | smaller by ", COLUMNS[one.name].usual[0]) for one in of_inputs(changes)]
         errors += [f"The error contains usual errors of {', '.join(f'{sign} ({by})' for sign, by in usual)}."] * bool(usual)
         fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
-        errors += [f"Fitted with it: {', '.join(fitted)}."] * bool(fitted)
+        errors += [f"Fitted with it, within their errors: {', '.join(fitted)}."] * bool(fitted)
         errors += ["The error does not contain that of the model."] * all(one.name != "model_factor" for one in q.free)
     elif bounded:
         all_ends = ", and ".join(f"{one.symbol} = {one.intervals[LEVELS[-1]]} {one.unit}".rstrip() for one in bounded)
@@ -327,6 +338,12 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
                 f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if "
                 f"it is {NARROW_PUSHER}, {would}"
             )
+        elif change.name == "normal_stiffness":
+            would = f"the stiffness is {ends(factors)} times this" + ", or none fits" * (len(factors) < len(moves))
+            yield (
+                f"guessed: k_n/k = {USUAL_NORMAL_STIFFNESS:g}, as no normal_stiffness is stated; at {NORMAL[0]:g} or "
+                f"{NORMAL[1]:g} {would if factors else 'no stiffness fits'}"
+            )
     if q.held:
         yield "held: " + ", ".join(_held(result))
 
@@ -412,7 +429,7 @@ def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by
     if not result.parameters.named(name).log:
         return f"{by * shown[name].size:+.2g} {shown[name].unit}".rstrip() if abs(by) > NONE else "0"
     ratio = math.exp(by)
-    if change.name in ("threshold", "block", "push_width", "pressure") or not 1 / MANY < ratio < MANY:
+    if change.name in ("threshold", "block", "push_width", "pressure", "normal_stiffness") or not 1 / MANY < ratio < MANY:
         return f"× {format_number(ratio, 2)}"
     text = f"{ratio - 1:+.1%}".replace("%", " %")
     return text[1:] if text[1:] == "0.0 %" else text
@@ -527,6 +544,8 @@ def _regime(result: Fitted) -> str:
     decay, shortest = ends(at.slow_decay_length * scale), ends(4 * (at.slow_decay_length * scale))
     if front.body == "block":
         holds = f"so this holds only for blocks longer than 4 times that, {shortest} {unit}"
+        if result.measurements.block_length is not None:
+            holds = f"and the blocks are {ends(result.measurements.block_length * scale)} {unit} long"
         return f"Regime: b = {ends(at.b)}; an edge load decays over {decay} {unit}, {holds}"
     again = f" (from {rebreaking_b():.3g} on the edge contact of a tall slider breaks again)" * (front.event != "crack")
     end = f", so this holds only for blocks longer than 4/κ₂ = {shortest} {unit}"

@@ -575,6 +575,13 @@ def test_a_fit_of_blocks_that_end():
     (piece,) = found.intervals["stiffness"][0.95]
     assert piece.low < 4e-3 < piece.high
     assert "with the stated end" in unfolded(found.report())
+    assert "guessed: k_n/k = 1.2, as no normal_stiffness is stated" in unfolded(found.report()).lower()
+    moved = np.exp(next(one for one in found.changes if one.name == "normal_stiffness").moves["stiffness"])
+    i = int(np.argsort(found.fitted / m.height)[len(m) // 2])
+    for factor, normal in zip(moved, (1.0, 1.4), strict=True):
+        block = sp.Block(m.height[i], factor * found.values["stiffness"], 0.3, sp.Push(m.push_height[i] / m.height[i], 0.1),
+                         length=round(m.block_length[i]), friction=0.25, normal_stiffness=normal)  # fmt: skip
+        assert float(sp.precursor_length(block, event="full")) == pytest.approx(found.fitted[i], rel=0.04)
     assert "block with a free end under two-dimensional elasticity" in unfolded(found.report(verbose=True))
     for i in (0, 3):
         push = sp.Push(m.push_height[i] / m.height[i], 0.1)

@@ -478,7 +478,7 @@ def test_what_the_errors_come_from_is_said():
     ):
         assert f"  {said}  " in result.report()
         assert said in result.methods()
-    assert "Fitted with it: offset = 0.0 ± 2.8 λc, model factor = 1.00 ± 0.10." in measured.methods()
+    assert "Fitted with it, within their errors: offset = 0.0 ± 2.8 λc, model factor = 1.00 ± 0.10." in measured.methods()
     assert "does not contain that of the model" not in measured.methods()
     assert "The error does not contain that of the model." in alone.methods()
 
