@@ -191,7 +191,7 @@ def precursors(
     Raises
     ------
     ValueError
-        If the block has no end, or the catalogue is a batch.
+        If the block has no end, the catalogue is of a longer one, or it is a batch.
     """
     if isinstance(body, Block):
         if body.contacts is None:
@@ -199,6 +199,8 @@ def precursors(
         contacts, strength = body.contacts, body.contacts * float(body.stiffness)
     else:
         contacts, strength = len(body.threshold), float(body.stiffness) * float(np.sum(body.threshold))
+    if (largest := int(np.max(catalogue.extent, initial=0))) > contacts:
+        raise ValueError(f"body has {contacts} contacts, and the catalogue an event of {largest}: it is of another body")
     ax = axes(ax)
     c, events = colours(ax), table(catalogue)
     force, extent = events["force_before"] / strength, events["extent"] / contacts

@@ -276,11 +276,12 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: str, curve: "LengthCurve") -> np.ndarray:
     """Longest length at each height, in λc; NaN where a block is run through.
 
-    Where each costs many whole events, it is in proportion to the height as at the two nearest that were measured.
+    Where each costs many whole events, it is in proportion to the height as at the two nearest that were measured, or the
+    fitted length if that is longer.
     """
     if result.parameters.front.interpolated:
         at, first = np.unique(getattr(result.measurements, along)[rows], return_index=True)
-        longest = height * np.interp(height, at, result.attainable[rows][first] / at)
+        longest = np.fmax(height * np.interp(height, at, result.attainable[rows][first] / at), curve.length)
     else:
         longest = curve.longest
     return np.where(np.isfinite(longest), longest, np.nan)
