@@ -320,7 +320,7 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
     stated = ["end"] * ended + ["machine"] * machine
     still = "" if machine or "force" in m.push_control else q.front.held
     needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest} {unit}"] * (not ended)
-    needed += [f"{still} does not move during the event"] * bool(still)
+    needed += [f"{still} {'do' if ' and ' in still else 'does'} not move during the event"] * bool(still)
     body = f"{'tried with' if result.identifiability in NOTHING_HOLDS else 'holds for'} {q.front.carrier}"
     body += f" with the stated {' and '.join(stated)}" * bool(stated) + f", if {' and '.join(needed)}" * bool(needed)
     yield body + f", with {q.front.thresholds}" + f" and {q.front.lengths_are_of}" * bool(q.front.lengths_are_of)

@@ -250,7 +250,9 @@ def choose(requested: str | Iterable[str], parameters: Iterable[str]) -> tuple[s
     if not chosen:
         raise ValueError("a sweep needs at least one output")
     if unused := beyond.difference(*(OUTPUTS[name].takes for name in chosen)):
-        raise ValueError(f"no output takes account of {', '.join(sorted(unused))}")
+        takers = [name for name, output in OUTPUTS.items() if unused <= set(output.takes)]
+        ask = f": ask for {' or '.join(takers)} in outputs" * bool(takers)
+        raise ValueError(f"no output takes account of {', '.join(sorted(unused))}{ask}")
     return tuple(chosen)
 
 
