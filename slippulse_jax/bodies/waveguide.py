@@ -78,7 +78,7 @@ class End(NamedTuple):
     """A free end at column L, and what a force on that column does in the half-infinite guide."""
 
     length: Array  # L, the number of contacts before it
-    back: Array  # X (X − X G_L X)⁻¹ X, force that takes X away per displacement of column L
+    back: Array  # (X⁻¹ − G_L)⁻¹, force that takes X away per displacement of column L
     pushed: Array  # that displacement per unit of the load
     mirrored: Array  # what it sends left from column L, seen in a mirror
     reflected: Array  # what of it the edge sends back from column 1
@@ -131,6 +131,28 @@ def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, 
 def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     found = inverse_of_definite(primals[0])
     return found, -found @ tangents[0] @ found
+
+
+@jax.custom_jvp
+@in_full
+def taken_away(X: Float[Array, "n n"], G: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """(X⁻¹ − G)⁻¹ of symmetric matrices, definite as their difference.
+
+    Corrected once: X may be far stiffer across the guide than along it.
+    """
+    passed = X @ inverse_of_definite(X - X @ G @ X)
+    found = passed @ X
+    found = found + passed @ (X - found + X @ (G @ found))
+    return (found + found.T) / 2
+
+
+@taken_away.defjvp
+@in_full
+def _taken_away_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    (X, G), (dX, dG) = primals, tangents
+    found = taken_away(X, G)
+    share = jnp.eye(len(X), dtype=X.dtype) + G @ found  # X⁻¹ times what is found
+    return found, share.T @ dX @ share + found @ dG @ found
 
 
 @in_full
@@ -337,7 +359,7 @@ def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Arra
     arriving = mirror[:, None] * (far @ (mirror[:, None] * sent))
     reflected = free @ ((reflected_in - at_edge.stiffness) @ arriving)
     felt = sent + far @ reflected
-    back = X @ inverse_of_definite(X - X @ (felt + felt.T) @ X / 2) @ X
+    back = taken_away(X, (felt + felt.T) / 2)
     end = End(length, back, far @ found.pushed, mirror[:, None] * sent, reflected, arriving + reflected)
     return found._replace(end=end)
 
