@@ -195,11 +195,7 @@ class BlockLengths:
         found = np.empty((3, len(log_b)))
         for i in every:
             here = which == i
-            found[:2, here] = _between(curves[i], log_b[here], inverse[here], self.heights[i])
-            cell = np.clip(np.searchsorted(curves[i].at, log_b[here], side="right") - 1, 0, len(curves[i].at) - 2)
-            left, right = curves[i].at[cell], curves[i].at[cell + 1]
-            sides = np.stack([curves[i].value[cell], curves[i].value[cell + 1]])
-            found[2, here] = _off(sides, np.clip((log_b[here] - left) / (right - left), 0, 1), *self.target[i])
+            found[:, here] = _between(curves[i], log_b[here], inverse[here], self.heights[i], self.target[i])
         return found
 
     def _over_friction(
@@ -426,10 +422,12 @@ def _curve(nodes: dict[int, Node]) -> Curve:
     return Curve(at, value[:, 0], runs)
 
 
-def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ/H and its error at places along a curve: monotone cubics; next to an endless event the last length, else inf.
+def _between(
+    curve: Curve, log_b: np.ndarray, inverse: np.ndarray, height: float, target: tuple[float, float]
+) -> Float[np.ndarray, "3 n"]:
+    """ℓ/H at places along a curve, and its errors: monotone cubics; next to an endless event the last length, else inf.
 
-    The error is that of extrapolating from the contacts of H/λc = `height`.
+    The errors are that of extrapolating from the contacts of H/λc = `height`, and that next to a fall.
     """
     i = np.clip(np.searchsorted(curve.at, log_b, side="right") - 1, 0, len(curve.at) - 2)
     found, off = np.full((2, len(log_b)), [[np.inf], [1.0]])
@@ -438,7 +436,8 @@ def _between(curve: Curve, log_b: np.ndarray, inverse: np.ndarray, height: float
         length, per, may = through(np.clip(log_b[inside], curve.at[first], curve.at[last])).T
         found[inside] = np.maximum(length + per * inverse[inside], 0)
         off[inside] = may * np.abs(1 - height * inverse[inside])
-    return found, off
+    part = np.clip((log_b - curve.at[i]) / (curve.at[i + 1] - curve.at[i]), 0, 1)
+    return np.stack([found, off, _off(np.stack([curve.value[i], curve.value[i + 1]]), part, *target)])
 
 
 def b_of_tall(length: float, poisson: float) -> dict[str, float]:

@@ -11,7 +11,7 @@ from reports import unfolded
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fitted import Identifiability
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.parameters import Parameter, mistaken_priors
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
@@ -221,3 +221,10 @@ def test_no_block_is_suggested_where_the_table_states_what_one_cannot_take():
     length = lengths(0.004, prestress=0.3) + NOISE
     _, steps = rejected(length, machine_stiffness=1e5)
     assert not any("push_height" in step for step in steps)
+
+
+def test_a_coefficient_of_friction_may_be_in_per_cent():
+    push = {"push_height": [5.0], "normal_stiffness": 1.2}
+    for friction, count in ((0.6, 0), (30.0, 1)):
+        m = sp.Measurements(height=[25.0], poisson=0.3, length=[14.0], length_sigma=[0.5], friction=friction, **push)
+        assert sum("is friction in per cent?" in one for one in likely_mistakes(m)) == count

@@ -68,3 +68,14 @@ def test_sensitivity(ax):
     plot.sensitivity(sensitivity(FIG2, sites=60), sites=32, ax=ax)
     assert has_units(ax, "lambda_c", "sigma_s")
     assert jnp.allclose(ax.patches[5].get_height(), 0)
+
+
+def test_precursors_of_another_body_are_refused():
+    """A short chain breaks to its end; one of fewer contacts cannot have had that event."""
+    long, short = (sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=sites, right="free") for sites in (40, 20))
+    catalogue = sp.series(long, events=10)
+    reached = int(catalogue.extent.max())
+    assert reached > 20
+    sp.plot.precursors(catalogue, long)
+    with pytest.raises(ValueError, match=f"body has 20 contacts, and the catalogue an event of {reached}"):
+        sp.plot.precursors(catalogue, short)

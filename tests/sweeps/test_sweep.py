@@ -307,7 +307,7 @@ def test_blocks_do_not_depend_on_their_company(tmp_path):
         ({"push_height": 0.5, "friction": -0.1}, "friction = -0.1: must be 0 or more"),
         ({"push_height": 0.5, "contact_law": "multicontact"}, "contact_law = 'multicontact': .* give friction too"),
         ({"push_height": 0.5, "push_control": "speed"}, "Push.control = 'speed'"),
-        ({"push_height": 0.5, "outputs": "length"}, "no output takes account of push_height"),
+        ({"push_height": 0.5, "outputs": "length"}, "no output takes account of push_height: ask for block_precursor_length"),
         ({"push_height": 0.5, "right": "free", "sites": 90}, "is for a semi-infinite chain"),
     ],
 )
