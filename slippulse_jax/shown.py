@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 SHOWN = 6
 """Largest size of an array shown in full; larger ones are shown by size and range."""
+TIED = "\u00a0"
+"""Space at which no line is folded."""
 MOST_ROWS = 20
 """Rows of a table that are shown."""
 

@@ -16,7 +16,6 @@ import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,9 +63,6 @@ TOGETHER, RUBBING = 4, 32
 """Nodes of one block computed at once: of several b, or, at one b, of several coefficients of friction."""
 AT_ONCE, LONG = 32, 20.0
 """Events after which progress is shown, and a long time in s."""
-
-TABLE = Path(__file__).with_name("block_lengths.npz")
-"""Lengths of tall blocks pushed above some heights (`python -m benchmarks block_table`)."""
 
 NONE = np.empty((0, len(GEOMETRY)))
 """No blocks."""
@@ -438,23 +434,6 @@ def _between(
         off[inside] = may * np.abs(1 - height * inverse[inside])
     part = np.clip((log_b - curve.at[i]) / (curve.at[i + 1] - curve.at[i]), 0, 1)
     return np.stack([found, off, _off(np.stack([curve.value[i], curve.value[i + 1]]), part, *target)])
-
-
-def b_of_tall(length: float, poisson: float) -> dict[str, float]:
-    """Smallest b at which a tall block pushed above some heights has this length over H, of the nearest ν of the package.
-
-    By the height over H; NaN where no b gives so long an event.
-    """
-    with np.load(TABLE) as table:
-        log_b, found = table["log_b"], table["length"][np.abs(table["poisson"] - poisson).argmin()]
-        pushes = table["push"].tolist()
-    least = {}
-    for at, each in zip(pushes, found, strict=True):
-        above = each >= length
-        i = max(int(np.argmax(above)), 1)
-        b = np.exp(np.interp(length, each[i - 1 : i + 1], log_b[i - 1 : i + 1])) if above.any() else np.nan
-        least[f"{at:g}"] = float(b)
-    return least
 
 
 # --- nodes ----------------------------------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """Changes that would move a fit: usual errors of its inputs, another body, richer models.
 
 An input without a standard error of its own is taken as exact, and a table rarely states everything. What that leaves out is
-found by fitting again, near the best fit, with one thing changed for all measurements alike, as by a wrong ruler or modulus.
+found by fitting again with one thing changed for all measurements alike: near the fit where it is a usual error, as of a wrong
+ruler or modulus; else over the whole range, as `fit` does with the changed table.
 """
 
 import dataclasses
@@ -13,42 +14,46 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.block_lengths import CLOSE, FAR, UNIT, BlockLengths, b_of_tall, geometry_of
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
-from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
+from slippulse_jax.inference.fitted import LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.intervals import Interval
-from slippulse_jax.inference.likelihood import Problem, make_problem
+from slippulse_jax.inference.likelihood import IMPROBABLE, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import (
     HEIGHTS,
     MODEL_ERROR,
-    OF_MEASURING,
     STIFFNESSES,
     Parameter,
     ParameterSet,
     parameter_set,
 )
+from slippulse_jax.inference.search import between_contacts, ordered, search
 from slippulse_jax.shown import format_number, plural
+from slippulse_jax.status import NotConverged
 
 USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
 """Columns with a usual error, in the order in which a paper states them."""
 OF_BLOCKS = ("push_height", "friction")
 SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
-END, STIFF = 4.0, 10.0
-"""Length of a block over 1/κ_2, and stiffness of a machine over that of the block, assumed where the table states none."""
+END, MACHINES = 4.0, (1.0, 1 / 3)
+"""Length of a block over 1/κ_2, and stiffnesses of a machine over that of the block, tried where the table states none."""
+PUSHES = (0.5, 0.25, 0.1, 0.05)
+"""Heights over H of the lower end of a pusher that are tried on a real block; published ones are below 0.07."""
 NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
-PRESSED, SCANNED = (0.3, 0.6), 257
-"""Friction coefficients tried where a table of a block states none, and stiffnesses at which a length is looked for."""
-NORMAL = (1.0, 1.4)
-"""k_n/k tried where a table with friction states none."""
+PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
+"""Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
 SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
-"""Starts over the range of the stiffness, and steps of each, where the best fit may be far away."""
+"""Starts over the range of the stiffness of a fit with one freedom more, and steps of every start."""
+TRIED = 65
+"""Points over the range of the stiffness, from the valleys between which a fit starts where lengths are smooth."""
+AT_END = 1e-6
+"""Share of the range searched within which a fit lies at its end: then no value fits."""
 MANY = 3.0
 """Factor from which on a change counts, and is given, as one instead of in per cent."""
 MUCH = 0.2
@@ -67,6 +72,7 @@ class Change(NamedTuple):
     moves: dict[str, tuple[float, ...]]  # by parameter; several where `what` names several, or a range
     opposite: dict[str, float] = {}  # of an input taken as exact: the moves by the opposite of its usual error
     otherwise: str = "none fits"  # what NaN means
+    several: tuple[bool, ...] = ()  # which of the moves are by a fit with more than one value, of which this is the first
 
     def both(self, name: str) -> tuple[float, float]:
         """Moves of a parameter by the usual error of an input, and by its opposite."""
@@ -80,17 +86,11 @@ class Change(NamedTuple):
 
 
 def changes(fitted: Fitted) -> list[Change]:
-    """List what would move the parameters that have a value, largest first."""
-    if not fitted.given:
+    """List what would move the parameters that have a value, or several; largest first."""
+    if not fitted.moved:
         return []
     every = [*_of_inputs(fitted), *_of_ends(fitted), *_of_bodies(fitted)]
-    found = sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
-    if fitted.parameters.front.body == "block":
-        force = ", or a pusher of which the force is held" * (not fitted.measurements.push_control)
-        end = "an end of the block, " * (fitted.measurements.block_length is None)
-        what = f"{end}a machine that gives way{force}"
-        found.append(Change("drive", what, dict.fromkeys(fitted.given, (math.nan,)), otherwise="not computed"))
-    return found
+    return sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
 
 
 def _size(change: Change, fitted: Fitted) -> float:
@@ -119,13 +119,13 @@ def _of_inputs(fitted: Fitted) -> Iterator[Change]:
         if name in beside or not _taken_as_exact(m, name) or (name in OF_BLOCKS and q.front.body == "slider"):
             continue
         what, error, *other = COLUMNS[name].usual
-        moves = _moves(fitted, _moved(m, name, error), rejected=True)
+        moves = _moves(fitted, _moved(m, name, error))
         opposite = {one: -by for one, (by,) in moves.items()}
         if np.isnan(list(moves.values())).any():
             allowed = _allowed(fitted, name, error)
             opposite = {one: -float(allowed[q.index(one)]) for one in moves}
         elif other:
-            back = _moves(fitted, _moved(m, name, *other), rejected=True)
+            back = _moves(fitted, _moved(m, name, *other))
             opposite = {one: opposite[one] if np.isnan(by) else by for one, (by,) in back.items()}
         counted = " (counts stay as they are)" * (name == "correlation_length" and m.in_si and "whole" in m.kind)
         yield Change(name, what + counted, moves, opposite)
@@ -143,29 +143,69 @@ def _allowed(fitted: Fitted, name: str, error: float) -> np.ndarray:
     return (high - low) / 2 / SMALL / np.sqrt(1 + rise)
 
 
-def _moves(fitted: Fitted, m: Measurements, *held: Parameter, rejected: bool = False) -> dict[str, tuple[float]]:
-    """Moves of the parameters that have a value; NaN where the block is run through or, if that counts, the fit `rejected`."""
-    theta, deviance = _refitted(fitted, m, *held)
-    lost = _rejected(fitted, deviance) if rejected else not np.isfinite(deviance)
+def _moves(fitted: Fitted, m: Measurements) -> dict[str, tuple[float]]:
+    """Moves of the parameters that have a value; NaN where nothing fits."""
+    theta, deviance = _refitted(fitted, m)
+    dof, misfit = fitted.testable_dof, deviance - fitted.problem.perfect
+    lost = not np.isfinite(deviance) or (dof is not None and chdtrc(dof, misfit) < IMPROBABLE)
     moved = np.full(len(theta), np.nan) if lost else theta - fitted.theta
-    return {one: (float(moved[fitted.parameters.index(one)]),) for one in fitted.given}
+    return {one: (float(moved[fitted.parameters.index(one)]),) for one in fitted.moved}
 
 
-def _rejected(fitted: Fitted, deviance: float) -> bool:
-    """Whether nothing fits, or so badly that model and σ do not describe the data."""
-    dof = fitted.testable_dof
-    improbable = dof is not None and chdtrc(dof, deviance - fitted.problem.perfect) < IMPROBABLE
-    return bool(improbable or not np.isfinite(deviance))
+def _refitted(fitted: Fitted, m: Measurements) -> tuple[np.ndarray, float]:
+    """θ of the first minimum near those known, for other measurements, and its deviance."""
+    q = fitted.parameters
+    # a block is much like the one that was followed, but for the place of its push, next to which events step
+    own = fitted.measurements
+    alike = np.array_equal(m.or_zero("push_height"), own.or_zero("push_height")) or not np.array_equal(m.height, own.height)
+    front = q.front if q.front.body == "block" and alike else None
+    other = parameter_set(m, q.wanted, q.front.event, q.front.body, front=front)
+    starts = np.array([fitted.theta, *(root.theta for root in fitted.minima)])
+    problem = make_problem(m, other, fitted.problem.loss, _sigma(fitted, m))
+    found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
+    first = next(iter(ordered(problem, found.roots)), found)
+    return first.theta, first.deviance
 
 
-def _refitted(fitted: Fitted, m: Measurements, *held: Parameter) -> tuple[np.ndarray, float]:
-    """θ of least deviance near the best fit, for other measurements or with more parameters held, and that deviance."""
-    sigma, q, own = fitted.sigma, fitted.parameters, fitted.measurements.correlation_length
-    if m.correlation_length is not None and own is not None:
-        sigma = np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
-    front = q.front if q.front.body == "block" else None  # blocks like the one that was followed
-    other = parameter_set(m, [*q.wanted, *held], q.front.event, q.front.body, front=front)
-    return _least(fitted, m, other, sigma, fitted.theta[None])
+def _sigma(fitted: Fitted, m: Measurements) -> np.ndarray:
+    """Standard errors of the fit, for measurements in another λc."""
+    sigma, own = fitted.sigma, fitted.measurements.correlation_length
+    if m.correlation_length is None or own is None:
+        return sigma
+    return np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
+
+
+def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], names: Iterable[str], **other: Any) -> Change:
+    """Fit other measurements over the whole range, as `fit` does, each for one move of the parameters named.
+
+    With the `wanted` parameters, `event` and `body` of that fit, if they are other ones.
+    """
+    q, seed = fitted.parameters, fitted.request["seed"]
+    model = {"wanted": q.wanted, "event": q.front.event, "body": q.front.body} | other
+    moves: dict[str, tuple[float, ...]] = dict.fromkeys(names, ())
+    several = []
+    for m in every:
+        theta, roots = None, []
+        try:
+            changed = parameter_set(m, **model)
+            problem = make_problem(m, changed, fitted.problem.loss, _sigma(fitted, m) if fitted.scaled else m.stated_sigma)
+            between = None if fitted.scaled else between_contacts(problem, seed)
+            if between is not None:
+                problem = make_problem(m, changed, fitted.problem.loss, np.hypot(m.stated_sigma, between))
+            starts = None if changed.front.interpolated else _valleys(problem, _starts(fitted, changed, TRIED))
+            found = search(problem, method="lm", max_steps=MOST_STEPS, seed=seed, extra=starts)
+            roots = ordered(problem, found.roots)
+            first = next(iter(roots), found)
+            room = np.minimum(first.theta - changed.low, changed.high - first.theta) > AT_END * (changed.high - changed.low)
+            if problem.accepts(first.theta, first.deviance) and room[[one in moves for one in changed.names]].all():
+                theta = dict(zip(changed.names, first.theta.tolist(), strict=True))
+        except (ValueError, NotConverged):  # nothing starts, or nothing stops, in the range that was asked for
+            pass
+        for one in moves:
+            moves[one] += (math.nan if theta is None else theta[one] - float(fitted.theta[q.index(one)]),)
+        fits = sum(root.deviance <= first.deviance + fitted.rise(LEVELS[-1]) for root in roots)
+        several.append(fits > 1 and not fitted.points)
+    return Change(name, what, moves, several=tuple(several))
 
 
 def _least(
@@ -177,13 +217,14 @@ def _least(
     return found.theta[best], 2 * float(found.value[best])
 
 
-def _starts(fitted: Fitted, q: ParameterSet) -> np.ndarray:
+def _starts(fitted: Fitted, q: ParameterSet, count: int = STARTS) -> np.ndarray:
     """Start at the best fit and all over the range of the stiffness: a misfit may have driven it far away."""
-    known = dict(zip(fitted.parameters.names, fitted.theta, strict=True))
-    start = np.array([known.get(one.label, known.get(one.name, 0.0)) for one in q.free])
+    thetas = [fitted.theta, *(root.theta for root in fitted.minima)]
+    every = [dict(zip(fitted.parameters.names, theta, strict=True)) for theta in thetas]
+    start = np.array([[known.get(one.label, known.get(one.name, 0.0)) for one in q.free] for known in every])
     stiff = np.array([one.name in STIFFNESSES for one in q.free])
-    spread = q.low + (q.high - q.low) * np.linspace(0, 1, STARTS + 2)[1:-1, None]
-    return np.vstack([start, np.where(stiff, spread, start)])
+    spread = q.low + (q.high - q.low) * np.linspace(0, 1, count + 2)[1:-1, None]
+    return np.vstack([start, np.where(stiff, spread, start[0])])
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
@@ -222,128 +263,60 @@ def _of_ends(fitted: Fitted) -> Iterator[Change]:
     without end.
     """
     m, at, q = fitted.measurements, fitted.regime, fitted.parameters
-    young = 1.0 if m.young is None else m.young
-    supposed = {
-        "block_length": ("a block that ends at 4/κ₂", END * np.maximum(at.slow_decay_length, m.length / 4)),
-        "machine_stiffness": ("a machine ten times as stiff as the block", STIFF * at.edge_stiffness * young),
-    }
-    for name, (what, size) in supposed.items() if q.front.event == "domino" and m.gauges is None else ():
-        if getattr(m, name) is not None or (name == "machine_stiffness" and m.in_si and m.young is None):
-            continue
-        yield Change(name, what, _moves(fitted, dataclasses.replace(m, **{name: size})), otherwise="run through")
+    if q.front.event == "domino" and m.gauges is None:
+        if m.block_length is None:
+            ended = dataclasses.replace(m, block_length=END * np.maximum(at.slow_decay_length, m.length / 4))
+            yield _again(fitted, "block_length", "a block that ends at 4/κ₂", [ended], fitted.moved)
+        if m.machine_stiffness is None and (m.young is not None or not m.in_si):
+            own = at.edge_stiffness * (1.0 if m.young is None else m.young)
+            driven = [dataclasses.replace(m, machine_stiffness=share * own) for share in MACHINES]
+            yield _again(fitted, "machine_stiffness", "a machine as stiff as the block, or a third of it", driven, fitted.moved)
     scaled = {one.name for one in q.free} | {*q.held}
     if _taken_as_exact(m, "length") and not any(m.provenance) and "model_factor" not in scaled:
         factor = 1 + MODEL_ERROR
         what = f"a model factor of {factor:g}, if the lengths were measured (provenance = measured fits it)"
-        moves = _moves(fitted, m, Parameter("model_factor", value=factor))
-        yield Change("model_factor", what, moves, otherwise="run through")
+        wanted = [*q.wanted, Parameter("model_factor", value=factor)]
+        yield _again(fitted, "model_factor", what, [m], fitted.moved, wanted=wanted)
 
 
 def _of_bodies(fitted: Fitted) -> Iterator[Change]:
     """Another body or push for the same lengths, and thresholds that scatter."""
     m, q = fitted.measurements, fitted.parameters
-    stiff, unit = [name for name in fitted.given if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
+    stiff, unit = [name for name in fitted.moved if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
     if not stiff:
         return
-    relaxed = not m.or_zero("prestress").any() and "prestress" not in q.names
-    if q.front.body == "block" and relaxed and m.push_width is None:  # fitted as if pushed all over the side above the push
-        what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
-        yield Change("push_width", what, {name: by for name, by in _narrower(fitted).items() if name in stiff})
-    if q.front.body == "slider" and relaxed and m.push_height is None and q.front.event == "domino":
-        at, moves = _real_blocks(fitted, stiff)
-        pushed = f", pushed from {', '.join(at)} H up" if at else ""
-        what = f"a real block{pushed} (column push_height{unit} fits one)"
-        none = dict.fromkeys(stiff, (np.nan,))
-        yield Change("block", what, moves or none, otherwise="none fits" if moves else "not computed")
-    if q.front.body == "block":
+    block = q.front.body == "block"
+    relaxed = not m.or_zero("prestress").any() and not {"prestress", "threshold_slope"} & {*q.names, *q.held}
+    if block and relaxed and m.push_width is None:  # fitted as if pushed all over the side above the push
+        assert m.push_height is not None
+        at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
+        narrow = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
+        yield _again(fitted, "push_width", f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)", [narrow], stiff)
+    if not block and relaxed and m.push_height is None and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
+        lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
+        wanted = [one for one in q.wanted if one.name != "strength"]
+        pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
+        what = f"a real block, pushed from {', '.join(map(str, PUSHES))} H up (column push_height{unit} fits one)"
+        yield _again(fitted, "block", what, pushed, stiff, wanted=wanted, event="full", body="block")
+    if block:
+        wanted = [one for one in q.wanted if one.name != "friction"]
+        tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
         if m.friction is None:
-            tried, what = (
-                PRESSED,
-                f"thresholds that follow the pressure, at μ = {PRESSED[0]:g} or {PRESSED[1]:g} (column friction)",
-            )
-        else:
-            tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
-        i = _median(fitted, q.rows_of(q.index(stiff[0])))
-        moves = tuple(_pressed(fitted, i, friction=friction) for friction in tried)
-        yield Change("pressure", what, dict.fromkeys(stiff, moves))
+            tried = PRESSED
+            what = "thresholds that follow the pressure, at μ = {:g} or {:g} (column friction)".format(*PRESSED)
+        pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in tried]
+        yield _again(fitted, "pressure", what, pressed, stiff, wanted=wanted)
         if m.friction is not None and m.normal_stiffness is None:
             what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
-            moves = tuple(_pressed(fitted, i, log_normal_stiffness=math.log(ratio)) for ratio in NORMAL)
-            yield Change("normal_stiffness", what, dict.fromkeys(stiff, moves))
+            sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
+            yield _again(fitted, "normal_stiffness", what, sprung, stiff)
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
         yield Change("threshold", what, dict.fromkeys(stiff, ends))
-    if q.front.body == "block":
-        wanted = [one for one in q.wanted if one.name != "push_height"]
-        other = parameter_set(m, wanted, "domino", "slider")
-        theta, deviance = _least(fitted, m, other, fitted.sigma, _starts(fitted, other))
-        theta = np.full(len(theta), np.nan) if _rejected(fitted, deviance) else theta
-        moves = {name: (float(theta[other.index(name)] - fitted.theta[q.index(name)]),) for name in stiff}
-        yield Change("slider", "the paper's slider", moves)
-
-
-def _real_blocks(fitted: Fitted, stiff: list[str]) -> tuple[list[str], dict[str, tuple[float, ...]]]:
-    """Heights of pushes over H, and the moves to the stiffness of a block so pushed that has the same length.
-
-    For that measurement on which the stiffness acts whose length over H is the median. Empty where the lengths share an offset
-    or a model factor, which would take other values in a fit of a block, and where the package has no such blocks.
-    """
-    m, q = fitted.measurements, fitted.parameters
-    held = q.held.get("offset", 0.0) != 0 or q.held.get("model_factor", 1.0) != 1
-    if held or any(one.name in OF_MEASURING for one in q.free):
-        return [], {}
-    ratio, moves, known = fitted.fitted / m.height, {}, []
-    for name in stiff:
-        i = _median(fitted, q.rows_of(q.index(name)))
-        found = b_of_tall(float(ratio[i]), float(m.poisson[i]))
-        known, moves[name] = [*found], tuple(float(np.log(b / fitted.regime.b[i])) for b in found.values())
-    return known, moves
-
-
-def _median(fitted: Fitted, rows: np.ndarray) -> int:
-    """Which of some measurements has the median fitted length over the height."""
-    ratio = (fitted.fitted / fitted.measurements.height)[rows]
-    return int(rows[np.argsort(ratio)[len(rows) // 2]])
-
-
-def _pressed(fitted: Fitted, i: int, **given: float) -> float:
-    """Move of ln k to where one measurement has the same length at another μ, or another ln k_n/k; NaN where none is.
-
-    The nearest such stiffness.
-    """
-    q, m = fitted.parameters, fitted.measurements
-    one = q.inputs_at(fitted.theta).take([i])
-    length, normal = q.front.lengths(one), one.get("log_normal_stiffness")
-    normal = np.where(np.isinf(normal), math.log(USUAL_NORMAL_STIFFNESS), normal)
-    other = one.given(**({"log_normal_stiffness": normal} | {name: np.array([x]) for name, x in given.items()}))
-    grid = np.linspace(np.log(q.front.softest(m)[i]), np.log(q.front.stiffest(m)[i]), SCANNED)
-    followed = BlockLengths(geometry_of(other), length / np.exp(one.log_height), np.exp(one.log_height))
-
-    def lengths(log_stiffness: np.ndarray) -> np.ndarray:
-        return followed(other.take(np.zeros(log_stiffness.size, int))._replace(log_stiffness=log_stiffness))[0]
-
-    off = lengths(grid) - length
-    with np.errstate(invalid="ignore"):  # inf − inf
-        crossed = np.flatnonzero(np.isfinite(off[:-1] + off[1:]) & (np.sign(off[:-1]) != np.sign(off[1:])))
-    found = grid[crossed] + np.diff(grid)[crossed] * off[crossed] / (off[crossed] - off[crossed + 1])
-    # between nodes of which one has an event of few breaks, there is none of this length
-    if found.size:
-        around = found[:, None] + CLOSE * UNIT * np.array([-1, 1])[None]
-        found = found[(lengths(around.ravel()).reshape(around.shape) > length / FAR).all(axis=1)]
-    return float((found - one.log_stiffness)[np.abs(found - one.log_stiffness).argmin()]) if found.size else math.nan
-
-
-def _narrower(fitted: Fitted) -> dict[str, tuple[float]]:
-    """Move of each stiffness if the pusher is narrow; NaN where the lengths are then rejected."""
-    m, q = fitted.measurements, fitted.parameters
-    assert m.push_height is not None
-    at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
-    other = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
-    every = parameter_set(other, q.wanted, q.front.event, q.front.body)
-    theta, deviance = _least(fitted, other, every, fitted.sigma, _starts(fitted, every))
-    moved = np.full(len(theta), np.nan) if _rejected(fitted, deviance) else theta - fitted.theta
-    return {one.label: (float(by),) for one, by in zip(every.free, moved, strict=True) if one.name in STIFFNESSES}
+    if block:
+        wanted = [one for one in q.wanted if one.name not in ("push_height", "friction")]
+        yield _again(fitted, "slider", "the paper's slider", [m], stiff, wanted=wanted, event="domino", body="slider")
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------
@@ -501,6 +474,12 @@ def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
     q = parameter_set(m, wanted, front.event, front.body, front=front)
     _, deviance = _least(fitted, m, q, fitted.sigma, _starts(fitted, q), max_steps=MOST_STEPS)
     return deviance, len(q.free) - fitted.problem.p
+
+
+def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:
+    """Those of some points at which the deviance is no larger than at the points before and after, and not infinite."""
+    value = np.concatenate([[np.inf], problem(points).value, [np.inf]])
+    return points[(value[1:-1] <= value[:-2]) & (value[1:-1] <= value[2:]) & np.isfinite(value[1:-1])]
 
 
 def _outliers(fitted: Fitted) -> Iterator[tuple[float, int, str]]:

@@ -17,7 +17,7 @@ from tqdm.auto import tqdm
 from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import predicted, record, report
-from slippulse_jax.inference.changes import Change, changes, next_steps, total
+from slippulse_jax.inference.changes import Change, changes, next_steps, total, total_interval
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.intervals import (
@@ -35,6 +35,7 @@ from slippulse_jax.inference.intervals import (
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.parameters import (
+    STIFFNESSES,
     Parameter,
     attainable,
     mistaken_priors,
@@ -42,7 +43,18 @@ from slippulse_jax.inference.parameters import (
     with_errors_of_measuring,
 )
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
-from slippulse_jax.inference.search import SLACK, Found, Root, describe, first_look, same, scaled_to_scatter, search
+from slippulse_jax.inference.search import (
+    SLACK,
+    Found,
+    Root,
+    between_contacts,
+    describe,
+    first_look,
+    ordered,
+    same,
+    scaled_to_scatter,
+    search,
+)
 from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import directions, judge
 
@@ -51,8 +63,7 @@ if TYPE_CHECKING:
 
 MOST_ROOTS = 4  # from which a profile is started
 SEARCH_ROUNDS = 3  # the search is repeated where a profile finds a lower deviance
-BETWEEN = 0.5
-"""Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
+SOFTER = 17  # starts below a stiffness at which a contact breaks again
 
 
 class FitResult(Fitted):
@@ -74,8 +85,23 @@ class FitResult(Fitted):
 
     @property
     def stderrs_with_inputs(self) -> dict[str, float | None]:
-        """Standard errors with usual errors of inputs taken as exact (`changes`): those to publish; None as in `stderrs`."""
+        """Standard errors with usual errors of inputs taken as exact (`changes`); None as in `stderrs`."""
         return {name: total(self, name, self.changes) for name in self.names}
+
+    @property
+    def errors_with_inputs(self) -> dict[str, tuple[float, float] | None]:
+        """Errors to publish, below and above each value, with usual errors of inputs; None where there is no value.
+
+        The sides of the 68 % interval, each widened by the errors of inputs taken as exact; else the standard error twice.
+        """
+        found: dict[str, tuple[float, float] | None] = dict.fromkeys(self.names)
+        for name in self.given:
+            value, error = self.values[name], self.stderrs_with_inputs[name]
+            piece = total_interval(self, name, self.changes)
+            found[name] = None if error is None else (error, error)
+            if piece is not None and piece.encloses(value):
+                found[name] = value - piece.low, piece.high - value
+        return found
 
     @functools.cached_property
     def directions(self) -> list[dict[str, Any]]:
@@ -165,6 +191,7 @@ class FitResult(Fitted):
         """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
         more = {
             "stderr_with_inputs": self.stderrs_with_inputs,
+            "error_with_inputs": self.errors_with_inputs,
             "directions": self.directions,
             "notes": self.notes,
         }
@@ -312,7 +339,7 @@ def fit(
     _check_scaled(measurements, problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not parameters.front.interpolated else None
-    between = None if scaled or counts else _between_contacts(problem, seed)
+    between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
         problem = make_problem(measurements, parameters, loss, np.hypot(errors, between))
     held, at_odds = counts or ([], None)
@@ -436,24 +463,6 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
         raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
 
 
-def _between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
-    """Typical error of every length by its definition, or by interpolation, in λc; None where all are small compared with σ.
-
-    It is 0 for counts, unless lengths are interpolated.
-    """
-    data, q = problem.lengths, problem.parameters
-    concerned = (data.kind == "length") | q.front.interpolated
-    widest = q.front.most_off * np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
-    if not (concerned & (widest > BETWEEN * data.sigma)).any():
-        return None
-    theta = first_look(problem, seed)
-    off = q.front.uncertainty(q.inputs_at(theta))
-    if off is None:
-        return None
-    off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
-    return off if (off > BETWEEN * data.sigma).any() else None
-
-
 def _of_counts(problem: Problem, held: list[Interval]) -> Found:
     """Put a root in the middle of every range that the counts allow, the softest first."""
     middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
@@ -482,9 +491,11 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     if not np.isfinite(found.deviance):
         raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
     roots, best, deviance = found.roots, found.theta, found.deviance
+    if roots and all(root.rebreaks for root in roots):
+        roots = _merged(problem, roots, _softer(problem, roots[0], method=method, max_steps=max_steps, seed=seed))
     curves: dict[int, Curve] = {}
     for _ in range(SEARCH_ROUNDS):
-        roots = _ordered(roots)
+        roots = ordered(problem, roots)
         curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.cells) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)
         missed = [
@@ -505,10 +516,13 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     return Found(roots, best, deviance, lost, found.cells, curves)
 
 
-def _ordered(roots: list[Root]) -> list[Root]:
-    """Sort by deviance; of minima equal to rounding the softest comes first, so that specimens do not differ by chance."""
-    least = min((root.deviance for root in roots), default=0.0)
-    return sorted(roots, key=lambda root: (max(root.deviance - least - 1e-6 * max(1.0, abs(least)), 0.0), root.theta.sum()))
+def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
+    """Find minima below a stiffness at which a contact breaks again that the data accept, whatever their deviance."""
+    q = problem.parameters
+    moved = np.array([one.name in STIFFNESSES for one in q.free])
+    below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
+    found = search(problem, extra=np.where(moved, below, stiff.theta), **options).roots if moved.any() else []
+    return [root for root in found if not root.rebreaks and problem.accepts(root.theta, root.deviance)]
 
 
 def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
@@ -524,12 +538,12 @@ def _near(curve: Curve, i: int, root: Root) -> bool:
 
 
 def _lowest(roots: list[Root], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
-    """Return the best root if nothing lies lower; otherwise a point of a profile, such as the end of the range."""
+    """Return the first root if nothing lies lower than all; otherwise a point of a profile, such as the end of the range."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
         if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):
             best, deviance = curve.theta[i], float(curve.deviance[i])
-    if roots and roots[0].deviance <= deviance + 1e-6 * max(1.0, abs(deviance)):
+    if roots and min(root.deviance for root in roots) <= deviance + 1e-6 * max(1.0, abs(deviance)):
         return roots[0].theta, roots[0].deviance
     return best, deviance
 
@@ -539,4 +553,4 @@ def _merged(problem: Problem, roots: list[Root], more: list[Root]) -> list[Root]
     for one in more:
         if not any(same(one.theta, one.deviance, other, problem) for other in kept):
             kept.append(one)
-    return sorted(kept, key=lambda root: root.deviance)
+    return ordered(problem, kept)

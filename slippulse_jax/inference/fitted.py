@@ -19,8 +19,6 @@ from slippulse_jax.inference.search import Root, describe
 
 LEVELS = (0.6827, 0.95)
 """Confidence levels of intervals."""
-IMPROBABLE = 1e-3
-"""Probability of χ² below which model and σ do not describe the data."""
 SCATTERED = 0.05
 """Probability of χ², or of the largest pull, below which the report remarks on it."""
 
@@ -32,12 +30,12 @@ class Identifiability(enum.Enum):
     SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
     AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
     ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
+    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched; widen it with bounds"
     SKEWED = "identified, but not with a symmetric error"
-    REBREAKS = "identified only if the event ends with its first front, which in the model it does not"
+    REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
     EQUAL = "bounded, without a best value: all values inside the interval fit equally"
     UNINFORMATIVE = "not identifiable: no value is preferred"
-    NO_SCATTER = "a value without an error: these lengths have no scatter to take one from"
+    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
     POOR_FIT = "the model does not describe these data"
     NOT_CONVERGED = "the search did not converge"
 
@@ -50,7 +48,7 @@ GRAVITY = (
 
 
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
-"""Verdicts with a value that an input can move."""
+"""Verdicts with a value."""
 
 
 class Verdict(NamedTuple):
@@ -87,9 +85,9 @@ class Fitted:
     measurements: Measurements
     problem: Problem = dataclasses.field(metadata={"written": False})
     request: dict[str, Any]  # the arguments of `fit`, as given
-    theta: np.ndarray  # of least deviance, (p,)
-    deviance: float  # its least value; χ² (with that of the priors) for plain lengths
-    minima: list[Root]  # of the deviance, up to `SLACK` above the least, best first
+    theta: np.ndarray  # of the first minimum, (p,)
+    deviance: float  # there; χ² (with that of the priors) for plain lengths
+    minima: list[Root]  # of the deviance, up to `SLACK` above the least; best first, those that break again last (`ordered`)
     curves: dict[str, Curve]  # profile of each parameter, over its θ
     intervals: dict[str, Intervals]  # by parameter and confidence level, in units
     verdicts: dict[str, Verdict]  # by parameter
@@ -126,8 +124,19 @@ class Fitted:
 
     @property
     def given(self) -> list[str]:
-        """Requested parameters with a value that an input can move."""
+        """Requested parameters with a value."""
         return [name for name, verdict in self.verdicts.items() if verdict.identifiability in GIVEN]
+
+    @property
+    def moved(self) -> list[str]:
+        """Those with a value, or with several of which the first stands for all, that an input can move."""
+        several = Identifiability.SEVERAL_ROOTS if self.points else None
+        return [name for name, verdict in self.verdicts.items() if verdict.identifiability in (*GIVEN, several)]
+
+    @property
+    def points(self) -> bool:
+        """Whether what fits are several points, not ranges of values that fit equally."""
+        return len(self.roots) > 1 and any(error is not None for root in self.roots for error in root.stderrs.values())
 
     @property
     def identifiability(self) -> Identifiability:

@@ -44,6 +44,8 @@ RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
 CRACKS = Layout(chunk=250)
 """Layout of crack-like fronts."""
+FARTHEST, AT_LEAST = 8.0, 2**14
+"""Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
 """Changes of ln k/K over which the difference between ℓ and ℓ* is averaged: one that ends on a contact shows none."""
 
@@ -241,10 +243,12 @@ class EndedFront(FirstFront):
         """ℓ by the recursion where a block ends or a machine gives way, else ℓ*."""
         ended = np.isfinite([inputs.get(name) for name in ENDED if name in inputs.more]).any(axis=0)
         found = np.empty(ended.shape)
+        found[~ended] = super().lengths(inputs.take(~ended)) if not ended.all() else 0
+        if (ended & (inputs.prestress > 0)).any():  # what never stops by itself does not stop under an end or a machine either
+            found[ended] = super().lengths(inputs.take(ended).without(*ENDED))
+            ended &= np.isfinite(found)
         if ended.any():
-            found[ended] = _all_found(straight_lengths(inputs.take(ended)), inputs.take(ended), "by the recursion")
-        if not ended.all():
-            found[~ended] = super().lengths(inputs.take(~ended))
+            found[ended] = _within_reach(inputs.take(ended))
         return found
 
     def traced(self, inputs: Inputs, relaxed: bool) -> Array:
@@ -377,7 +381,8 @@ class BlockEvent(Front):
         "displacement": "from lengths alone: leave it out",
         "force": "from lengths alone: leave it out",
         "gauges": "from lengths alone: leave it out",
-        "machine_stiffness": "whose pusher is held: leave it out",
+        "machine_stiffness": "whose pusher is held: fit the table without machine_stiffness, as a block; then without columns "
+        "of the push, as a slider, with machine_stiffness and without, which shows the factor by which a machine moves it",
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 
@@ -593,6 +598,15 @@ def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
 def _cracks(lanes: Float[Array, "5 L"]) -> tuple[Array, Array]:
     """Length and status of crack-like fronts at H/λc, k/K, ν, φ and σ_k."""
     return jax.vmap(lambda lane: crack.length(Slider(*lane[:3]), lane[4], lane[3]), 1)(lanes)
+
+
+def _within_reach(inputs: Inputs) -> np.ndarray:
+    """ℓ by the recursion, inf where the front runs `FARTHEST`, which a soft machine and a prestress may let it do for ever."""
+    most = 2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(inputs.log_height), AT_LEAST))).astype(int)  # few programs
+    slider, interface, ends = recursion_inputs(inputs)
+    found = arrests(slider, interface, ends=ends, max_contacts=int(most.max()))
+    far = (found.status == Outcome.LIMIT) | (found.length > most)
+    return _all_found(np.where(far, np.inf, found.length), inputs, "by the recursion")
 
 
 def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:

@@ -49,6 +49,7 @@ ONE_THREAD = 4 * 2**16
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
 HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration; the cells of a scan reach farther
+SLIGHT = 1e-3  # difference of two deviances that is none
 HALVINGS = 48  # of a bracket of the scan: to rounding
 
 
@@ -308,6 +309,8 @@ def to_be_simulated(
     if wanted == "calibrated":
         return True
     if wanted == "profile" or not can_be_calibrated(problem) or not minima:
+        return False
+    if any(one.deviance < deviance - SLIGHT for one in minima):  # simulated fits would prefer what stands last here
         return False
     if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
         return True

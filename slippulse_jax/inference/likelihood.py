@@ -20,7 +20,7 @@ import numpy as np
 from jax.scipy import special
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.special import digamma, erf
+from scipy.special import chdtrc, digamma, erf
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.inference.choices import Loss
@@ -36,6 +36,9 @@ SHARPEST = 1e-3
 
 EXACT = 1e-12
 """Blur where no slope is needed: the interval itself, to rounding."""
+
+IMPROBABLE = 1e-3
+"""Probability of χ² below which model and σ do not describe the data."""
 
 NOTHING = 1e-6
 """Cost of a count, or of a front without arrest, below which the model meets it."""
@@ -266,6 +269,16 @@ class Problem:
         binding = (data.kind != "length") & (costs - self._least > NOTHING)
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
+
+    def p_value(self, theta: np.ndarray, deviance: float) -> float | None:
+        """Probability of so large a deviance at its minimum θ, or its upper bound; None where `testable` has none."""
+        dof = self.testable(theta)
+        return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
+
+    def accepts(self, theta: np.ndarray, deviance: float) -> bool:
+        """Whether the data fit at a minimum: not so badly that model and σ do not describe them."""
+        p = self.p_value(theta, deviance) if np.isfinite(deviance) else 0.0
+        return p is None or p >= IMPROBABLE
 
     @property
     def perfect(self) -> float:

@@ -24,14 +24,15 @@ from slippulse_jax.inference.changes import (
     total_of_ratio,
 )
 from slippulse_jax.inference.columns import COLUMNS, READINGS
-from slippulse_jax.inference.fitted import GIVEN, GRAVITY, IMPROBABLE, LEVELS, SCATTERED, Fitted, Identifiability
+from slippulse_jax.inference.fitted import GIVEN, GRAVITY, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import ENDED
 from slippulse_jax.inference.intervals import Interval
+from slippulse_jax.inference.likelihood import IMPROBABLE
 from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.search import SCANNED
-from slippulse_jax.inference.verdict import PLATEAU, degrees_of_freedom, of_inputs_in_words
-from slippulse_jax.shown import ends, format_number, html, interval, listed, plural, value_with_error
+from slippulse_jax.inference.search import SCANNED, SLACK
+from slippulse_jax.inference.verdict import PLATEAU, of_inputs_in_words, tested, whole_events
+from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 from slippulse_jax.units import UNITS_OF_LENGTH
 
@@ -52,8 +53,10 @@ CONSTANTS = {
 """Constants of the material by column: symbol, factor and unit with which papers state them."""
 NONE = 1e-6
 """Change of a prestress, or of another number of either sign, that is none."""
-WIDEST, TIED = 110, "\u00a0"
-"""Characters of the longest sentence in the box, and the space at which it is not folded."""
+WIDEST = 110
+"""Characters of the longest sentence in the box."""
+DECADES = 4
+"""Of stiffness below a root, from which bounds that hold it begin."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
 ALIKE = 0.05
@@ -113,13 +116,13 @@ def methods(result: Fitted, changes: Sequence[Change]) -> str:
         obtained = f"the 95 % interval is {all_ends}: {verdict}"
     else:
         obtained = f"no number is obtained: {verdict}"
-    tested = ""
+    fits = ""
     if result.p_value is not None:
-        sign, dof = "χ²" if result.problem.plain else "deviance", degrees_of_freedom(result.problem, result.testable_dof)
-        tested = f" ({sign} = {format_number(result.misfit, 3)} for {dof})"
+        sign, how = "χ²" if result.problem.plain else "deviance", re.sub(r" ?\((.*)\)", r", \1", tested(result))
+        fits = f" ({sign} = {format_number(result.misfit, 3)}{how})".replace(TIED, " ")
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale)
     said = (
-        f"From {_data(result)} of first precursors at {heights} {unit}, fitted by maximum likelihood{tested} with "
+        f"From {_data(result)} of first precursors at {heights} {unit}, fitted by maximum likelihood{fits} with "
         f"{', '.join(model)}, {obtained} (slippulse_jax {version('slippulse_jax')})."
     )
     return " ".join([said, *errors])
@@ -185,18 +188,19 @@ def shown_with(result: Fitted, changes: Sequence[Change] = ()) -> dict[str, Show
             for level, pieces in result.intervals.get(name, {}).items()
         }
         closed = [piece.high - piece.low for pieces in by_level.values() for piece in pieces if not any(piece[2:])]
-        digits = value * size, min(closed, default=0.0)  # those of the narrowest for all
+        alone = all(len(pieces) < 2 for pieces in by_level.values())
+        digits = (value * size, min(closed, default=0.0)) if alone else ()  # those of the narrowest for all
         texts = {level: " or ".join(interval(x, *digits) for x in pieces) or "none" for level, pieces in by_level.items()}
         every = result.intervals.get(name, {}).get(LEVELS[0], [])
         own = errors.get(name), every[0] if len(every) == 1 else None
         sides, whole = _sides(value, *own), ""
         uneven = np.abs(sides - 1).max() > UNEVEN
-        if moved and all(name in change.moves for change in moved):
+        if moved and name in result.given and all(name in change.moves for change in moved):
             both = total(result, name, moved), total_interval(result, name, moved)
             uneven = uneven or np.abs(_sides(value, *both) - 1).max() > UNEVEN_TOTAL
             whole = _with_error(result, name, value, size, *both, uneven=uneven)
-        alone = _with_error(result, name, value, size, *own, uneven=uneven)
-        found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, alone, whole, texts, sides)
+        by_data = _with_error(result, name, value, size, *own, uneven=uneven)
+        found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, by_data, whole, texts, sides)
     return found
 
 
@@ -241,12 +245,7 @@ def _with_error(
         return text
     alike = sum(root.deviance < result.deviance + ALIKE for root in result.roots)
     some = f"{text} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
-    return some if _points(result) else WITHOUT_VALUE[Identifiability.EQUAL]
-
-
-def _points(result: Fitted) -> bool:
-    """Whether what fits are several points, not ranges of values that fit equally."""
-    return len(result.roots) > 1 and any(error is not None for root in result.roots for error in root.stderrs.values())
+    return some if result.points else WITHOUT_VALUE[Identifiability.EQUAL]
 
 
 def html_of(result: Fitted, changes: Sequence[Change]) -> str:
@@ -329,8 +328,9 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
         factors = [math.exp(by) for by in moves if not math.isnan(by)]
         if change.name == "block":
             none = ", or none fits" * (len(factors) < len(moves))
-            factor = f"{ends(factors)} times this{none}" if factors else "another"
-            yield f"for a real block the stiffness is {factor}, depending on where its side is pushed"
+            first = "the first value" if result.points else "this"
+            would = f"needs {ends(factors)} times {first}{none}" if factors else "of no stiffness gives these lengths"
+            yield f"a real block {would}, depending on where its side is pushed"
         elif change.name == "push_width":
             suffix = f"_{unit}" * m.in_si
             would = f"the stiffness is about {ends(factors)} times as large" if factors else "no stiffness fits these lengths"
@@ -364,17 +364,14 @@ def _quality(result: Fitted) -> str:
         return data  # the verdict has the rest; counts and limits that hold cost nothing
     misfit = f"{problem.named_deviance} {format_number(round(result.misfit, 9), 3)}"  # no rounding errors
     if result.p_value is not None:
-        degrees = degrees_of_freedom(problem, result.testable_dof)
-        p = f"p = {result.p_value:.2g}".replace("e-0", "e-") if result.p_value > 1e-300 else "p < 1e-300"
-        p = (p.replace("= ", "at most ") if degrees.startswith("at most") else p).replace(" ", TIED)
-        tested = f"{misfit}{of_inputs_in_words(problem, result.theta)} for {degrees} ({p})"
+        fits = f"{misfit}{of_inputs_in_words(problem, result.theta)}{tested(result)}"
     elif result.dof > 0:
-        tested = f"{misfit}, {degrees} of freedom"
+        fits = f"{misfit}, {degrees} of freedom"
     else:
         why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
-        tested = f"{misfit} with no degree of freedom, so {why}"
+        fits = f"{misfit} with no degree of freedom, so {why}"
     used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
-    return f"{data}: {tested}{used * bool((m.stated_sigma > 0).any())}"
+    return f"{data}: {fits}{used * bool((m.stated_sigma > 0).any())}"
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------------
@@ -388,21 +385,48 @@ def _aligned(rows: list[list[str]], justify: Callable[[str, int], str], indent: 
 
 def _roots(result: Fitted, shown: dict[str, Shown]) -> list[str]:
     """Tabulate the points that fit, where there are several, with their own errors."""
-    if not _points(result):
+    if not result.points:
         return []
     rows = [[*(shown[name].symbol for name in result.roots[0].values), "chi-squared" if result.problem.plain else "deviance"]]
     for root in result.roots[:MOST_ROOTS]:
-        again = "; edge contact breaks again before the arrest" if root.rebreaks else ""
+        again = "; the edge contact breaks again before the front stops" if root.rebreaks else ""
         values = [value_with_error(value, root.stderrs[name]) for name, value in root.values.items()]
-        rows.append([*values, f"+ {max(0.0, root.deviance - result.deviance):.2f}{again}"])
-    more = len(result.roots) - MOST_ROOTS
+        rows.append([*values, f"{root.deviance - result.deviance:+.2f}{again}"])
+    more, m, bounds = len(result.roots) - MOST_ROOTS, result.measurements, _bounds(result)
     keep = "Points" if len(result.names) > 1 else "Values"
-    option = result.measurements.option("--bounds LOW HIGH", "bounds=(low, high)")
+    low, high = (f"{x:g}".replace("e+0", "e").replace("e+", "e") for x in bounds) if bounds else ("LOW", "HIGH")
+    option = m.option(f"--bounds {low} {high}", f"bounds=({low.lower()}, {high.lower()})")
     return [
-        f"{keep} that fit (not excluded at 95 %; to keep one, with its errors, give {option})",
+        f"{keep} that fit (not excluded at 95 %)",
         *_aligned(rows, str.ljust),
         *[f"  … and {more} more (FitResult.roots)"] * (more > 0),
+        f"  To keep {'the first' if bounds else 'one'}, with its errors: {option}",
+        *[f"  {_sentence(whole_events(result))}" for _ in range(any(root.rebreaks for root in result.roots))],
     ]
+
+
+def _bounds(result: Fitted) -> tuple[float, float] | None:
+    """Round bounds of the one stiffness fitted that hold the first root and no other; None where none do."""
+    stiff = [name for name in result.names if result.parameters.named(name).name in STIFFNESSES]
+    if len(stiff) != 1:
+        return None
+    one, curve, j = result.parameters.named(stiff[0]), result.curves[stiff[0]], result.parameters.index(stiff[0])
+    first, *others = (root.theta[j] for root in result.roots)
+    limits = [max(one.low, math.log(10) * (math.floor(first / math.log(10)) - DECADES)), one.high]
+    for other in others:
+        between = (curve.node > min(first, other)) & (curve.node < max(first, other))
+        if not between.any():
+            return None
+        top = curve.node[between][np.argmax(curve.deviance[between])]
+        middle = math.log(10) * round((first + other) / 2 / math.log(10))
+        high = np.interp([middle, top], curve.node, np.minimum(curve.deviance, result.deviance + 1e6))
+        limit = (
+            middle
+            if min(first, other) < middle < max(first, other) and high[0] > min(high[1], result.deviance + SLACK)
+            else top
+        )
+        limits = [max(limits[0], limit), limits[1]] if other < first else [limits[0], min(limits[1], limit)]
+    return tuple(float(f"{one.value(limit):.2g}") for limit in limits)  # pyright: ignore[reportReturnType]
 
 
 def _moving(result: Fitted, shown: dict[str, Shown], changes: Sequence[Change]) -> list[str]:
@@ -415,11 +439,18 @@ def _moving(result: Fitted, shown: dict[str, Shown], changes: Sequence[Change]) 
     if len(names) == 1:
         rows = [["What else would move it", f"{symbols[0]} would be"]]
     for change in changes:
-        cells = [", ".join(_move(result, shown, change, name, by) for by in change.moves.get(name, ())) for name in names]
+        cells = [", ".join(_cells(result, shown, change, name)) for name in names]
         if change.name == "threshold":  # a range
             cells = [cell.replace(", ×", " to") for cell in cells]
         rows.append([f"  {change.what}", *cells])
     return _aligned(rows, str.ljust, indent="")
+
+
+def _cells(result: Fitted, shown: dict[str, Shown], change: Change, name: str) -> Iterator[str]:
+    """Each move of a change; with a remark where more than one value would fit, of which it is the first."""
+    for i, by in enumerate(change.moves.get(name, ())):
+        several = i < len(change.several) and change.several[i] and not math.isnan(by)
+        yield _move(result, shown, change, name, by) + " (one of several)" * several
 
 
 def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by: float) -> str:
@@ -429,7 +460,7 @@ def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by
     if not result.parameters.named(name).log:
         return f"{by * shown[name].size:+.2g} {shown[name].unit}".rstrip() if abs(by) > NONE else "0"
     ratio = math.exp(by)
-    if change.name in ("threshold", "block", "push_width", "pressure", "normal_stiffness") or not 1 / MANY < ratio < MANY:
+    if len(change.moves[name]) > 1 or change.name in ("push_width", "pressure") or not 1 / MANY < ratio < MANY:
         return f"× {format_number(ratio, 2)}"
     text = f"{ratio - 1:+.1%}".replace("%", " %")
     return text[1:] if text[1:] == "0.0 %" else text
@@ -697,6 +728,9 @@ def _of_attainable(result: Fitted) -> Iterator[str]:
 def _of_model(result: Fitted) -> Iterator[str]:
     """Say where the search, the definition of a length, the edge contact or the end of a block leave a result uncertain."""
     m, front = result.measurements, result.parameters.front
+    if front.body == "block":
+        force = ", a pusher of which the force is held" * (not m.push_control)
+        yield f"not tried: {'an end of the block, ' * (m.block_length is None)}a machine that gives way{force}"
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
         off = m.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))

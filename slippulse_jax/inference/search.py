@@ -9,6 +9,7 @@ nothing is promised.
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import EXPECTED, Evaluation, Problem, terms
 from slippulse_jax.inference.minimise import Convergence, Method, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
-from slippulse_jax.status import Outcome
 
 SCANNED = 3
 """Largest number of fitted parameters whose range is scanned completely."""
@@ -57,6 +57,8 @@ TURNS, SETTLED = 100, 1e-10
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
+BETWEEN = 0.5
+"""Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
 CROWDED = 24
 """Largest number of different lengths whose peaks are scanned closely on both sides."""
 
@@ -124,8 +126,8 @@ class Root:
 
     @functools.cached_property
     def rebreaks(self) -> bool:
-        """Whether, for some measurement, the edge contact would break again before the front stops."""
-        return bool((self.parameters.front.status(self.inputs) == Outcome.REBREAK).any())
+        """Whether, for some measurement, the edge contact breaks again before the front stops, which the model leaves out."""
+        return bool(self.parameters.front.breaks_again(self.inputs).any())
 
 
 class Found(NamedTuple):
@@ -185,6 +187,42 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
         return Found([], (low + high) / 2, np.inf, unconverged, cells)
     least = int(np.argmin(deviance))
     return Found(minima, theta[least], float(deviance[least]), unconverged, cells)
+
+
+def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
+    """Sort minima by deviance, but last those at which the model contradicts itself, if the data accept another.
+
+    It does where a contact breaks again before the front stops. Of minima equal to rounding the softest comes first, so that
+    specimens do not differ by chance.
+    """
+
+    def by_deviance(some: list[Root]) -> list[Root]:
+        least = min((root.deviance for root in some), default=0.0)
+        near = 1e-6 * max(1.0, abs(least))
+        return sorted(some, key=lambda root: (max(root.deviance - least - near, 0.0), root.theta.sum()))
+
+    sound = [root for root in roots if len(roots) > 1 and not root.rebreaks]
+    if not any(problem.accepts(root.theta, root.deviance) for root in sound):
+        return by_deviance(list(roots))
+    return by_deviance(sound) + by_deviance([root for root in roots if root not in sound])
+
+
+def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
+    """Typical error of every length by its definition, or by interpolation, in λc; None where all are small compared with σ.
+
+    It is 0 for counts, unless lengths are interpolated.
+    """
+    data, q = problem.lengths, problem.parameters
+    concerned = (data.kind == "length") | q.front.interpolated
+    widest = q.front.most_off * np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
+    if not (concerned & (widest > BETWEEN * data.sigma)).any():
+        return None
+    theta = first_look(problem, seed)
+    off = q.front.uncertainty(q.inputs_at(theta))
+    if off is None:
+        return None
+    off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
+    return off if (off > BETWEEN * data.sigma).any() else None
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:

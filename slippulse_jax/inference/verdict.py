@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS, Fitted, Identifiability, Verdict
+from slippulse_jax.inference.fitted import LEVELS, Fitted, Identifiability, Verdict
 from slippulse_jax.inference.intervals import Interval, Intervals
-from slippulse_jax.inference.likelihood import Problem
+from slippulse_jax.inference.likelihood import IMPROBABLE, Problem
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search import SLACK
-from slippulse_jax.shown import format_number, plural
+from slippulse_jax.shown import TIED, format_number, listed, plural
 
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
@@ -65,10 +65,10 @@ def _of_fit(e: Fitted, j: int) -> Iterator[Verdict]:
         yield Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
     if e.p_value is not None and e.p_value < IMPROBABLE and not _above_maximum(e):  # of which `_of_range` says more
         at = f" (the best fit lies at its {end} end)" if (end := _end(e, j)) else ""
+        misfit = f"{format_number(e.misfit, 3)}{of_inputs_in_words(e.problem, e.theta)}{tested(e)}"
         yield Verdict(
             Identifiability.POOR_FIT,
-            f"{e.problem.named_deviance} is {format_number(e.misfit, 3)}{of_inputs_in_words(e.problem, e.theta)} for "
-            f"{degrees_of_freedom(e.problem, e.testable_dof)}: with the stated σ nothing in the range searched{at} gives these "
+            f"{e.problem.named_deviance} is {misfit}: with the stated σ nothing in the range searched{at} gives these "
             "measurements, so no uncertainty is given",
         )
 
@@ -86,7 +86,7 @@ def _of_range(e: Fitted, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
         yield from _open(pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
     if end := _end(e, j):
-        yield Verdict(Identifiability.AT_BOUND, f"the {end} one")
+        yield Verdict(Identifiability.AT_BOUND, f"it is at the {end} end")
     if problem.p > 1 and e.roots and e.roots[0].singular[j] and all(every):
         yield Verdict(Identifiability.UNINFORMATIVE, undetermined(problem, e.theta))
     if stiff and _above_maximum(e):
@@ -98,7 +98,7 @@ def _of_range(e: Fitted, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
         yield Verdict(
             Identifiability.NO_SCATTER,
             f"the lengths lie within {e.closest:.1g} of themselves of the fit, closer than anyone measures: they were "
-            "computed, or copied; give σ (column length_sigma or length_sigma_mm)",
+            "computed, or copied; give σ, in column length_sigma or length_sigma_mm",
         )
 
 
@@ -124,15 +124,19 @@ def _of_shape(e: Fitted, j: int, profiled: Intervals) -> Iterator[Verdict]:
 
 
 def of_inputs_in_words(problem: Problem, theta: np.ndarray) -> str:
-    """State the part of χ² that is no residual of a measurement, but of inputs fitted within their errors; empty if none."""
-    part = float((problem.prior_weight * (theta - problem.prior_mean[0]) ** 2).sum())
-    return f" ({part:.3g} of it from inputs fitted within their errors)" if f"{part:.2f}" != "0.00" else ""
+    """State the part of χ² from inputs fitted within their errors and from priors, which is no residual; empty if none."""
+    parts = problem.prior_weight * (theta - problem.prior_mean[0]) ** 2
+    pulled = dict.fromkeys(one.symbol for one, x in zip(problem.parameters.free, parts, strict=True) if x > 0.1 * parts.sum())
+    return f" ({parts.sum():.3g} of it from the fitted {listed([*pulled])})" if f"{parts.sum():.2f}" != "0.00" else ""
 
 
-def degrees_of_freedom(problem: Problem, dof: int | None) -> str:
-    """``5 degrees of freedom``; ``at most 5`` where `Problem.testable` gives a bound."""
-    count = dof or 0
-    return "at most " * (count > problem.known - problem.p) + f"{plural(count, 'degree')} of freedom"
+def tested(e: Fitted) -> str:
+    """`` for 5 degrees of freedom (p = 0.82)``; the probability alone where `Problem.testable` gives a bound on it."""
+    p = "p < 1e-300" if not e.p_value or e.p_value < 1e-300 else f"p = {e.p_value:.2g}".replace("e-0", "e-")
+    p = p.replace(" ", TIED)
+    if (e.testable_dof or 0) > e.problem.known - e.problem.p:
+        return f" ({p.replace('=', 'at most')})"
+    return f" for {plural(e.testable_dof or 0, 'degree')} of freedom ({p})"
 
 
 def _above_maximum(e: Fitted) -> bool:
@@ -207,9 +211,16 @@ def _breaks_again(e: Fitted, j: int, pieces: list[Interval]) -> Verdict | None:
     b = np.exp(inputs.log_b)[:, rows].max()
     return Verdict(
         Identifiability.REBREAKS,
-        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops: the event then "
-        "goes on, and the length fitted is that of the front alone",
+        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops; {whole_events(e)}",
     )
+
+
+def whole_events(e: Fitted) -> str:
+    """Say how whole events are fitted, of which the first front is a part."""
+    m = e.measurements
+    if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
+        return "a fit of whole events takes no gauges, ends or machines"
+    return "if whole events were measured, give " + m.option("--event full", 'event="full"')
 
 
 def _of_counts(e: Fitted, pieces: list[Interval], at_odds: list[int]) -> Iterator[Verdict]:
