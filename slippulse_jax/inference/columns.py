@@ -25,11 +25,14 @@ from slippulse_jax.domains import (
     Domain,
 )
 from slippulse_jax.files import shortened
+from slippulse_jax.inference.choices import Body
 from slippulse_jax.units import SI, UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 KINDS = ("length", "whole", "at_least")
 """Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
+NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?|nan)", re.IGNORECASE | re.ASCII)
+"""A number as text: `float` would take 14_03 for 1403."""
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""
 
@@ -163,6 +166,38 @@ NAMES: dict[bool, Named] = {
     in_si: {name: (one, size) for one in _ROWS for name, size in one.names(in_si).items()} for in_si in (True, False)
 }
 """In SI form, and in the form in λc."""
+_NAMES_OF_GAUGES: Named = {
+    name: (one, size)
+    for one in _ROWS_OF_GAUGES
+    for name, size in one.names(in_si=True).items()
+    if normalize("NFKC", name).replace("μ", "u") == one.name(in_si=True)
+}
+_IN_SI = {**_NAMES_OF_GAUGES, **NAMES[True]}
+KNOWN = {*_IN_SI, *_EVERY}
+"""All names, also those of readings of gauges and those that stand without the unit that they need."""
+
+_EXAMPLES: dict[Body, dict[str, tuple[str, str]]] = {
+    "slider": {"specimen": ("A", "A"), "height": ("25", "45"), "correlation_length": ("10", "10"), "poisson": ("0.3", "0.3"),
+               "young": ("3", "3"), "length": ("14.03", "29.95"), "length_sigma": ("0.5", "0.5")},
+    "block": {"specimen": ("A", "B"), "height": ("10", "12"), "correlation_length": ("200", "200"), "poisson": ("0.3", "0.3"),
+              "young": ("3", "3"), "block_length": ("30", "36"), "push_height": ("2.5", "2.5"), "push_width": ("2", ""),
+              "friction": ("0.3", "0.3"), "length": ("5.601", "7.416"), "length_sigma": ("0.11", "0.15")},
+}  # fmt: skip
+
+
+def template(body: Body) -> str:
+    """Write a table to fill in, with two lines of examples."""
+    examples = {**_EXAMPLES[body], "kind": ("length", "length"), "provenance": ("measured", "measured")}
+    columns = [COLUMNS[quantity] for quantity in examples]
+    return "".join(
+        line + "\n"
+        for line in (
+            "# Replace the examples by your own, one precursor per line. Leave out what you do not know, and this comment.",
+            *(f"# {one.quantity}: {', '.join(filter(None, one.choices))}" for one in columns if one.choices),
+            ",".join(one.name(in_si=True) for one in columns),
+            *map(",".join, zip(*examples.values(), strict=True)),
+        )
+    )
 
 
 def named(header: Sequence[str], where: str) -> Named:
@@ -181,10 +216,11 @@ def named(header: Sequence[str], where: str) -> Named:
     known = {own: names[own] for own in header if own in names}
     there = {column.quantity for column, _ in known.values()}
     _refuse_misnamed([own for own in header if own not in names], there, bool(si), bool(plain), where)
+    in_si = bool(si) or (not plain and any(_UNIT.search(_BETWEEN.sub("_", own).strip("_")) for own in header))
     wanted = {form: {one.quantity: one.name(form) for one in _ROWS if one.required and one.names(form)} for form in NAMES}
-    missing = [name for quantity, name in wanted[bool(si)].items() if quantity not in there]
+    missing = [name for quantity, name in wanted[in_si].items() if quantity not in there]
     if missing:
-        expected = " or ".join(", ".join(wanted[form].values()) for form in NAMES if form == bool(si) or not (si or plain))
+        expected = " or ".join(", ".join(wanted[form].values()) for form in NAMES if form == in_si or not (in_si or plain))
         expected = f"the columns {expected}"
         if missing == ["correlation_length_um"]:
             expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
@@ -205,12 +241,31 @@ def named_of_gauges(header: Sequence[str], where: str) -> Named:
     MeasurementError
         If one is unknown, there twice, or missing.
     """
-    names = {one.name(in_si=True): one for one in _ROWS_OF_GAUGES}
-    needed, others = ([name for name, one in names.items() if one.required is required] for required in (True, False))
-    if not set(needed) <= set(header) <= set(names) or len(set(header)) < len(header):
-        expected = f"expected {', '.join(needed)}, and {', '.join(others)} as measured, each once"
-        raise MeasurementError(f"{where}: columns {', '.join(header)}; {expected}")
-    return {own: (names[own], names[own].names(in_si=True)[own]) for own in header}
+    known = {own: _NAMES_OF_GAUGES[own] for own in header if own in _NAMES_OF_GAUGES}
+    there = {column.quantity for column, _ in known.values()}
+    if len(header) != len(there) or any(one.required and one.quantity not in there for one in _ROWS_OF_GAUGES):
+        needed, others = (
+            ", ".join(one.name(in_si=True) for one in _ROWS_OF_GAUGES if one.required is required) for required in (True, False)
+        )
+        raise MeasurementError(f"{where}: columns {', '.join(header)}; expected {needed}, and {others} as measured, each once")
+    return known
+
+
+def with_units(header: Sequence[str], row: Sequence[str], where: str) -> list[str] | None:
+    """Join the units in the row below the header to its names; None if it holds no units, or a number."""
+    units = [normalize("NFKC", cell).strip("[]() ").replace("μ", "u").replace("/", "_per_") for cell in row]
+    if not any(unit in _SIZES for unit in units) or any(re.match(r"[+-]?\.?\d", unit) for unit in units if unit != "1"):
+        return None
+    names = []
+    for own, unit in zip(header, units, strict=False):
+        column, size = _IN_SI.get(own, (_EVERY.get(own), None))
+        stated = column is not None and own != column.quantity
+        silent = unit in ("", "-", "–", "1") or (unit not in _SIZES if column is None else column.choices is not None)
+        if not silent and (unit not in _SIZES or (stated and _SIZES[unit] != size)):
+            need = "its name has another unit" if stated else f"one of {', '.join(_SIZES)} is needed"
+            raise MeasurementError(f"{where}, column {own}: {unit!r}: {need}")
+        names.append(own if silent or stated or unit == "λc" else f"{own}_{unit}")
+    return names
 
 
 def _refuse_repeated(header: Sequence[str], names: Named, where: str) -> None:
@@ -226,7 +281,8 @@ def _refuse_repeated(header: Sequence[str], names: Named, where: str) -> None:
 
 _ERROR = re.compile(r"(?:^|_)(?:sigma|σ|error|err|std|sd|stderr|uncertainty)(?=_|$)", re.IGNORECASE)
 _BETWEEN = re.compile(r"[\s()\[\]{}/.,:-]+")
-_READ = {normalize("NFKC", unit).casefold(): unit.replace("µ", "u") for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS)}
+_SIZES = {unit: size for unit, size in (UNITS_OF_LENGTH | UNITS_OF_MODULUS | SI).items() if unit.isascii()} | {"λc": math.nan}
+_READ = {unit.casefold(): unit for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS) if unit in _SIZES} | {"μm": "um"}
 _UNIT = re.compile(rf"(?:_in)?(?:^|_)({'|'.join(_READ)}|in|inch|ft|dm|km|psi|k?N(?:_per_mm?)?)$", re.IGNORECASE)
 ALIKE = 0.8
 """Similarity (difflib) above which a name counts as a typing error."""
@@ -338,7 +394,8 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
         if column.choices is None:
             blank = np.isnan(x) & column.may_be_blank
             yield name, blank & ~np.isnan(values.get(column.value, x)), "missing: the value beside it has no standard error"
-            yield name, ~blank & ~(np.isfinite(x) & column.domain.holds(x)), column.domain.requirement
+            yield name, ~blank & ~np.isfinite(x), "must be finite" + "; blank where there is none" * column.may_be_blank
+            yield name, np.isfinite(x) & ~column.domain.holds(x), column.domain.requirement
         elif column.choices:
             yield name, [text not in column.choices for text in x], f"one of {', '.join(filter(None, column.choices))}"
     if "length" in values:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import CORRELATION_LENGTH
-from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError, check, check_needs
+from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMBER, NUMERIC, MeasurementError, check, check_needs
 from slippulse_jax.shown import html, short
 from slippulse_jax.units import UNITS_OF_LENGTH
 
@@ -51,7 +51,11 @@ def table(cls: type[T]) -> type[T]:
 
 def numbers(x: ArrayLike) -> np.ndarray:
     """Convert to an array of float64, of one number at least one axis."""
-    return np.atleast_1d(np.asarray(x, dtype=np.float64))
+    given = np.asarray(x)
+    for one in given.ravel().tolist() if given.dtype.kind in "OU" else ():
+        if isinstance(one, str) and not NUMBER.fullmatch(one):
+            raise TypeError(f"{one!r} is not a number")
+    return np.atleast_1d(given.astype(np.float64))
 
 
 def numbers_or_none(x: ArrayLike | None) -> np.ndarray | None:
@@ -113,6 +117,8 @@ class Gauges:
         Line of each reading in the file it came from.
     source : str
         Name of that file.
+    skipped : tuple of int
+        Lines of it that hold no reading and are not blank.
 
     Raises
     ------
@@ -128,6 +134,7 @@ class Gauges:
     stress_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     lines: tuple[int, ...] = held(converter=entries, default=())
     source: str = "gauges"
+    skipped: tuple[int | str, ...] = ()
 
     def __post_init__(self) -> None:
         given = convert(self)
@@ -162,11 +169,10 @@ class Measurements:
     Parameters
     ----------
     height, poisson, length : array_like, shape (n,)
-        H/λc, ν, and the measured length over λc: numbers of λc, also where `correlation_length` says how many metres that is
-        (`from_si` takes metres). Scalars are repeated.
+        H/λc, ν, and the measured length over λc, also where `correlation_length` is given (`from_si` takes metres).
     length_sigma : array_like, shape (n,), optional
-        Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest, and meant where there is
-        nothing else. Without it the errors are taken as equal and their size from the scatter.
+        Standard error of the length, in λc; may be 0 for counts and fronts without arrest, and is where there is nothing else.
+        Without it the errors are taken as equal and their size from the scatter.
     correlation_length : array_like, shape (n,), optional
         λc in m; given for data in SI.
     young : array_like, shape (n,), optional
@@ -180,8 +186,8 @@ class Measurements:
         L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end. A front that
         ran through all of it has that length and the kind "at_least".
     push_height, push_width : array_like, shape (n,), optional
-        Height of the middle of the pusher over the interface, and its own height, in λc; without a width, NaN or None, the
-        height of its lower end: it then covers everything above. They describe the push on a block (`fit`, body "block").
+        Height of the middle of the pusher on a block over the interface, and its own height, in λc; without a width, NaN or
+        None, the height of its lower end: it then covers everything above.
     push_control : sequence of str, optional
         What is held while an event runs, "displacement" (by default) or "force".
     friction : array_like, shape (n,), optional
@@ -219,6 +225,8 @@ class Measurements:
         Name in the file of each quantity's column, for messages, which are then in its unit.
     rows : sequence of str, optional
         Index label of each measurement in the DataFrame it came from.
+    skipped : tuple of int or str
+        Lines, or rows, that hold no measurement: titles, units and comments.
 
     Raises
     ------
@@ -264,6 +272,7 @@ class Measurements:
     other: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
     rows: tuple[str, ...] = held(converter=entries, default=())
+    skipped: tuple[int | str, ...] = ()
 
     @classmethod
     def from_si(cls, *, correlation_length: ArrayLike, **columns: Any) -> "Measurements":
@@ -307,7 +316,7 @@ class Measurements:
             object.__setattr__(self, "kind", ("length",) * len(self))
         if self.length_sigma is None and "length" not in self.kind:
             object.__setattr__(self, "length_sigma", np.zeros(len(self)))  # counts need no σ
-        for field in dataclasses.fields(self):
+        for field in (field for field in dataclasses.fields(self) if "converter" in field.metadata):
             values = getattr(self, field.name)
             if isinstance(values, tuple) and len(values) not in (0, len(self)):
                 raise MeasurementError(f"{self.source}: {field.name} has {len(values)} entries for {len(self)} lengths")
@@ -467,6 +476,6 @@ def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[s
 def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     """Units of length in which the column would have usual values."""
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
-    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
+    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "μm", "nm")}
     found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
     return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
