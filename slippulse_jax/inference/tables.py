@@ -182,11 +182,14 @@ def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Nam
             column.append(cell.strip())
     if not numbers:
         raise MeasurementError(f"{name}: a header line and at least one more are needed")
-    for i, column in enumerate(columns):
-        if i > 0 and not names[i] and any(column):  # the first may be that of running numbers
-            number, cell = next((number, cell) for number, cell in zip(numbers, column, strict=True) if cell)
-            raise MeasurementError(f"{name}, {counted} {number}, column {i + 1}: {cell!r} stands below no name")
-    return known, numbers, {own or "(no name)": cells for own, cells in zip(names, columns, strict=True) if own or any(cells)}
+    cells = {}
+    for i, (own, column) in enumerate(zip(names, columns, strict=True)):
+        row = next((row for row, cell in enumerate(column) if not _missing(cell)), None)
+        if own or row is not None:
+            cells[own or "(no name)"] = column
+        if not own and row is not None and i > 0:  # the first may be that of running numbers
+            raise MeasurementError(f"{name}, {counted} {numbers[row]}, column {i + 1}: {column[row]!r} stands below no name")
+    return known, numbers, cells
 
 
 def _numbers(
@@ -333,15 +336,16 @@ def _records(text: str, name: str, mark: Callable[[str], str], first: int = 0) -
             reader = csv.reader([start] if comment else chain([start], lines), delimiter=delimiter, strict=first > 0)
             cells = next(reader)
         except csv.Error as error:
-            raise MeasurementError(f"{name}, line {line}: {error}") from None
+            raise MeasurementError(f"{name}, line {line}: {str(error).partition(' - ')[0]}") from None
         if any(cell.strip() for cell in cells):
             yield line, cells, delimiter, reader.line_num
         line += reader.line_num
 
 
 def _lines(text: str) -> Iterator[str]:
-    """Lines with their ends."""
-    return (found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text))
+    """Lines with their ends; a carriage return ends one only where no other sign does."""
+    end = "\n" if "\n" in text else "\r"
+    return (found[0] for found in re.finditer(f"[^{end}]*{end}|[^{end}]+", text))
 
 
 _MARKS = ("#", "%", "!", ";", "//")
@@ -381,7 +385,7 @@ def _write_points(cells: dict[str, list[str]], of_numbers: Collection[str], numb
         (line, cell), (other, example) = first["."], first[","]
         both = f"{cell!r} has a decimal point, and {example!r} in line {other} a comma"
         raise MeasurementError(f"{name}, line {line}: {both}: write all numbers with one of them")
-    for own in cells if "," in first else ():
+    for own in [own for own in cells if "," in first and not any("." in one for one in cells[own])]:
         cells[own] = [one.replace(",", ".") if _DECIMAL[","].fullmatch(one) else one for one in cells[own]]
 
 
@@ -396,7 +400,7 @@ def _number(text: str, own: str, column: Column, where: str) -> float:
         advice = "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
     elif text.startswith(_MARKS) and any(map(str.isnumeric, text)):
         advice = "; as it has the cells of the header the line is no comment: leave it out"
-    elif of_length and (re.match(r"[>≥⩾]|.*\d\s*\+$", text) or not any(one.isnumeric() or one == "#" for one in text)):
+    elif of_length and re.match(r"[>≥⩾]|.*\d\s*\+$|[^\W\d_][^\d#]*$", text):
         advice = "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
     elif re.search(r"\d\s*(?:±|\+/?-|\(\d)", text):
         advice = f"; write its error in a column {own.replace(column.quantity, beside, 1)}" if beside in COLUMNS else ""
