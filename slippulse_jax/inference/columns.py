@@ -166,48 +166,33 @@ NAMES: dict[bool, Named] = {
     in_si: {name: (one, size) for one in _ROWS for name, size in one.names(in_si).items()} for in_si in (True, False)
 }
 """In SI form, and in the form in λc."""
+_MICRO = str.maketrans("µμ", "uu")
 _NAMES_OF_GAUGES: Named = {
     name: (one, size)
     for one in _ROWS_OF_GAUGES
-    for name, size in one.names(in_si=True).items()
-    if normalize("NFKC", name).replace("μ", "u") == one.name(in_si=True)
+    for name, size in one.names(True).items()
+    if name.translate(_MICRO) == one.name(True)
 }
 _IN_SI = {**_NAMES_OF_GAUGES, **NAMES[True]}
 KNOWN = {*_IN_SI, *_EVERY}
 """All names, also those of readings of gauges and those that stand without the unit that they need."""
 
-_EXAMPLES: dict[Body, dict[str, tuple[str, str]]] = {
-    "slider": {"specimen": ("A", "A"), "height": ("25", "45"), "correlation_length": ("10", "10"), "poisson": ("0.3", "0.3"),
-               "young": ("3", "3"), "length": ("14.03", "29.95"), "length_sigma": ("0.5", "0.5")},
-    "block": {"specimen": ("A", "B"), "height": ("10", "12"), "correlation_length": ("200", "200"), "poisson": ("0.3", "0.3"),
-              "young": ("3", "3"), "block_length": ("30", "36"), "push_height": ("2.5", "2.5"), "push_width": ("2", ""),
-              "friction": ("0.3", "0.3"), "length": ("5.601", "7.416"), "length_sigma": ("0.11", "0.15")},
-}  # fmt: skip
+_EXAMPLE = {"specimen": "A", "height": "25", "correlation_length": "100", "poisson": "0.3", "young": "3", "length": "14.03"}
+_EXAMPLE |= {"length_sigma": "0.5", "kind": "length", "provenance": "measured"}
+_OF_BLOCKS = {"block_length": "75", "push_height": "5", "push_width": "2", "friction": "0.3"}
 
 
 def template(body: Body) -> str:
-    """Write a table to fill in, with two lines of examples."""
-    examples = {**_EXAMPLES[body], "kind": ("length", "length"), "provenance": ("measured", "measured")}
-    columns = [COLUMNS[quantity] for quantity in examples]
-    return "".join(
-        line + "\n"
-        for line in (
-            "# Replace the examples by your own, one precursor per line. Leave out what you do not know, and this comment.",
-            *(f"# {one.quantity}: {', '.join(filter(None, one.choices))}" for one in columns if one.choices),
-            ",".join(one.name(in_si=True) for one in columns),
-            *map(",".join, zip(*examples.values(), strict=True)),
-        )
-    )
+    """Write a table to fill in, with one line as an example."""
+    example = _EXAMPLE | (_OF_BLOCKS if body == "block" else {})
+    columns = [COLUMNS[quantity] for quantity in example]
+    lines = ["# Replace the example by your own, one precursor per line. Leave out the columns that you do not know."]
+    lines += [f"# {one.quantity}: {', '.join(filter(None, one.choices))}" for one in columns if one.choices]
+    return "\n".join((*lines, ",".join(one.name(in_si=True) for one in columns), ",".join(example.values()), ""))
 
 
 def named(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of measurements by the names in its header; others are left out.
-
-    Raises
-    ------
-    MeasurementError
-        If the names are of both forms, one is there twice, seems to mean another, or is missing.
-    """
+    """Find the columns of a table of measurements by the names in its header; others are left out."""
     si, plain = ([own for own in header if own in NAMES[form] and own not in NAMES[not form]] for form in (True, False))
     if si and plain:
         raise MeasurementError(f"{where}: columns of both forms, {si[0]} and {plain[0]}: choose one")
@@ -234,13 +219,7 @@ def named(header: Sequence[str], where: str) -> Named:
 
 
 def named_of_gauges(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of gauges by the names in its header.
-
-    Raises
-    ------
-    MeasurementError
-        If one is unknown, there twice, or missing.
-    """
+    """Find the columns of a table of gauges by the names in its header; refuse others, and a missing one."""
     known = {own: _NAMES_OF_GAUGES[own] for own in header if own in _NAMES_OF_GAUGES}
     there = {column.quantity for column, _ in known.values()}
     if len(header) != len(there) or any(one.required and one.quantity not in there for one in _ROWS_OF_GAUGES):
@@ -253,7 +232,7 @@ def named_of_gauges(header: Sequence[str], where: str) -> Named:
 
 def with_units(header: Sequence[str], row: Sequence[str], where: str) -> list[str] | None:
     """Join the units in the row below the header to its names; None if it holds no units, or a number."""
-    units = [normalize("NFKC", cell).strip("[]() ").replace("μ", "u").replace("/", "_per_") for cell in row]
+    units = [cell.translate(_MICRO).strip("[]() ").replace("/", "_per_") for cell in row]
     if not any(unit in _SIZES for unit in units) or any(re.match(r"[+-]?\.?\d", unit) for unit in units if unit != "1"):
         return None
     names = []
@@ -332,13 +311,7 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
 
 
 def check_needs(given: Collection[str], columns: Mapping[str, str], source: str) -> None:
-    """Refuse quantities without one that they need; `columns` has their names in the file.
-
-    Raises
-    ------
-    MeasurementError
-        Naming both.
-    """
+    """Refuse quantities without one that they need; `columns` has their names in the file."""
     for name in given:
         column = _EVERY[name]
         for needed in (column.value, *column.needs.split()):
@@ -359,21 +332,10 @@ def check(
     columns: Mapping[str, str] | None = None,
     cells: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Check columns against their domains and each other.
+    """Check columns, by quantity and in the units of `Measurements` or `Gauges`, against their domains and each other.
 
-    Parameters
-    ----------
-    values : mapping of str to array_like, shape (n,)
-        By quantity, in the units of `Measurements` or `Gauges`.
-    place : callable
-        Name of a row in messages.
-    columns, cells : mapping, optional
-        Name in the file by quantity, and the text of the cells by that name.
-
-    Raises
-    ------
-    MeasurementError
-        At the first row that breaks a rule, naming it, the column and the rule.
+    The message names the first row that breaks a rule, by `place`; `columns` has the names in the file by quantity, and `cells`
+    the text by these names.
     """
     with np.errstate(all="ignore"):
         faults = [(int(np.argmax(bad)), name, rule) for name, bad, rule in _faults(values) if np.any(bad)]

@@ -69,13 +69,7 @@ def entries(x: Sequence[T]) -> tuple[T, ...]:
 
 
 def convert(one: Any) -> list[str]:
-    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given.
-
-    Raises
-    ------
-    MeasurementError
-        Naming the column that holds no numbers, is empty, has more than one axis, or another length than those before it.
-    """
+    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given."""
     given, n, first = [], 1, ""
     for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
         where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
@@ -173,10 +167,8 @@ class Measurements:
     length_sigma : array_like, shape (n,), optional
         Standard error of the length, in λc; may be 0 for counts and fronts without arrest, and is where there is nothing else.
         Without it the errors are taken as equal and their size from the scatter.
-    correlation_length : array_like, shape (n,), optional
-        λc in m; given for data in SI.
-    young : array_like, shape (n,), optional
-        E in Pa; with `correlation_length` it turns k/K into an areal stiffness k/λc² in Pa/m.
+    correlation_length, young : array_like, shape (n,), optional
+        λc in m, given for data in SI, and E in Pa; both turn k/K into an areal stiffness k/λc² in Pa/m.
     kind : sequence of str, optional
         "length" (by default), "whole" (a count of whole contacts: the length lies within one below it), or "at_least" (the
         front ran past this length without arrest).
@@ -190,10 +182,9 @@ class Measurements:
         None, the height of its lower end: it then covers everything above.
     push_control : sequence of str, optional
         What is held while an event runs, "displacement" (by default) or "force".
-    friction : array_like, shape (n,), optional
-        μ, by which the thresholds of a block follow the pressure, which the push tilts.
-    normal_stiffness : array_like, shape (n,), optional
-        k_n/k of a block's contacts; 1.2 where `friction` is given, else without limit, as of `Block`.
+    friction, normal_stiffness : array_like, shape (n,), optional
+        μ, by which the thresholds of a block follow the pressure, which the push tilts; k_n/k of its contacts, 1.2 where
+        `friction` is given, else without limit, as of `Block`.
     contact_law, top : sequence of str, optional
         What follows the pressure, "amontons" (by default) or "multicontact"; whether the top of a block may tilt, "free" (by
         default) or "held"; as of `Block`.
@@ -203,10 +194,9 @@ class Measurements:
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma, friction_sigma : array_like, optional
         Of shape (n,): standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements
         of one specimen with the same value and error share one true value.
-    displacement, displacement_sigma : array_like, shape (n,), optional
-        Displacement of the pushed edge at nucleation, in m; NaN where it was not measured. Needs `young`.
-    force, force_sigma : array_like, shape (n,), optional
-        Driving force at nucleation per width of the block, in N/m; NaN where it was not measured. Needs `young`.
+    displacement, displacement_sigma, force, force_sigma : array_like, shape (n,), optional
+        Displacement of the pushed edge at nucleation, in m, and driving force per width of the block, in N/m; NaN where not
+        measured. They need `young`.
     specimen : sequence of str, optional
         Any name, to which ``each="specimen"`` of a parameter refers.
     provenance : sequence of str, optional
@@ -215,18 +205,16 @@ class Measurements:
         Name of each precursor, by which tables of further observations refer to it.
     gauges : Gauges, optional
         Readings of slip and stress along the interface after arrest; need `correlation_length` and `young`.
-    lines : array_like of int, optional
-        Line of each measurement in the file it came from.
+    lines, rows : sequence, optional
+        Line of each measurement in the file that it came from, or its index label in the DataFrame.
+    skipped : sequence
+        Lines or rows that hold no measurement: titles, units and comments.
     source : str
         Name of that file, for messages and reports.
     other : dict of str to list of str
         Columns that were kept but not used.
     columns : dict of str to str
         Name in the file of each quantity's column, for messages, which are then in its unit.
-    rows : sequence of str, optional
-        Index label of each measurement in the DataFrame it came from.
-    skipped : tuple of int or str
-        Lines, or rows, that hold no measurement: titles, units and comments.
 
     Raises
     ------

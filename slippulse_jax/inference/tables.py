@@ -162,10 +162,9 @@ def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Nam
     """Find the columns; return those that are known, the number of each row, and the cells of all."""
     name, counted = table.name, table.counted
     first, header = next(table.rows, (1, []))
-    if not header:
-        raise MeasurementError(f"{name}: empty: a header line and at least one more are needed")
-    if len(header) == 1:
-        raise MeasurementError(f"{name}: {header[0]!r} alone: columns are separated by commas, semicolons or tabs")
+    if len(header) < 2:
+        alone = f"{header[0]!r} alone: columns are separated by commas, semicolons or tabs" if header else ""
+        raise MeasurementError(f"{name}: {alone or 'empty: a header line and at least one more are needed'}")
     header = [_visible(cell) for cell in header]
     second = list(islice(table.rows, 1))
     names = with_units(header, second[0][1], f"{name}, {counted} {second[0][0]}") if second else None
@@ -400,7 +399,7 @@ def _number(text: str, own: str, column: Column, where: str) -> float:
         advice = "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
     elif text.startswith(_MARKS) and any(map(str.isnumeric, text)):
         advice = "; as it has the cells of the header the line is no comment: leave it out"
-    elif of_length and re.match(r"[>≥⩾]|.*\d\s*\+$|[^\W\d_][^\d#]*$", text):
+    elif of_length and (re.match(r"[>≥⩾]|.*\d\s*\+$", text) or (text[0].isalpha() and not re.search(r"\d", text))):
         advice = "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
     elif re.search(r"\d\s*(?:±|\+/?-|\(\d)", text):
         advice = f"; write its error in a column {own.replace(column.quantity, beside, 1)}" if beside in COLUMNS else ""

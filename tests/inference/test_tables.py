@@ -346,7 +346,7 @@ def test_the_template_is_a_table(tmp_path, body):
     assert (done.exit_code, done.stderr) == (0, "")
     assert done.stdout.isascii()
     found = read(tmp_path, done.stdout)
-    assert len(found) == 2
+    assert len(found) == 1
     assert found.skipped == ()
     assert found.other == {}
     assert (found.push_height is not None) == (body == "block")
