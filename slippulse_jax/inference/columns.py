@@ -31,7 +31,7 @@ from slippulse_jax.units import SI, UNITS_OF_LENGTH, UNITS_OF_MODULUS
 KINDS = ("length", "whole", "at_least")
 """Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
-NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?|nan)", re.IGNORECASE | re.ASCII)
+NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?)", re.IGNORECASE | re.ASCII)
 """A number as text: `float` would take 14_03 for 1403."""
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""

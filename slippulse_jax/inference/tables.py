@@ -46,7 +46,6 @@ from slippulse_jax.inference.columns import (
     IN_LC,
     KNOWN,
     NUMBER,
-    Column,
     MeasurementError,
     Named,
     check,
@@ -199,8 +198,13 @@ def _numbers(
     for i in range(len(kind)):
         for own, (column, _) in known.items():
             cell = cells[own][i]
-            if not _missing(cell):
-                raw[own].append(_number(cell, own, column, place(i)))
+            plain = cell if cell.isascii() else cell.translate(_MINUS)
+            if NUMBER.fullmatch(plain):
+                raw[own].append(float(plain))
+            elif not _missing(cell):
+                raise MeasurementError(
+                    f"{place(i)}, column {own}: {cell!r} is not a number{_advice(cell, own, column.quantity)}"
+                )
             elif column.may_be_blank:
                 raw[own].append(math.nan)
             elif column.quantity == "length_sigma" and kind[i] != "length":
@@ -302,15 +306,16 @@ def _below(text: str, name: str, first: int, delimiter: str, skipped: list[int])
     header: list[str] = []
     for line, cells, _, lines in _records(text, name, lambda _: delimiter, first):
         width, count = len(header), len(cells)
-        names = [_uncommented(_visible(cells[0])), *(_visible(cell) for cell in cells[1:])]
         if not header:
-            header = names
-            yield line, names
+            header = [_uncommented(_visible(cells[0])), *(_visible(cell) for cell in cells[1:])]
+            yield line, header
             continue
-        if not "".join((*header[count:], *cells[width:])).strip():
+        if count != width and not "".join((*header[count:], *cells[width:])).strip():
             cells = [*cells, *[""] * (width - count)][:width]
-        comment = _visible(cells[0]).startswith(_MARKS) and (len(cells) != width or not any(names[1:]))
-        if comment or names[:width] == header:  # which stands between two files in one
+        start = _visible(cells[0])
+        comment = start.startswith(_MARKS) and (len(cells) != width or not "".join(cells[1:]).strip())
+        again = _uncommented(start) == header[0] and [_visible(cell) for cell in cells[1:]] == header[1:]
+        if comment or again:  # as between two files in one
             if comment and lines > 1:
                 raise MeasurementError(f"{name}, line {line}: a comment, or {count} columns where the header has {width}?")
             skipped.append(line)
@@ -388,25 +393,22 @@ def _write_points(cells: dict[str, list[str]], of_numbers: Collection[str], numb
         cells[own] = [one.replace(",", ".") if _DECIMAL[","].fullmatch(one) else one for one in cells[own]]
 
 
-def _number(text: str, own: str, column: Column, where: str) -> float:
-    """Convert a cell of a column, which the table calls `own`, to a number."""
-    plain = text.translate(_MINUS)
-    if NUMBER.fullmatch(plain):
-        return float(plain)
+def _advice(text: str, own: str, quantity: str) -> str:
+    """What to write for a cell that is no number, in the column `own`."""
+    plain, beside = text.translate(_MINUS), f"{quantity}_sigma"
+    words = not any(map(str.isnumeric, text))
     strange = re.search(r"[^\d.eE+\s-]", plain, re.ASCII) or re.search(r"\s", plain)
-    of_length, beside = column.quantity == "length", f"{column.quantity}_sigma"
     if _DECIMAL[","].fullmatch(plain):
-        advice = "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
-    elif text.startswith(_MARKS) and any(map(str.isnumeric, text)):
-        advice = "; as it has the cells of the header the line is no comment: leave it out"
-    elif of_length and (re.match(r"[>≥⩾]|.*\d\s*\+$", text) or (text[0].isalpha() and not re.search(r"\d", text))):
-        advice = "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
-    elif re.search(r"\d\s*(?:±|\+/?-|\(\d)", text):
-        advice = f"; write its error in a column {own.replace(column.quantity, beside, 1)}" if beside in COLUMNS else ""
-        advice = advice or "; write the number without its error"
-    elif strange:
+        return "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
+    if quantity == "length" and (re.match(r"[>≥⩾]|.*\d\s*\+$", text) or (words and text[0].isalpha() and len(text) > 2)):
+        return "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
+    if words:
+        return ""
+    if text.startswith(_MARKS):
+        return "; as it has the cells of the header the line is no comment: leave it out"
+    if re.search(r"\d\s*(?:±|\+/?-|\(\d)", text):
+        return f"; write its error in a column {own.replace(quantity, beside, 1)}" if beside in COLUMNS else "; write no error"
+    if strange:
         named = "" if strange[0].isascii() else f" ({name_of(strange[0], '?')})"
-        advice = f": it holds {strange[0]!r}{named}; write digits and a decimal point"
-    else:
-        advice = "; write one, such as 14.03 or 2e-3"
-    raise MeasurementError(f"{where}, column {own}: {text!r} is not a number{advice}")
+        return f": it holds {strange[0]!r}{named}; write digits and a decimal point"
+    return "; write one, such as 14.03 or 2e-3"

@@ -129,10 +129,7 @@ def test_texts_are_kept_as_written(tmp_path):
         *((cell, r"not a number: it holds '\S'") for cell in ("0x10", "1,234.5", "1.234,5", "5%", "1/3", "14.03*", "=14")),
         *((cell, r"not a number: it holds ' '") for cell in ("1 234", "14 .03")),
         *((cell, r"not a number: it holds '[<~cm]'") for cell in ("<14", "~14", "ca. 14", "14.03 mm", "14.03mm")),
-        *(
-            (cell, "not a number; write one, such as 14.03")
-            for cell in ("1.2.3", "--5", "1e", "14-15", "14–15", "2026-11-27", ".")
-        ),
+        *((cell, "not a number; write one, such as 14.03") for cell in ("1.2.3", "--5", "1e", "14-15", "14–15", "2026-11-27")),
         *(
             (cell, "write its error in a column length_sigma_mm$")
             for cell in ("14.03 ± 0.5", "14.03+/-0.5", "14+-1", "14.03(5)")
@@ -145,7 +142,7 @@ def test_texts_are_kept_as_written(tmp_path):
         ("", "column length_mm: missing value"),
         ("−14", "column length_mm: −14: a length must be positive"),
         ("14,03", "'14,03' is not a number; write a decimal point"),
-        ("#REF!", "'#REF!' is not a number: it holds '#'"),
+        *((cell, "is not a number$") for cell in ("#REF!", "x", ".", "%")),
     ],
 )
 def test_what_has_not_is_refused(tmp_path, cell, message):
