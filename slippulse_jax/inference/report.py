@@ -580,7 +580,8 @@ def _of_data(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
     for table in filter(None, (m, m.gauges)):
         if skipped := table.skipped:
             which = ", ".join(map(str, skipped[:20])) + ", …" * (len(skipped) > 20)
-            yield f"skipped {plural(len(skipped), 'line' if table.lines else 'row')} of {table.source} that hold no measurement: {which}"
+            lines = plural(len(skipped), "line" if table.lines else "row")
+            yield f"skipped {lines} of {table.source} that hold no measurement: {which}"
     kinds = sorted({*m.provenance} - {""})
     if kinds and kinds != ["measured"]:
         yield f"provenance: {', '.join(kinds)}"

@@ -400,7 +400,9 @@ def _advice(text: str, own: str, quantity: str) -> str:
     strange = re.search(r"[^\d.eE+\s-]", plain, re.ASCII) or re.search(r"\s", plain)
     if _DECIMAL[","].fullmatch(plain):
         return "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
-    if quantity == "length" and (re.match(r"[>≥⩾]|.*\d\s*\+$", text) or (words and text[0].isalpha() and len(text) > 2)):
+    if quantity == "length" and (
+        re.match(r"[>≥⩾]|.*(?:\d\s*\+$|least|through|past)", text) or (words and text[0].isalpha() and len(text) > 2)
+    ):
         return "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
     if words:
         return ""

@@ -134,7 +134,10 @@ def test_texts_are_kept_as_written(tmp_path):
             (cell, "write its error in a column length_sigma_mm$")
             for cell in ("14.03 ± 0.5", "14.03+/-0.5", "14+-1", "14.03(5)")
         ),
-        *((cell, "and at_least in a column kind$") for cell in (">14", "≥ 14", ">= 14.03", "14+", "ran through", "full")),
+        *(
+            (cell, "and at_least in a column kind$")
+            for cell in (">14", "≥ 14", ">= 14.03", "14+", "at least 14", "30 (ran through)", "ran through", "full")
+        ),
         *((cell, rf"column length_mm: {cell}: missing value") for cell in ("NA", "nan", "N/A", "-", "–", "None", "#N/A")),
         *((cell, rf"column length_mm: {cell}: must be finite") for cell in ("inf", "-inf", "Infinity", "1e400")),
         ("1\u2009234", r"it holds '\\u2009' \(THIN SPACE\)"),
