@@ -23,7 +23,7 @@ Numbers = Array | ArrayLike
 SI = {"N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""
 
-UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9}
+UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 UNITS_OF_MODULUS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 """Units in which columns of a table of measurements may end, in SI."""
 

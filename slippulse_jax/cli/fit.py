@@ -24,8 +24,25 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     return found
 
 
+def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body | None) -> None:
+    """Print a table to fill in, and no more."""
+    if body is not None:
+        from slippulse_jax.inference.columns import template
+
+        click.echo(template(body), nl=False)
+        ctx.exit()
+
+
 @click.command()
 @click.argument("csv", metavar="LENGTHS.CSV")
+@click.option(
+    "--template",
+    type=click.Choice(get_args(Body)),
+    callback=_print_template,
+    is_eager=True,
+    expose_value=False,
+    help="Print a table to fill in, of sliders or of blocks, instead.",
+)
 @click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, fitted too.")
 @click.option("--free", multiple=True, metavar="NAME", help="Parameter to fit; repeat for several. Default: stiffness.")
 @click.option(

@@ -25,11 +25,14 @@ from slippulse_jax.domains import (
     Domain,
 )
 from slippulse_jax.files import shortened
+from slippulse_jax.inference.choices import Body
 from slippulse_jax.units import SI, UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 KINDS = ("length", "whole", "at_least")
 """Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
+NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?)", re.IGNORECASE | re.ASCII)
+"""A number as text: `float` would take 14_03 for 1403."""
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""
 
@@ -163,16 +166,33 @@ NAMES: dict[bool, Named] = {
     in_si: {name: (one, size) for one in _ROWS for name, size in one.names(in_si).items()} for in_si in (True, False)
 }
 """In SI form, and in the form in λc."""
+_MICRO = str.maketrans("µμ", "uu")
+_NAMES_OF_GAUGES: Named = {
+    name: (one, size)
+    for one in _ROWS_OF_GAUGES
+    for name, size in one.names(True).items()
+    if name.translate(_MICRO) == one.name(True)
+}
+_IN_SI = {**_NAMES_OF_GAUGES, **NAMES[True]}
+KNOWN = {*_IN_SI, *_EVERY}
+"""All names, also those of readings of gauges and those that stand without the unit that they need."""
+
+_EXAMPLE = {"specimen": "A", "height": "25", "correlation_length": "100", "poisson": "0.3", "young": "3", "length": "14.03"}
+_EXAMPLE |= {"length_sigma": "0.5", "kind": "length", "provenance": "measured"}
+_OF_BLOCKS = {"block_length": "75", "push_height": "5", "push_width": "2", "friction": "0.3"}
+
+
+def template(body: Body) -> str:
+    """Write a table to fill in, with one line as an example."""
+    example = _EXAMPLE | (_OF_BLOCKS if body == "block" else {})
+    columns = [COLUMNS[quantity] for quantity in example]
+    lines = ["# Replace the example by your own, one precursor per line. Leave out the columns that you do not know."]
+    lines += [f"# {one.quantity}: {', '.join(filter(None, one.choices))}" for one in columns if one.choices]
+    return "\n".join((*lines, ",".join(one.name(in_si=True) for one in columns), ",".join(example.values()), ""))
 
 
 def named(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of measurements by the names in its header; others are left out.
-
-    Raises
-    ------
-    MeasurementError
-        If the names are of both forms, one is there twice, seems to mean another, or is missing.
-    """
+    """Find the columns of a table of measurements by the names in its header; others are left out."""
     si, plain = ([own for own in header if own in NAMES[form] and own not in NAMES[not form]] for form in (True, False))
     if si and plain:
         raise MeasurementError(f"{where}: columns of both forms, {si[0]} and {plain[0]}: choose one")
@@ -181,10 +201,11 @@ def named(header: Sequence[str], where: str) -> Named:
     known = {own: names[own] for own in header if own in names}
     there = {column.quantity for column, _ in known.values()}
     _refuse_misnamed([own for own in header if own not in names], there, bool(si), bool(plain), where)
+    in_si = bool(si) or (not plain and any(_UNIT.search(_BETWEEN.sub("_", own).strip("_")) for own in header))
     wanted = {form: {one.quantity: one.name(form) for one in _ROWS if one.required and one.names(form)} for form in NAMES}
-    missing = [name for quantity, name in wanted[bool(si)].items() if quantity not in there]
+    missing = [name for quantity, name in wanted[in_si].items() if quantity not in there]
     if missing:
-        expected = " or ".join(", ".join(wanted[form].values()) for form in NAMES if form == bool(si) or not (si or plain))
+        expected = " or ".join(", ".join(wanted[form].values()) for form in NAMES if form == in_si or not (in_si or plain))
         expected = f"the columns {expected}"
         if missing == ["correlation_length_um"]:
             expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
@@ -198,19 +219,32 @@ def named(header: Sequence[str], where: str) -> Named:
 
 
 def named_of_gauges(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of gauges by the names in its header.
+    """Find the columns of a table of gauges by the names in its header; refuse others, and a missing one."""
+    known = {own: _NAMES_OF_GAUGES[own] for own in header if own in _NAMES_OF_GAUGES}
+    there = {column.quantity for column, _ in known.values()}
+    if len(header) != len(there) or any(one.required and one.quantity not in there for one in _ROWS_OF_GAUGES):
+        needed, others = (
+            ", ".join(one.name(in_si=True) for one in _ROWS_OF_GAUGES if one.required is required) for required in (True, False)
+        )
+        raise MeasurementError(f"{where}: columns {', '.join(header)}; expected {needed}, and {others} as measured, each once")
+    return known
 
-    Raises
-    ------
-    MeasurementError
-        If one is unknown, there twice, or missing.
-    """
-    names = {one.name(in_si=True): one for one in _ROWS_OF_GAUGES}
-    needed, others = ([name for name, one in names.items() if one.required is required] for required in (True, False))
-    if not set(needed) <= set(header) <= set(names) or len(set(header)) < len(header):
-        expected = f"expected {', '.join(needed)}, and {', '.join(others)} as measured, each once"
-        raise MeasurementError(f"{where}: columns {', '.join(header)}; {expected}")
-    return {own: (names[own], names[own].names(in_si=True)[own]) for own in header}
+
+def with_units(header: Sequence[str], row: Sequence[str], where: str) -> list[str] | None:
+    """Join the units in the row below the header to its names; None if it holds no units, or a number."""
+    units = [cell.translate(_MICRO).strip("[]() ").replace("/", "_per_") for cell in row]
+    if not any(unit in _SIZES for unit in units) or any(re.match(r"[+-]?\.?\d", unit) for unit in units if unit != "1"):
+        return None
+    names = []
+    for own, unit in zip(header, units, strict=False):
+        column, size = _IN_SI.get(own, (_EVERY.get(own), None))
+        stated = column is not None and own != column.quantity
+        silent = unit in ("", "-", "–", "1") or (unit not in _SIZES if column is None else column.choices is not None)
+        if not silent and (unit not in _SIZES or (stated and _SIZES[unit] != size)):
+            need = "its name has another unit" if stated else f"one of {', '.join(_SIZES)} is needed"
+            raise MeasurementError(f"{where}, column {own}: {unit!r}: {need}")
+        names.append(own if silent or stated or unit == "λc" else f"{own}_{unit}")
+    return names
 
 
 def _refuse_repeated(header: Sequence[str], names: Named, where: str) -> None:
@@ -226,7 +260,8 @@ def _refuse_repeated(header: Sequence[str], names: Named, where: str) -> None:
 
 _ERROR = re.compile(r"(?:^|_)(?:sigma|σ|error|err|std|sd|stderr|uncertainty)(?=_|$)", re.IGNORECASE)
 _BETWEEN = re.compile(r"[\s()\[\]{}/.,:-]+")
-_READ = {normalize("NFKC", unit).casefold(): unit.replace("µ", "u") for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS)}
+_SIZES = {unit: size for unit, size in (UNITS_OF_LENGTH | UNITS_OF_MODULUS | SI).items() if unit.isascii()} | {"λc": math.nan}
+_READ = {unit.casefold(): unit for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS) if unit in _SIZES} | {"μm": "um"}
 _UNIT = re.compile(rf"(?:_in)?(?:^|_)({'|'.join(_READ)}|in|inch|ft|dm|km|psi|k?N(?:_per_mm?)?)$", re.IGNORECASE)
 ALIKE = 0.8
 """Similarity (difflib) above which a name counts as a typing error."""
@@ -276,13 +311,7 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
 
 
 def check_needs(given: Collection[str], columns: Mapping[str, str], source: str) -> None:
-    """Refuse quantities without one that they need; `columns` has their names in the file.
-
-    Raises
-    ------
-    MeasurementError
-        Naming both.
-    """
+    """Refuse quantities without one that they need; `columns` has their names in the file."""
     for name in given:
         column = _EVERY[name]
         for needed in (column.value, *column.needs.split()):
@@ -303,21 +332,10 @@ def check(
     columns: Mapping[str, str] | None = None,
     cells: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Check columns against their domains and each other.
+    """Check columns, by quantity and in the units of `Measurements` or `Gauges`, against their domains and each other.
 
-    Parameters
-    ----------
-    values : mapping of str to array_like, shape (n,)
-        By quantity, in the units of `Measurements` or `Gauges`.
-    place : callable
-        Name of a row in messages.
-    columns, cells : mapping, optional
-        Name in the file by quantity, and the text of the cells by that name.
-
-    Raises
-    ------
-    MeasurementError
-        At the first row that breaks a rule, naming it, the column and the rule.
+    The message names the first row that breaks a rule, by `place`; `columns` has the names in the file by quantity, and `cells`
+    the text by these names.
     """
     with np.errstate(all="ignore"):
         faults = [(int(np.argmax(bad)), name, rule) for name, bad, rule in _faults(values) if np.any(bad)]
@@ -338,7 +356,8 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
         if column.choices is None:
             blank = np.isnan(x) & column.may_be_blank
             yield name, blank & ~np.isnan(values.get(column.value, x)), "missing: the value beside it has no standard error"
-            yield name, ~blank & ~(np.isfinite(x) & column.domain.holds(x)), column.domain.requirement
+            yield name, ~blank & ~np.isfinite(x), "must be finite" + "; blank where there is none" * column.may_be_blank
+            yield name, np.isfinite(x) & ~column.domain.holds(x), column.domain.requirement
         elif column.choices:
             yield name, [text not in column.choices for text in x], f"one of {', '.join(filter(None, column.choices))}"
     if "length" in values:

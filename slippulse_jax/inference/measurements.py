@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import CORRELATION_LENGTH
-from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError, check, check_needs
+from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMBER, NUMERIC, MeasurementError, check, check_needs
 from slippulse_jax.shown import html, short
 from slippulse_jax.units import UNITS_OF_LENGTH
 
@@ -51,7 +51,11 @@ def table(cls: type[T]) -> type[T]:
 
 def numbers(x: ArrayLike) -> np.ndarray:
     """Convert to an array of float64, of one number at least one axis."""
-    return np.atleast_1d(np.asarray(x, dtype=np.float64))
+    given = np.asarray(x)
+    for one in given.ravel().tolist() if given.dtype.kind in "OU" else ():
+        if isinstance(one, str) and not NUMBER.fullmatch(one):
+            raise TypeError(f"{one!r} is not a number")
+    return np.atleast_1d(given.astype(np.float64))
 
 
 def numbers_or_none(x: ArrayLike | None) -> np.ndarray | None:
@@ -65,13 +69,7 @@ def entries(x: Sequence[T]) -> tuple[T, ...]:
 
 
 def convert(one: Any) -> list[str]:
-    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given.
-
-    Raises
-    ------
-    MeasurementError
-        Naming the column that holds no numbers, is empty, has more than one axis, or another length than those before it.
-    """
+    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given."""
     given, n, first = [], 1, ""
     for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
         where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
@@ -113,6 +111,8 @@ class Gauges:
         Line of each reading in the file it came from.
     source : str
         Name of that file.
+    skipped : tuple of int
+        Lines of it that hold no reading and are not blank.
 
     Raises
     ------
@@ -128,6 +128,7 @@ class Gauges:
     stress_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
     lines: tuple[int, ...] = held(converter=entries, default=())
     source: str = "gauges"
+    skipped: tuple[int | str, ...] = ()
 
     def __post_init__(self) -> None:
         given = convert(self)
@@ -162,15 +163,12 @@ class Measurements:
     Parameters
     ----------
     height, poisson, length : array_like, shape (n,)
-        H/λc, ν, and the measured length over λc: numbers of λc, also where `correlation_length` says how many metres that is
-        (`from_si` takes metres). Scalars are repeated.
+        H/λc, ν, and the measured length over λc, also where `correlation_length` is given (`from_si` takes metres).
     length_sigma : array_like, shape (n,), optional
-        Standard error of the length, in λc; 0 is allowed for counts and for fronts without arrest, and meant where there is
-        nothing else. Without it the errors are taken as equal and their size from the scatter.
-    correlation_length : array_like, shape (n,), optional
-        λc in m; given for data in SI.
-    young : array_like, shape (n,), optional
-        E in Pa; with `correlation_length` it turns k/K into an areal stiffness k/λc² in Pa/m.
+        Standard error of the length, in λc; may be 0 for counts and fronts without arrest, and is where there is nothing else.
+        Without it the errors are taken as equal and their size from the scatter.
+    correlation_length, young : array_like, shape (n,), optional
+        λc in m, given for data in SI, and E in Pa; both turn k/K into an areal stiffness k/λc² in Pa/m.
     kind : sequence of str, optional
         "length" (by default), "whole" (a count of whole contacts: the length lies within one below it), or "at_least" (the
         front ran past this length without arrest).
@@ -180,14 +178,13 @@ class Measurements:
         L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end. A front that
         ran through all of it has that length and the kind "at_least".
     push_height, push_width : array_like, shape (n,), optional
-        Height of the middle of the pusher over the interface, and its own height, in λc; without a width, NaN or None, the
-        height of its lower end: it then covers everything above. They describe the push on a block (`fit`, body "block").
+        Height of the middle of the pusher on a block over the interface, and its own height, in λc; without a width, NaN or
+        None, the height of its lower end: it then covers everything above.
     push_control : sequence of str, optional
         What is held while an event runs, "displacement" (by default) or "force".
-    friction : array_like, shape (n,), optional
-        μ, by which the thresholds of a block follow the pressure, which the push tilts.
-    normal_stiffness : array_like, shape (n,), optional
-        k_n/k of a block's contacts; 1.2 where `friction` is given, else without limit, as of `Block`.
+    friction, normal_stiffness : array_like, shape (n,), optional
+        μ, by which the thresholds of a block follow the pressure, which the push tilts; k_n/k of its contacts, 1.2 where
+        `friction` is given, else without limit, as of `Block`.
     contact_law, top : sequence of str, optional
         What follows the pressure, "amontons" (by default) or "multicontact"; whether the top of a block may tilt, "free" (by
         default) or "held"; as of `Block`.
@@ -197,10 +194,9 @@ class Measurements:
     height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma, friction_sigma : array_like, optional
         Of shape (n,): standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements
         of one specimen with the same value and error share one true value.
-    displacement, displacement_sigma : array_like, shape (n,), optional
-        Displacement of the pushed edge at nucleation, in m; NaN where it was not measured. Needs `young`.
-    force, force_sigma : array_like, shape (n,), optional
-        Driving force at nucleation per width of the block, in N/m; NaN where it was not measured. Needs `young`.
+    displacement, displacement_sigma, force, force_sigma : array_like, shape (n,), optional
+        Displacement of the pushed edge at nucleation, in m, and driving force per width of the block, in N/m; NaN where not
+        measured. They need `young`.
     specimen : sequence of str, optional
         Any name, to which ``each="specimen"`` of a parameter refers.
     provenance : sequence of str, optional
@@ -209,16 +205,16 @@ class Measurements:
         Name of each precursor, by which tables of further observations refer to it.
     gauges : Gauges, optional
         Readings of slip and stress along the interface after arrest; need `correlation_length` and `young`.
-    lines : array_like of int, optional
-        Line of each measurement in the file it came from.
+    lines, rows : sequence, optional
+        Line of each measurement in the file that it came from, or its index label in the DataFrame.
+    skipped : sequence
+        Lines or rows that hold no measurement: titles, units and comments.
     source : str
         Name of that file, for messages and reports.
     other : dict of str to list of str
         Columns that were kept but not used.
     columns : dict of str to str
         Name in the file of each quantity's column, for messages, which are then in its unit.
-    rows : sequence of str, optional
-        Index label of each measurement in the DataFrame it came from.
 
     Raises
     ------
@@ -264,6 +260,7 @@ class Measurements:
     other: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
     rows: tuple[str, ...] = held(converter=entries, default=())
+    skipped: tuple[int | str, ...] = ()
 
     @classmethod
     def from_si(cls, *, correlation_length: ArrayLike, **columns: Any) -> "Measurements":
@@ -307,7 +304,7 @@ class Measurements:
             object.__setattr__(self, "kind", ("length",) * len(self))
         if self.length_sigma is None and "length" not in self.kind:
             object.__setattr__(self, "length_sigma", np.zeros(len(self)))  # counts need no σ
-        for field in dataclasses.fields(self):
+        for field in (field for field in dataclasses.fields(self) if "converter" in field.metadata):
             values = getattr(self, field.name)
             if isinstance(values, tuple) and len(values) not in (0, len(self)):
                 raise MeasurementError(f"{self.source}: {field.name} has {len(values)} entries for {len(self)} lengths")
@@ -467,6 +464,6 @@ def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[s
 def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
     """Units of length in which the column would have usual values."""
     own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
-    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "nm")}
+    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "μm", "nm")}
     found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
     return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier

@@ -608,6 +608,11 @@ def _of_data(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
     m, p = result.measurements, result.problem.p
     if m.other:
         yield f"columns kept but not used: {', '.join(m.other)}"
+    for table in filter(None, (m, m.gauges)):
+        if skipped := table.skipped:
+            which = ", ".join(map(str, skipped[:20])) + ", …" * (len(skipped) > 20)
+            lines = plural(len(skipped), "line" if table.lines else "row")
+            yield f"skipped {lines} of {table.source} that hold no measurement: {which}"
     kinds = sorted({*m.provenance} - {""})
     if kinds and kinds != ["measured"]:
         yield f"provenance: {', '.join(kinds)}"

@@ -15,10 +15,14 @@ optional in both
     ``prestress``, ``threshold_slope``, ``poisson_sigma``, ``friction``, ``friction_sigma``, ``normal_stiffness``,
     ``contact_law``, ``top``, ``kind``, ``push_control``, ``specimen``, ``provenance``, ``label``
 
-A cell is blank where NaN is described, and in a column of σ beside a kind other than ``length``. Other columns are kept and
-named in the report, and have no effect; but one that seems to mean a quantity that the table lacks, by a symbol, an English
-word or a typing error, is refused. Lines that start with ``#`` are comments. Columns are separated by commas, semicolons or
-tabs; between semicolons and tabs all numbers of a table may have decimal commas. An error names file, line and column.
+A cell is blank where NaN is described, and in a column of σ beside a kind other than ``length``; so are ``NA``, ``nan`` and a
+dash. Other columns are kept and named in the report, and have no effect; but one that seems to mean a quantity that the table
+lacks, by a symbol, an English word or a typing error, is refused. Units may stand in a row below the names instead.
+
+Columns are separated by commas, semicolons or tabs; between the latter two all numbers of a table may have decimal commas. The
+header is the first line that names columns, or else a comment that does, as of ``numpy.savetxt``; titles may stand above it.
+Below it a line that starts with ``#``, ``%``, ``!``, ``;`` or ``//`` is a comment only if it has another number of cells than
+the header, or none but the first. The report says which lines were skipped. An error names file, line and column.
 """
 
 import csv
@@ -26,29 +30,43 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import chain
-from typing import Any
+from itertools import chain, islice
+from typing import Any, NamedTuple
+from unicodedata import category
+from unicodedata import name as name_of
 
 import numpy as np
 
 from slippulse_jax.files import read_whole
 from slippulse_jax.inference.columns import (
+    COLUMNS,
     GAUGE_COLUMNS,
     IN_LC,
-    TEXTS,
+    KNOWN,
+    NUMBER,
     MeasurementError,
     Named,
     check,
     named,
     named_of_gauges,
+    with_units,
 )
 from slippulse_jax.inference.measurements import Gauges, Measurements
 
 LARGEST = 16 * 2**20
 """Bytes of the largest table that is read: some 300 000 measurements."""
+
+
+class Table(NamedTuple):
+    """Cells of a table, as text."""
+
+    rows: Iterator[tuple[Any, list[str]]]  # number of the line, or label of the row, and cells; the header first
+    name: str
+    skipped: list[Any]  # numbers of lines that hold no measurement; more while the rows are read
+    counted: str = "line"  # or "row", of a DataFrame
+    commas: bool = False  # whether numbers may have decimal commas
 
 
 def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
@@ -76,7 +94,7 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
         file, line and column.
     """
     name = os.fspath(path)
-    lengths = _measurements(rows(read_text(path), name), name, "line")
+    lengths = _measurements(rows(read_text(path), name))
     return lengths if gauges is None else replace(lengths, gauges=read_gauges(gauges, lengths.label))
 
 
@@ -92,7 +110,7 @@ def from_dataframe(table: Any, name: str = "table") -> Measurements:
         ["" if next(blank) else repr(float(x)) if isinstance(x, float | np.floating) else str(x) for x in row]
         for row in table.itertuples(index=False, name=None)
     )
-    return _measurements(chain([header], zip(map(str, table.index), cells, strict=True)), name, "row")
+    return _measurements(Table(chain([header], zip(map(str, table.index), cells, strict=True)), name, [], "row"))
 
 
 def measurements_of(given: Any) -> Measurements:
@@ -106,48 +124,70 @@ def measurements_of(given: Any) -> Measurements:
     raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")
 
 
-def _measurements(table: Iterator[tuple[Any, list[str]]], name: str, counted: str) -> Measurements:
-    """Measurements of rows of text, the header first, which are numbered as lines of a file or rows of a DataFrame."""
-    found = _read(table, name, counted, named)
+def _measurements(table: Table) -> Measurements:
+    """Measurements of rows of text."""
+    found = _read(table, named)
     if "block_width" in found:
         found["machine_stiffness"] = found["machine_stiffness"] / found.pop("block_width")
     return Measurements(**found)
 
 
-def _read(
-    table: Iterator[tuple[Any, list[str]]], name: str, counted: str, find: Callable[[list[str], str], Named]
-) -> dict[str, Any]:
-    """Read rows of text, the header first, into arguments of `Measurements`."""
-    first, header = next(table, (1, []))
-    if not header:
-        raise MeasurementError(f"{name}: empty: a header line and at least one more are needed")
-    header = [cell.strip() for cell in header]
-    known = find(header, f"{name}, line {first}" if counted == "line" else name)
-    numbers, cells = [], {own: [] for own in header}
-    for number, row in table:
-        if len(row) != len(header):
-            raise MeasurementError(f"{name}, {counted} {number}: {len(row)} columns, but the header has {len(header)}")
-        numbers.append(number)
-        for own, cell in zip(header, row, strict=True):
-            cells[own].append(cell.strip())
-    if not numbers:
-        raise MeasurementError(f"{name}: a header line and at least one more are needed")
+def _read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any]:
+    """Read rows of text into arguments of `Measurements`."""
+    known, numbers, cells = _columns(table, find)
 
     def place(i: int) -> str:
-        return f"{name}, {counted} {numbers[i]}"
+        return f"{table.name}, {table.counted} {numbers[i]}"
 
+    of_numbers = {column.quantity: own for own, (column, _) in known.items() if column.choices is None}
+    cells |= {own: [_visible(cell) for cell in cells[own]] for own, (column, _) in known.items() if column.choices != ()}
+    if table.commas:
+        _write_points(cells, of_numbers.values(), numbers, table.name)
     texts = {
-        column.quantity: [cell or next(iter(column.choices), "") for cell in cells[own]]
+        column.quantity: [column.choices[0] if column.choices and _missing(cell) else cell for cell in cells[own]]
         for own, (column, _) in known.items()
         if column.choices is not None
     }
     check(texts, place)
     kind = texts.get("kind", ["length"] * len(numbers))
-    columns = {column.quantity: own for own, (column, _) in known.items() if column.choices is None}
-    values = _numbers(cells, {own: known[own] for own in columns.values()}, place, kind)
-    check({**values, "kind": kind}, place, columns, cells)
-    other = {own: cells[own] for own in header if own not in known}
-    return {**values, **texts, f"{counted}s": numbers, "source": name, "other": other, "columns": columns}
+    values = _numbers(cells, {own: known[own] for own in of_numbers.values()}, place, kind)
+    check({**values, "kind": kind}, place, of_numbers, cells)
+    other = {own: column for own, column in cells.items() if own not in known}
+    found = {**values, **texts, f"{table.counted}s": numbers, "source": table.name, "other": other, "columns": of_numbers}
+    return {**found, "skipped": tuple(table.skipped)}
+
+
+def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Named, list[Any], dict[str, list[str]]]:
+    """Find the columns; return those that are known, the number of each row, and the cells of all."""
+    name, counted = table.name, table.counted
+    first, header = next(table.rows, (1, []))
+    if len(header) < 2:
+        alone = f"{header[0]!r} alone: columns are separated by commas, semicolons or tabs" if header else ""
+        raise MeasurementError(f"{name}: {alone or 'empty: a header line and at least one more are needed'}")
+    header = [_visible(cell) for cell in header]
+    second = list(islice(table.rows, 1))
+    names = with_units(header, second[0][1], f"{name}, {counted} {second[0][0]}") if second else None
+    if names:
+        table.skipped.append(second.pop()[0])
+    names = names or header
+    known = find([own for own in names if own], f"{name}, line {first}" if counted == "line" else name)
+    numbers, columns = [], [[] for _ in names]
+    for number, row in chain(second, table.rows):
+        if len(row) != len(header):
+            raise MeasurementError(f"{name}, {counted} {number}: {len(row)} columns, but the header has {len(header)}")
+        numbers.append(number)
+        for column, cell in zip(columns, row, strict=True):
+            column.append(cell.strip())
+    if not numbers:
+        raise MeasurementError(f"{name}: a header line and at least one more are needed")
+    cells = {}
+    for i, (own, column) in enumerate(zip(names, columns, strict=True)):
+        row = next((row for row, cell in enumerate(column) if not _missing(cell)), None)
+        if own or row is not None:
+            cells[own or "(no name)"] = column
+        if not own and row is not None and i > 0:  # the first may be that of running numbers
+            raise MeasurementError(f"{name}, {counted} {numbers[row]}, column {i + 1}: {column[row]!r} stands below no name")
+    return known, numbers, cells
 
 
 def _numbers(
@@ -158,11 +198,20 @@ def _numbers(
     for i in range(len(kind)):
         for own, (column, _) in known.items():
             cell = cells[own][i]
-            if not cell and column.may_be_blank:
-                cell = "nan"
-            elif not cell and column.quantity == "length_sigma" and kind[i] != "length":
-                cell = "0"
-            raw[own].append(number(cell, f"{place(i)}, column {own}"))
+            plain = cell if cell.isascii() else cell.translate(_MINUS)
+            if NUMBER.fullmatch(plain):
+                raw[own].append(float(plain))
+            elif not _missing(cell):
+                raise MeasurementError(
+                    f"{place(i)}, column {own}: {cell!r} is not a number{_advice(cell, own, column.quantity)}"
+                )
+            elif column.may_be_blank:
+                raw[own].append(math.nan)
+            elif column.quantity == "length_sigma" and kind[i] != "length":
+                raw[own].append(0.0)
+            else:
+                advice = "" if column.required else ": write it in every line, or leave out the column"
+                raise MeasurementError(f"{place(i)}, column {own}: {cell}{': ' * bool(cell)}missing value{advice}")
     values = {column.quantity: (np.array(raw[own]), unit) for own, (column, unit) in known.items()}
     with np.errstate(all="ignore"):  # a correlation length of 0 is refused later
         contact = math.prod(values.get("correlation_length", (1.0,)))
@@ -179,7 +228,7 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
 
     The columns are ``label`` (of the precursor, as in the table of lengths), ``position_mm`` from the pushed edge, and
     ``slip_um`` with ``slip_sigma_um``, or ``stress_MPa`` with ``stress_sigma_MPa``, or both; blank where one was not measured.
-    Lines that start with ``#`` are comments.
+    Lines are skipped as in the table of lengths.
 
     Parameters
     ----------
@@ -193,7 +242,7 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
         Naming file, line and column.
     """
     name = os.fspath(path)
-    found = _read(rows(read_text(path), name), name, "line", named_of_gauges)
+    found = _read(rows(read_text(path), name), named_of_gauges)
     count, row = Counter(labels), {label: row for row, label in enumerate(labels)}
     for line, label in zip(found["lines"], found["label"], strict=True):
         if count[label] != 1:
@@ -201,19 +250,11 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
             where = f"{name}, line {line}, column label"
             raise MeasurementError(f"{where}: {many} the label {label!r}; each needs its own, in a column label")
     read = {column: found[column] for column in GAUGE_COLUMNS if column in found}
-    return Gauges([row[label] for label in found["label"]], **read, lines=found["lines"], source=name)
+    return Gauges([row[label] for label in found["label"]], **read, lines=found["lines"], source=name, skipped=found["skipped"])
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """The file's text.
-
-    Raises
-    ------
-    OSError
-        If there is no such file, or it cannot be opened.
-    MeasurementError
-        If it is larger than `LARGEST` or not UTF-8 text.
-    """
+    """Read a file of UTF-8 text of at most `LARGEST` bytes."""
     name = os.fspath(path)
     try:
         content = read_whole(path, LARGEST)
@@ -227,80 +268,149 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise MeasurementError(f"{name}: not UTF-8 text (byte {error.start}); save it as CSV UTF-8") from None
     if "\0" in text:
         raise MeasurementError(f"{name}: holds NUL bytes: not a text file; save it as CSV UTF-8")
-    return text
+    return text.lstrip("\ufeff\u200b")
 
 
-def rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of every line that is neither blank nor a comment."""
-    said = next(_lines(text), "").strip().strip('"').lower()
-    separated = said.startswith("sep=")  # as Excel writes it
-    delimiter = said.removeprefix("sep=") or "\t" if separated else ""
-    if len(delimiter) != 1:
-        delimiter = max(",;\t", key=next((line for line in _kept(text, separated) if line.strip()), "").count)
-    found = partial(_cells, text, separated, delimiter, name)
-    if delimiter == "," or _mark(found(), name) == ".":
-        return found()
-    with_comma = _DECIMAL[","].fullmatch
-    return ((line, [cell.replace(",", ".") if with_comma(cell) else cell for cell in cells]) for line, cells in found())
+def rows(text: str, name: str) -> Table:
+    """Find the header, and the lines below it that are neither blank nor comments."""
+    given = _SEPARATOR.match(text)
+    separator = (given[1] or "\t") if given else ""
+
+    def mark(line: str) -> str:
+        counts = {one: (len(KNOWN.intersection(next(csv.reader([line], delimiter=one)))), line.count(one)) for one in ",;\t"}
+        return separator or max(counts, key=counts.__getitem__)
+
+    titles, best, first, delimiter = [], (), 0, ","
+    for line, cells, tried, _ in _records(text, name, mark):
+        names = [_visible(cell) for cell in cells]
+        commented, names[0] = tried.join(names).startswith(_MARKS), _uncommented(names[0])
+        known = len(KNOWN.intersection(names))
+        if (commented and known < 2) or names[0].lower().startswith("sep="):
+            continue
+        rank = (known > 1 and not commented, known * (known > 1), not commented, sum(map(bool, names)))
+        digits = 0 if commented else sum(NUMBER.fullmatch(one.replace(",", ".")) is not None for one in names)
+        data = digits > 1 and (known < 2 or best[:1] == (True,))
+        if not best or (rank > best and not data):
+            best, first, delimiter = rank, line, tried
+        if data:
+            break
+        titles += [line] * (not commented)
+    if not best:
+        return Table(iter(()), name, [])
+    skipped = [line for line in titles if line < first]
+    return Table(_below(text, name, first, delimiter, skipped), name, skipped, commas=delimiter != ",")
 
 
-def _cells(text: str, separated: bool, delimiter: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    reader, line = csv.reader(_kept(text, separated), delimiter=delimiter, strict=True), 1
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                yield line, cells
-            line = reader.line_num + 1
-    except csv.Error as error:
-        raise MeasurementError(f"{name}, line {reader.line_num}: {error}") from None
+def _below(text: str, name: str, first: int, delimiter: str, skipped: list[int]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the header, which is in line `first`, and the rows below it; add the lines of comments to `skipped`."""
+    header: list[str] = []
+    for line, cells, _, lines in _records(text, name, lambda _: delimiter, first):
+        width, count = len(header), len(cells)
+        if not header:
+            header = [_uncommented(_visible(cells[0])), *(_visible(cell) for cell in cells[1:])]
+            yield line, header
+            continue
+        if count != width and not "".join((*header[count:], *cells[width:])).strip():
+            cells = [*cells, *[""] * (width - count)][:width]
+        start = _visible(cells[0])
+        comment = start.startswith(_MARKS) and (len(cells) != width or not "".join(cells[1:]).strip())
+        again = _uncommented(start) == header[0] and [_visible(cell) for cell in cells[1:]] == header[1:]
+        if comment or again:  # as between two files in one
+            if comment and lines > 1:
+                raise MeasurementError(f"{name}, line {line}: a comment, or {count} columns where the header has {width}?")
+            skipped.append(line)
+        else:
+            yield line, cells
 
 
-def _mark(found: Iterator[tuple[int, list[str]]], name: str) -> str:
-    """Find the decimal mark of all numbers; refuse a table with both, where 1,234 may be a thousand."""
-    header = [cell.strip() for cell in next(found, (1, []))[1]]
-    count, first = Counter(), {}
-    for line, cells in found:
-        for column, cell in zip(header, cells, strict=False):
-            for mark, form in _DECIMAL.items():
-                if column not in TEXTS and form.fullmatch(cell):
-                    count[mark] += 1
-                    first.setdefault(mark, (line, cell.strip()))
-    if len(count) == 2:
-        odd, usual = sorted(_DECIMAL, key=count.__getitem__)
-        words = {".": "point", ",": "comma"}
-        (line, cell), (other, example) = first[odd], first[usual]
-        raise MeasurementError(
-            f"{name}, line {line}: {cell!r} has a decimal {words[odd]}, and {example!r} in line {other} a {words[usual]}: "
-            f"write all numbers with one of them"
-        )
-    return next(iter(count), ".")
+def _records(text: str, name: str, mark: Callable[[str], str], first: int = 0) -> Iterator[tuple[int, list[str], str, int]]:
+    """Yield line, cells, delimiter and number of lines of what is not blank from line `first` on, a quoted cell whole.
+
+    Where that is 0, before the header is known, a comment ends with its line.
+    """
+    line = max(first, 1)
+    lines = islice(_lines(text), line - 1, None)
+    for start in lines:
+        if not start.strip():
+            line += 1
+            continue
+        comment = not first and start.lstrip().startswith(_MARKS)
+        try:
+            delimiter = mark(start)
+            reader = csv.reader([start] if comment else chain([start], lines), delimiter=delimiter, strict=first > 0)
+            cells = next(reader)
+        except csv.Error as error:
+            raise MeasurementError(f"{name}, line {line}: {str(error).partition(' - ')[0]}") from None
+        if any(cell.strip() for cell in cells):
+            yield line, cells, delimiter, reader.line_num
+        line += reader.line_num
 
 
 def _lines(text: str) -> Iterator[str]:
-    """Lines without their ends."""
-    return (found[1] for found in re.finditer(r"([^\r\n]*)(?:\r\n?|\n|\Z)", text))
+    """Lines with their ends; a carriage return ends one only where no other sign does."""
+    end = "\n" if "\n" in text else "\r"
+    return (found[0] for found in re.finditer(f"[^{end}]*{end}|[^{end}]+", text))
 
 
-def _kept(text: str, separated: bool) -> Iterator[str]:
-    """Blank the comments, and a first line that names the separator.
-
-    They are not left out: a quoted cell may run over several lines, and line numbers stay true.
-    """
-    for number, line in enumerate(_lines(text)):
-        yield "\n" if line.lstrip().startswith("#") or (separated and number == 0) else line + "\n"
-
-
-_DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*[{mark}]\d+(e[+-]?\d+)?\s*", flags=re.IGNORECASE) for mark in ".,"}
+_MARKS = ("#", "%", "!", ";", "//")
+"""What comments begin with."""
+_SEPARATOR = re.compile(r'(?:\s|[#%!;/][^\r\n]*[\r\n])*+"?sep=([^\r\n"]?)"?[ \t]*(?:[\r\n]|\Z)', re.IGNORECASE)
+"""The line in which Excel names the separator."""
+_MISSING = {"", "-", "--", "—", "nan", "na", "n/a", "n.a.", "#n/a", "<na>", "null", "none"}
+"""Cells of numbers that are blank."""
+_MINUS = str.maketrans(dict.fromkeys("−–‐‑‒﹣－", "-"))
+_DECIMAL = {mark: re.compile(rf"[+−–-]?\d*[{mark}]\d+(e[+−–-]?\d+)?", re.IGNORECASE | re.ASCII) for mark in ".,"}
 """Numbers with a decimal point, and with a comma."""
 
 
-def number(text: str, where: str) -> float:
-    """Convert a cell to a number; `where` names it in messages."""
-    if not text:
-        raise MeasurementError(f"{where}: missing value")
-    try:
-        return float(text)
-    except ValueError:
-        hint = "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
-        hint *= _DECIMAL[","].fullmatch(text) is not None
-        raise MeasurementError(f"{where}: {text!r} is not a number{hint}") from None
+def _visible(cell: str) -> str:
+    """Leave out outer spaces, and characters without width."""
+    return (cell if cell.isascii() else "".join(one for one in cell if category(one) != "Cf")).strip()
+
+
+def _missing(cell: str) -> bool:
+    """Whether a cell stands for a missing value."""
+    return cell.translate(_MINUS).casefold() in _MISSING
+
+
+def _uncommented(name: str) -> str:
+    """Name of a first column behind the mark of a comment, if it is one that is known."""
+    bare = name.lstrip("#%!;/ ")
+    return bare if bare in KNOWN else name
+
+
+def _write_points(cells: dict[str, list[str]], of_numbers: Collection[str], numbers: Sequence[Any], name: str) -> None:
+    """Write points for decimal commas; refuse a table with both, where 1,234 may be a thousand."""
+    first = {}
+    for own in of_numbers:
+        for line, cell in zip(numbers, cells[own], strict=True):
+            first.setdefault(next((mark for mark in ".," if _DECIMAL[mark].fullmatch(cell)), None), (line, cell))
+    if "." in first and "," in first:
+        (line, cell), (other, example) = first["."], first[","]
+        both = f"{cell!r} has a decimal point, and {example!r} in line {other} a comma"
+        raise MeasurementError(f"{name}, line {line}: {both}: write all numbers with one of them")
+    for own in [own for own in cells if "," in first and not any("." in one for one in cells[own])]:
+        cells[own] = [one.replace(",", ".") if _DECIMAL[","].fullmatch(one) else one for one in cells[own]]
+
+
+def _advice(text: str, own: str, quantity: str) -> str:
+    """What to write for a cell that is no number, in the column `own`."""
+    plain, beside = text.translate(_MINUS), f"{quantity}_sigma"
+    words = not any(map(str.isnumeric, text))
+    strange = re.search(r"[^\d.eE+\s-]", plain, re.ASCII) or re.search(r"\s", plain)
+    if _DECIMAL[","].fullmatch(plain):
+        return "; write a decimal point, or semicolons between the columns (pandas.read_csv: decimal=',')"
+    if quantity == "length" and (
+        re.match(r"[>≥⩾]|.*(?:\d\s*\+$|least|through|past)", text) or (words and text[0].isalpha() and len(text) > 2)
+    ):
+        return "; of a front that ran past a length without arrest write that length, and at_least in a column kind"
+    if words:
+        return ""
+    if text.startswith(_MARKS):
+        return "; as it has the cells of the header the line is no comment: leave it out"
+    if re.search(r"\d\s*(?:±|\+/?-|\(\d)", text):
+        return f"; write its error in a column {own.replace(quantity, beside, 1)}" if beside in COLUMNS else "; write no error"
+    if strange:
+        named = "" if strange[0].isascii() else f" ({name_of(strange[0], '?')})"
+        return f": it holds {strange[0]!r}{named}; write digits and a decimal point"
+    return "; write one, such as 14.03 or 2e-3"

@@ -284,17 +284,20 @@ def test_a_dataframe_and_a_path_are_measurements_too(tmp_path):
 
 
 def test_a_fit_takes_a_path_and_gives_a_dataframe(tmp_path):
-    path = write(tmp_path, f"{SI},young_GPa,specimen\n25,10,0.3,14.03,0.5,3,A\n75,10,0.3,59,0.5,3,B\n")
+    path = write(tmp_path, f"rig 2\n{SI},young_GPa,specimen\n25,10,0.3,14.03,0.5,3,A\n# camera off\n75,10,0.3,59,0.5,3,B\n")
     result = fit(path)
+    assert f"skipped 2 lines of {path} that hold no measurement: 1, 4" in result.notes
+    result.save(tmp_path / "fit.json")
+    assert sp.load_fit(tmp_path / "fit.json").notes == result.notes
     table = result.to_dataframe()
     assert list(table.specimen) == ["A", "B"]
     np.testing.assert_allclose(table.length_mm, [14.03, 59])
     np.testing.assert_allclose((table.length_fitted_mm - table.length_mm) / table.length_sigma_mm, table.residual)
-    frame = pd.read_csv(path).set_index(pd.Index(["one", "two"]))
+    frame = pd.read_csv(path, skiprows=1, comment="#").set_index(pd.Index(["one", "two"]))
     again = fit(frame)
     assert again.values == result.values
     assert again.measurements.place(1) == "table, row two"
-    assert (list(again.to_dataframe().row), list(table.line)) == (["one", "two"], [2, 3])
+    assert (list(again.to_dataframe().row), list(table.line)) == (["one", "two"], [3, 5])
     assert "<th>row</th>" in again.measurements._repr_html_()
 
 
