@@ -11,7 +11,7 @@ mpl.use("Agg")
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
@@ -59,6 +59,7 @@ def test_every_name_is_drawn_and_in_the_legend(form):
 
 
 @pytest.mark.ci
+@settings(max_examples=30, deadline=None)
 @given(st.text(st.characters(), min_size=1, max_size=12))
 def test_any_text_is_drawn(legend, text):
     ax, line = legend
