@@ -1,8 +1,8 @@
 """How often fits of blocks with an end hold the truth, on lengths of an independent finite-element program.
 
-Six blocks of H/λc 48–84, three heights long, pushed above a height or on a patch, k_n/k = 1.2, b = 0.5–2 at H/λc = 60. Lengths are
-those of `fit_examples/independent_block.py`. First without friction, with 0.5 % errors; then with a coefficient of friction of
-0.1–0.4 known to 10 %, from which the true one is drawn, and 2 % errors, fitted with it and without.
+Six blocks of H/λc 48–84, three heights long, pushed above a height or on a patch, k_n/k = 1.2, b one of 0.5, 0.7, 1, 1.4, 2 at
+H/λc = 60. Lengths are those of `fit_examples/independent_block.py`. First without friction, with 0.5 % errors; then with a
+coefficient of friction of 0.1–0.4 known to 10 %, from which the true one is drawn, and 2 % errors, fitted with it and without.
 Run: python -m benchmarks pressed_coverage [studies, 200 by default] [--seed N]
 """
 

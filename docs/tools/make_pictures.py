@@ -44,8 +44,8 @@ def precursors() -> Any:
             "0.5": {"friction": 0.5},
             "0.5, rough": {"friction": 0.5, "contact_law": "multicontact"},
         },
-        {"$h$ = 0.1 H": {"push": sp.Push(0.1, 0.1)}, "0.25 H": {}, "0.5 H": {"push": sp.Push(0.5, 0.1)}},
-        {"$L$ = 1.5 H": {"length": 75}, "2 H": {}, "4 H": {"length": 200}},
+        {"h = 0.1 H": {"push": sp.Push(0.1, 0.1)}, "0.25 H": {}, "0.5 H": {"push": sp.Push(0.5, 0.1)}},
+        {"L = 1.5 H": {"length": 75}, "2 H": {}, "4 H": {"length": 200}},
     )
     figure, every = plt.subplots(1, 3, figsize=(10, 3.6), sharey=True, layout="constrained")
     for ax, cases in zip(every, panels, strict=True):

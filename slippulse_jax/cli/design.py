@@ -55,6 +55,14 @@ class Numbers(click.ParamType):
 )
 @click.option("--log-sd", type=Numbers(), metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
 @click.option("--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they add to the prior.")
+@click.option(
+    "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Range of stiffness with --measured, as for slippulse fit."
+)
+@click.option(
+    "--event",
+    type=click.Choice(["domino", "full"]),
+    help="Whether lengths, measured and planned, are of first fronts (domino, the default) or of whole events.",
+)
 @click.option("--whole", is_flag=True, help="Whole contacts will be counted, to σ (0 allowed).")
 @click.option(
     "--next", "experiments", type=click.IntRange(1, 12), default=1, show_default=True, help="Number of experiments to plan."
@@ -66,6 +74,8 @@ def command(
     stiffness: list[float] | None,
     log_sd: list[float] | None,
     measured: str | None,
+    bounds: tuple[float, float] | None,
+    event: Any,
     push_control: Any,
     contact_law: Any,
     top: Any,
@@ -89,8 +99,10 @@ def command(
         raise click.UsageError("missing --stiffness (with --log-sd) or --measured: prior knowledge of the stiffness")
     if (stiffness is None) != (log_sd is None):
         raise click.UsageError("--stiffness and --log-sd must be given together")
+    if bounds and measured is None:
+        raise click.UsageError("--bounds is the range of the stiffness that --measured is searched for")
     try:
-        known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates)
+        known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates, bounds=bounds, event=event)
         kind = "whole" if whole else "length"
         said = {"push_control": push_control, "contact_law": contact_law, "top": top}
         found = design(known, **candidates, **said, kind=kind, experiments=experiments, seed=seed)
@@ -142,7 +154,11 @@ def _over_height(column: str, given: dict[str, list[float] | None]) -> "np.ndarr
         return lengths / heights
 
 
-def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool) -> Any:
+def _knowledge(
+    stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool, *, bounds: Any, event: Any
+) -> Any:
+    import dataclasses
+
     import numpy as np
 
     from slippulse_jax.inference.knowledge import Knowledge
@@ -153,9 +169,10 @@ def _knowledge(stiffness: list[float] | None, log_sd: list[float] | None, measur
         if len(log_sd) not in (1, len(stiffness)):
             raise ValueError(f"--log-sd: {len(log_sd)} values for {len(stiffness)} roots")
         prior = Knowledge.lognormal(np.array(stiffness), np.array(log_sd), in_si=in_si)
+        prior = dataclasses.replace(prior, event=event or prior.event)
     if measured is None:
         return prior
     measurements = read_measurements(measured)
     if measurements.in_si != in_si:
         raise ValueError(f"{measured}: the measurements and the candidates must both be in SI form, or neither")
-    return Knowledge.from_measurements(measurements, prior=prior)
+    return Knowledge.from_measurements(measurements, prior=prior, bounds=bounds, event=event)

@@ -37,7 +37,8 @@ class Ageing(eqx.Module):
     scale : float
         τ > 0, characteristic age of recovery, in u_s of load (or in time, with ``clock="time"``).
     law : {"exponential", "logarithmic"}
-        g(a) = 1 − e^{−a/τ}, or g(a) = ln(1 + a/τ)/ln 2, which is 1 at a = τ and keeps growing.
+        g(a) = 1 − e^{−a/τ}, or g(a) = ln(1 + a/τ)/ln 2 up to a = τ and 1 from there on: no contact becomes stronger than those
+        that never broke, which are older than all others.
     clock : {"load", "time"}
         Measure of age. A protocol with velocity v converts time to load: τ_load = v τ.
     """
@@ -61,7 +62,7 @@ class Ageing(eqx.Module):
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
-        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.log1p(x) / jnp.log(2.0)
+        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.minimum(jnp.log1p(x) / jnp.log(2.0), 1)
         return jnp.where(old, 1, nu + (1 - nu) * grown)
 
     def load_scale(self, velocity: Array | float) -> Array:
@@ -73,19 +74,16 @@ class Ageing(eqx.Module):
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
-        rate = jnp.exp(-x) if self.law == "exponential" else 1 / ((1 + x) * jnp.log(2.0))
+        rate = jnp.exp(-x) if self.law == "exponential" else jnp.where(x < 1, 1 / ((1 + x) * jnp.log(2.0)), 0)
         return jnp.where(old, 0, (1 - nu) * rate / tau)
 
     def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
-        """Age at which the strength grows at a given rate.
-
-        Negative if it never grows that fast.
-        """
+        """Age from which on the strength grows no faster than a given rate; negative if it never grows that fast."""
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         ratio = growth * tau / (1 - nu)
         if self.law == "exponential":
             return jnp.where(nu < 1, -tau * jnp.log(ratio), -1.0)
-        return jnp.where(nu < 1, tau * (1 / (ratio * jnp.log(2.0)) - 1), -1.0)
+        return jnp.where(nu < 1, tau * jnp.minimum(1 / (ratio * jnp.log(2.0)) - 1, 1), -1.0)
 
 
 MAX_NEWTON_STEPS = 60

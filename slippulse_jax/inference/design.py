@@ -19,7 +19,7 @@ from slippulse_jax.domains import (
 )
 from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
-from slippulse_jax.inference.fronts import FRONTS, pushed
+from slippulse_jax.inference.fronts import FRONTS, Front, pushed
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
 from slippulse_jax.inference.measurements import numbers
@@ -92,7 +92,7 @@ class Design:
     @property
     def notes(self) -> list[str]:
         """Warnings to read before the experiment."""
-        said = []
+        said = [f"Note: {note}" for note in self.knowledge.notes]
         first = self.candidates[0]
         if np.isfinite(first.push_height):
             over = "on a patch" if np.isfinite(first.push_width) else "over everything above"
@@ -112,13 +112,12 @@ class Design:
     def report(self) -> str:
         """Report as text."""
         k, names, scale = self.knowledge, self.names, self.scale
-        unit, length_unit = (" Pa/m", "mm") if k.in_si else ("", "λc")
+        length_unit = "mm" if k.in_si else "λc"
         several = len(k.roots) > 1
-        known = (f"{value:.4g}{unit} (ln ± {sd:.2g}{f', {share:.0%}' if several else ''})" for share, value, sd in k.roots)
         wide = max(map(len, names))
         apart = f" {'roots apart':>11}" if several else ""
         lines = [
-            f"Known: {k.symbol} {' or '.join(known)}",
+            f"Known: {k.statement}",
             f"       standard deviation of ln k, over all roots: {k.log_sd:.3g}",
             f"{'':4} {'candidate':{wide}} {'length':>17} {'information':>18} {'se of ln k':>11}{apart}",
         ]
@@ -132,9 +131,11 @@ class Design:
             )
         lengths = self.length[:, self.best, None]
         expected, _ = moments(lengths, k.by_root * np.isfinite(lengths))
+        middle = np.log([value for _, value, _ in k.roots])
+        again = breaks_again(self.candidates, middle, k.event)[:, self.best]
         by_root = ", ".join(
-            f"{length * scale[self.best]:.4g} {length_unit} if {k.symbol} = {value:.3g}"
-            for length, (_, value, _) in zip(np.nan_to_num(expected, nan=np.inf), k.roots, strict=True)
+            f"{length * scale[self.best]:.4g} {length_unit} if {k.symbol} = {value:.3g}{' (edge breaks again)' * bool(more)}"
+            for length, (_, value, _), more in zip(np.nan_to_num(expected, nan=np.inf), k.roots, again, strict=True)
         )
         lines.append(f"Next: {names[self.best]}; expect {by_root}.")
         if len(self.sequence) > 1:
@@ -173,7 +174,10 @@ class Design:
                     "unit": "Pa/m" if k.in_si else "",
                     "log_sd": k.log_sd,
                     "event": k.event,
-                    "roots": [{"probability": p, "stiffness": value, "log_sd": sd} for p, value, sd in k.roots],
+                    "roots": [
+                        {"probability": p, "stiffness": value, "log_sd": sd, "rebreaks": again}
+                        for (p, value, sd), again in zip(k.roots, k.rebreaks, strict=True)
+                    ],
                 },
                 "units": {"information": "nat", "length": "λc", "height": "m" if k.in_si else "λc", "push": "H"},
                 "candidates": [one | {name: column[i] for name, column in results.items()} for i, one in candidates],
@@ -357,6 +361,18 @@ def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> 
 
     ℓ* of a slider's front, or the length of the whole event; of a block always that.
     """
+    front, inputs = _events(candidates, theta, event)
+    return front.lengths(inputs).reshape(len(theta), -1)
+
+
+def breaks_again(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> np.ndarray:
+    """Whether the edge contact of every candidate breaks again before its front stops, so that the event goes on; (m, c)."""
+    front, inputs = _events(candidates, theta, event)
+    return front.breaks_again(inputs).reshape(len(theta), -1)
+
+
+def _events(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> tuple[Front, Inputs]:
+    """Model of the length, and its inputs for every candidate at every ln(stiffness), in one row."""
     c = candidates
     scale, young = (np.nan_to_num(x, nan=1.0) for x in (c.correlation_length, c.young))
     ratio = np.exp(theta)[:, None] * (scale / young)
@@ -369,4 +385,4 @@ def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> 
             friction=friction, normal_stiffness=normal, contact_law=c.contact_law, top=c.top,
         )  # fmt: skip
         front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
-    return front.lengths(inputs.ravel()).reshape(ratio.shape)
+    return front, inputs.ravel()

@@ -13,6 +13,7 @@ p(y) being an exact sum over the samples, that estimate has no bias, and scrambl
 """
 
 import dataclasses
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -26,7 +27,8 @@ from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.fronts import front_of
 from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used, held, numbers, table
-from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, parameter_set
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet, parameter_set
+from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fitted import Fitted
@@ -67,6 +69,8 @@ class Knowledge:
         Event whose length is measured, by which `design` predicts: the first front, or the whole event (`precursor_lengths`).
     body : {"slider", "block"}, optional
         What the measurements were made on, where the knowledge comes from some: a design is for no other.
+    rebreaks : array_like of bool, shape (r,), optional
+        Roots at which the edge contact breaks again before the measured front stops.
 
     Raises
     ------
@@ -80,6 +84,7 @@ class Knowledge:
     in_si: bool = False
     event: EventKind = "domino"
     body: Body | None = None
+    rebreaks: np.ndarray = held(converter=np.asarray, default=None)
 
     def __post_init__(self) -> None:
         check_event(self.event)
@@ -98,6 +103,8 @@ class Knowledge:
         object.__setattr__(self, "log_stiffness", theta[order])
         object.__setattr__(self, "weight", weight[order] / weight.sum())
         object.__setattr__(self, "root", np.unique(root[order], return_inverse=True)[1])
+        again = np.zeros(self.root.max() + 1, bool) if self.rebreaks is None else np.asarray(self.rebreaks)
+        object.__setattr__(self, "rebreaks", again)
 
     def __len__(self) -> int:
         return len(self.log_stiffness)
@@ -135,6 +142,7 @@ class Knowledge:
         *,
         prior: "Knowledge | None" = None,
         bounds: tuple[float, float] | None = None,
+        event: EventKind | None = None,
         nodes: int = NODES,
     ) -> "Knowledge":
         """Compute the posterior of the stiffness after earlier measurements.
@@ -147,10 +155,12 @@ class Knowledge:
             Lengths, counts and censored lengths. In SI with Young's modulus the stiffness is areal, in Pa/m. Those that say
             where the side is pushed are of whole events of blocks, as in `fit`.
         prior : Knowledge, optional
-            Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood, of its `event`. By default
-            ln(stiffness) is uniform, and the lengths are those of first fronts.
+            Knowledge of the same kind of stiffness, whose samples are weighted by the likelihood. By default ln(stiffness) is
+            uniform.
         bounds : (float, float), optional
-            Range of the uniform prior; by default from the softest interface with a precursor up to k/K = 1.
+            Range of the stiffness; of a uniform prior by default from the softest interface with a precursor up to k/K = 1.
+        event : {"domino", "full"}, optional
+            Event that was measured; by default that of the prior, or the first front.
         nodes : int
             Samples of the grid.
 
@@ -168,7 +178,7 @@ class Knowledge:
         if prior is not None and prior.in_si != m.in_si:
             raise ValueError("prior: must be of the same kind of stiffness as the measurements: k/K, or areal in Pa/m")
         body = front_of(m).body
-        event = "full" if body == "block" else "domino" if prior is None else prior.event
+        event = "full" if body == "block" else event or ("domino" if prior is None else prior.event)
         m = dataclasses.replace(m, **dict.fromkeys(UNUSED))
         problem = make_problem(m, parameter_set(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
         theta = _grid(problem, nodes) if prior is None else prior.log_stiffness
@@ -176,12 +186,15 @@ class Knowledge:
         share = np.gradient(theta) if prior is None else prior.weight
         with np.errstate(divide="ignore"):
             log_weight = np.log(share) - problem(theta[:, None]).value
+        if prior is not None and bounds is not None:
+            log_weight[(np.exp(theta) < bounds[0]) | (np.exp(theta) > bounds[1])] = -np.inf
         if not np.isfinite(log_weight).any():
             raise ValueError(f"{m.source}: no stiffness in the range gives these measurements")
         weight = np.exp(log_weight - log_weight.max())
         kept = weight > NEGLIGIBLE
         root = prior.root if prior is not None and prior.root.any() else _roots(weight / (share if prior is None else 1))
-        return cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
+        known = cls(theta[kept], weight[kept], root[kept], m.in_si, event, body)
+        return known._marked(problem.parameters, lambda middle: middle[:, None])
 
     @classmethod
     def from_fit(cls, result: "Fitted", *, nodes: int = NODES) -> "Knowledge":
@@ -221,12 +234,45 @@ class Knowledge:
         deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
         density = np.exp((deviance.min() - deviance) / 2)
         weight, in_si = density * np.gradient(theta), result.measurements.in_si
-        return cls(theta, weight, _roots(density), in_si, front.event, front.body)
+        known = cls(theta, weight, _roots(density), in_si, front.event, front.body)
+        return known._marked(result.parameters, lambda at: curve.theta[abs(curve.node - at[:, None]).argmin(axis=1)])
+
+    def _marked(self, q: ParameterSet, at: Callable[[np.ndarray], np.ndarray]) -> "Knowledge":
+        """Find the roots at which the edge breaks again, from θ `at` the logarithms of their stiffness."""
+        inputs = q.inputs_at(at(np.log([stiffness for _, stiffness, _ in self.roots])))
+        again = q.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape).any(axis=1)
+        return dataclasses.replace(self, rebreaks=again)
 
     @property
     def symbol(self) -> str:
         """Symbol of the stiffness."""
         return "k/λc²" if self.in_si else "k/K"
+
+    def __str__(self) -> str:
+        return "\n".join([self.statement, *self.notes])
+
+    @property
+    def statement(self) -> str:
+        """The stiffness at each root, its error, and its probability."""
+        unit, several = " Pa/m" * self.in_si, len(self.roots) > 1
+        each = [
+            f"{format_number(value)}{unit} (ln ± {sd:.2g}{f', {share:.0%}' * several}{'; edge breaks again' * bool(again)})"
+            for (share, value, sd), again in zip(self.roots, self.rebreaks, strict=True)
+        ]
+        return f"{self.symbol} {' or '.join(each)}"
+
+    @property
+    def notes(self) -> list[str]:
+        """What to do where the edge contact breaks again."""
+        if not self.rebreaks.any():
+            return []
+        whole = 'if whole events were measured, give --event full (event="full")'
+        kept, gone = (self.log_stiffness[(self.weight > 0) & (self.rebreaks[self.root] == one)] for one in (False, True))
+        if kept.size and kept.max() < gone.min():
+            ends = np.exp(kept.min()) / 10, np.exp((kept.max() + gone.min()) / 2)
+            low, high = (format_number(end, 2) for end in ends)
+            whole = f"leave that root out by --bounds {low} {high} (bounds=({low}, {high})), or {whole}"
+        return [f"Where the edge contact breaks again before the front stops, the event goes on: {whole}."]
 
     @property
     def mean(self) -> float:

@@ -75,7 +75,9 @@ class RecoveredProfile:
     stderr: np.ndarray  # (k,) in the same unit
     prior_stderr: np.ndarray  # (k,) `stderr` without the lengths
     covariance: np.ndarray  # (k, k) of ln(θ/θ_0), or of φ
-    determined: np.ndarray  # (k,) where the error is at most `WITHIN` of what the prior lets the profile vary, and was checked
+    determined: (
+        np.ndarray
+    )  # (k,) where, between arrests, the error is at most `WITHIN` of the prior's variation, and was checked
     resolution: np.ndarray  # (k, k) row i is the averaging kernel of knot i, for ln(θ/θ_0) or φ
     fitted: np.ndarray  # (n,) lengths on `profile`, in λc
     chi2: float  # Σ [(fitted − measured)/σ]²
@@ -129,7 +131,7 @@ class RecoveredProfile:
         lines = [
             f"{self.kind.capitalize()} profile from {plural(n, 'length')}: {self.determination.value}",
             f"  independent values that the lengths determine: {self.degrees:.2f}, of {len(self.position)} knots",
-            f"  determined (standard error at most {WITHIN} of the prior's, and checked by simulation) at x/λc: {where}",
+            f"  determined (between arrests, error at most {WITHIN} of the prior's, checked by simulation) at x/λc: {where}",
             f"  χ² = {self.chi2:.4g} for {n} lengths; prior misfit {self.prior_misfit:.4g}; {self.steps} steps",
             f"  prior: {self._prior()}",
             f"  {self._starts()}",
@@ -167,8 +169,9 @@ class RecoveredProfile:
         contact, at_edge = self.nucleation.contact, self.nucleation.at_edge
         moved = abs(self.nucleation.length - self.fitted).max()
         where = f"contact {contact.min()}" + f" to {contact.max()}" * bool(np.ptp(contact))
-        sure = f"{at_edge.min():.0%}" + f" to {at_edge.max():.0%}" * bool(np.ptp(at_edge) > 5e-3)
-        text = f"events start at {where} on this profile (contact 0 in {sure} of draws from the posterior)"
+        ends = dict.fromkeys(round(share * DRAWS) for share in (at_edge.min(), at_edge.max()))
+        sure = " to ".join({0: "none", DRAWS: "all"}.get(count, str(count)) for count in ends)
+        text = f"events start at {where} on this profile (contact 0 in {sure} of {DRAWS} draws from the posterior)"
         if contact.any():
             text += f"; the order of the breaks moves ℓ by up to {moved:.2g} λc"
         elif self.kind == "prestress":
@@ -270,9 +273,10 @@ def recover_profile(
     profile = np.exp(u[:k]) if of_threshold else u[:k]
     unit = profile if of_threshold else 1.0
     error = _stderr(covariance)
-    determined = (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
+    between = (problem.knots >= problem.measured.min()) & (problem.knots <= problem.measured.max())
+    determined = between & (error <= WITHIN * np.sqrt(np.maximum(varying, 0))) & (varying > 1e-10)
     nucleation, agreement = _simulated(problem, found, u)
-    determination = _judge(problem, found, model.length, determined, nucleation.length, agreement)
+    determination = _judge(problem, found, model.length, determined, between, nucleation.length, agreement)
     determined &= determination in (Determination.DETERMINED, Determination.PARTLY, Determination.AVERAGES)
     return RecoveredProfile(
         kind=kind,
@@ -328,10 +332,11 @@ def _judge(
     found: "Posterior",
     fitted: np.ndarray,
     determined: np.ndarray,
+    between: np.ndarray,
     ruptured: np.ndarray,
     agreement: float,
 ) -> Determination:
-    """Say how much the lengths determine; `determined` has the knots whose error is small enough."""
+    """Say how much the lengths determine: `determined` are those knots `between` the arrests whose error is small enough."""
     if not found.converged:
         return Determination.NOT_CONVERGED
     knots, measured, chi2 = problem.knots, problem.measured, problem.chi2(fitted)
@@ -348,7 +353,6 @@ def _judge(
         return Determination.AVERAGES
     if agreement < AGREEMENT:
         return Determination.CURVED
-    between = (knots >= measured.min()) & (knots <= measured.max())
     return Determination.DETERMINED if between.any() and determined[between].all() else Determination.PARTLY
 
 

@@ -455,13 +455,16 @@ def with_ageing() -> Finding:
     """With ageing precursors grow until one spans the interface."""
     aged = series(chain(FIG2, sites=150), events=3000, ageing=Ageing(0.3, 3.0))
     n = int(aged.number)
-    extent, breaks = np.asarray(aged.extent)[:n], np.asarray(aged.breaks)[:n]
-    records = np.unique(np.maximum.accumulate(extent[breaks >= 10]))
+    extent, breaks, force = (np.asarray(x)[:n] for x in (aged.extent, aged.breaks, aged.force_before))
+    records, first = np.unique(np.maximum.accumulate(extent[breaks >= 10]), return_index=True)
+    force = force[breaks >= 10][first]
     spans = int(aged.status) == Outcome.SPANNED
     text = (
         f"thresholds reborn at 0.3 σ_s, recovering over 3 u_s of load, N = 150: the record extents of events of 10 breaks and more are "
         f"{', '.join(map(str, records))}; " + (f"event {n} spans" if spans else f"none of {n} spans")
     )
+    falls = "falls at first" if (np.diff(force)[:1] < 0).all() else "does not fall at first"
+    text += f". The force on the edge as they start {falls}: {', '.join(f'{one:.2f}' for one in force)} K u_s"
     grows = len(records) > 3
     return Finding(text, judge(grows and spans, grows))
 

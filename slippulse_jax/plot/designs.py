@@ -1,13 +1,13 @@
 """Pictures of a design of experiments."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.design import BIT, lengths_of
-from slippulse_jax.plot.labels import axis_label
-from slippulse_jax.plot.style import ABOVE, PAGE, axes, colours, drawn, new_figure
+from slippulse_jax.inference.design import BIT, breaks_again, lengths_of
+from slippulse_jax.plot.labels import AGAIN, axis_label
+from slippulse_jax.plot.style import PAGE, axes, colours, dashed_where, drawn, handles_of, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,13 +57,14 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     known = found.knowledge.log_stiffness
     theta = np.linspace(known[0], known[-1], 400)  # the samples may form two distant clusters
     length = lengths_of(found.candidates, theta, found.knowledge.event)
+    again = breaks_again(found.candidates, theta, found.knowledge.event)
     shown = found.ranking[: len(c.data)]
     top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):
         one = found.candidates[int(i)]
         height, sigma = (x / np.nan_to_num(one.correlation_length, nan=1.0) for x in (one.height, one.sigma))
         share = np.where(np.isfinite(length[:, i]), length[:, i], np.nan) / height
-        ax.plot(np.exp(theta), share, color=color, label=found.names[i])
+        dashed_where(ax, np.exp(theta), share, again[:, i], color=color, label=found.names[i])
         ax.fill_between(np.exp(theta), share - sigma / height, share + sigma / height, color=color, alpha=0.2, lw=0)
         top = max(top, np.nanmax(share + sigma / height, initial=0.0))
         low = min(low, np.nanmin(share - sigma / height, initial=np.inf))
@@ -72,19 +73,17 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     base = max(low - strip, 0.0) if strip else 0.0
     densities = list(_densities(found.knowledge))
     highest = max(density.max() for _, density in densities)
-    for number, (middle, density) in enumerate(densities):
+    for (middle, density), rebreaks in zip(densities, found.knowledge.rebreaks, strict=True):
         height = 0.8 * (strip or 0.3 * top) * density / highest
-        ax.fill_between(
-            np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, label="_" * bool(number) + "known so far"
-        )
+        look: dict[str, Any] = {"hatch": "////" * bool(rebreaks), "label": "known so far" + f", {AGAIN}" * bool(rebreaks)}
+        ax.fill_between(np.exp(middle), base, base + height, color=c.grey, alpha=0.35, lw=0, **look)
     ax.set(
         xscale="log",
         xlabel=axis_label("areal_stiffness", "Pa/m") if found.knowledge.in_si else axis_label("stiffness"),
         ylabel="length over height, $\\ell/H$ (± σ)",
         ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
     )
-    # lengths and density leave no corner free
-    ax.legend(**ABOVE, ncols=3)
+    legend_above(ax, handles_of(ax, again=bool(again[:, shown].any())), most=3)  # lengths and density leave no corner free
     return ax
 
 

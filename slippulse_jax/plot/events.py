@@ -3,6 +3,7 @@
 import warnings
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax.block import Block
@@ -11,8 +12,9 @@ from slippulse_jax.bodies.equilibrium import Equilibrium
 from slippulse_jax.events.catalogue import Catalogue, EventClass, table
 from slippulse_jax.events.rupture import Rupture
 from slippulse_jax.front.sensitivity import Sensitivity
-from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.plot.labels import DISTANCE, as_written, axis_label
+from slippulse_jax.plot.style import ABOVE, axes, colours, drawn, handles_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +29,13 @@ COLOURS = {
 
 NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
 """Legend entry of a class whose name says too little."""
+
+OVER_STRENGTH = r"force over strength of all contacts, $F/\Sigma\sigma_s\lambda_c^2$"
+OVER_FRICTION = {
+    "free": r"force over that of friction, $F/\mu F_N$",
+    "held": r"force over that of friction at rest, $F/\mu F_{N,0}$",
+}
+"""Names of a force over the sum of thresholds; for blocks with friction by their top, which if held presses more or less."""
 
 
 @drawn
@@ -169,12 +178,20 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def precursors(
-    catalogue: Catalogue, body: Block | Chain, *, label: str | None = None, colour: str = "blue", ax: "Axes | None" = None
+    catalogue: Catalogue,
+    body: Block | Chain,
+    *,
+    interface: Interface | Profile | None = None,
+    least_advance: float = 1.5,
+    label: str | None = None,
+    colour: str = "blue",
+    ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw how far precursors get against the driving force, as experiments report it.
 
-    Extent of every event over the length of the body, against the force as it starts over that at which all contacts would be
-    at their threshold (of a block with friction, μ times the normal load). The line follows the farthest contact broken so far.
+    Extent over the length of the body, against the force as the event starts over that at which all contacts would be at their
+    threshold: of a block with friction and equal contacts, μ times the normal load. The line follows the farthest contact
+    broken so far; open points are events that do not begin at the edge.
 
     Parameters
     ----------
@@ -182,8 +199,13 @@ def precursors(
         Of a series on `body`.
     body : Block or Chain
         With an end.
+    interface : Interface or Profile, optional
+        Of the contacts of a block, as `series` had it.
+    least_advance : float
+        Events that take the farthest broken contact no more than this forward, in λc, have no point, except where they span.
+        By default creep by single contacts has none; −inf draws every event.
     label : str, optional
-        Legend entry, for several series in one picture.
+        Legend entry, drawn as written, for several series in one picture.
     colour : str
         Name in `slippulse_jax.plot.style.Colours`.
     ax : matplotlib.axes.Axes, optional
@@ -193,30 +215,38 @@ def precursors(
     ValueError
         If the block has no end, the catalogue is of a longer one, or it is a batch.
     """
-    if isinstance(body, Block):
-        if body.contacts is None:
-            raise ValueError("a block without end has no length that a precursor could be compared with: give Block.length")
-        contacts, strength = body.contacts, body.contacts * float(body.stiffness)
-    else:
-        contacts, strength = len(body.threshold), float(body.stiffness) * float(np.sum(body.threshold))
+    contacts, strength, name = _driving(body, interface)
     if (largest := int(np.max(catalogue.extent, initial=0))) > contacts:
         raise ValueError(f"body has {contacts} contacts, and the catalogue an event of {largest}: it is of another body")
     ax = axes(ax)
-    c, events = colours(ax), table(catalogue)
-    force, extent = events["force_before"] / strength, events["extent"] / contacts
-    farthest = np.maximum.accumulate(extent)
-    farther = np.diff(np.append(0, farthest)) > 0
-    spans = events["kind"] == EventClass.SPANNING
-    ax.plot(force[farther], farthest[farther], color=getattr(c, colour), lw=1)
-    ax.plot(force[~spans], extent[~spans], ".", color=getattr(c, colour), ms=4, label=label or "precursor")
-    if spans.any():
-        ax.plot(force[spans], extent[spans], "D", color=getattr(c, colour), ms=5, label=None if label else "spanning")
-    right = max(1.05 * force.max(initial=0), ax.get_xlim()[1] if ax.get_xlim()[0] == 0 else 0)  # of what else is drawn
-    ax.set(
-        xlabel="force over that of friction, $F/\\mu F_N$", ylabel="extent over length, $x/L$", xlim=(0, right), ylim=(0, 1.05)
-    )
-    ax.legend(**ABOVE, ncols=2)
+    c, events = getattr(colours(ax), colour), table(catalogue)
+    force, extent = events["force_before"] / strength, events["extent"]
+    farthest = np.maximum.accumulate(np.append(0, extent))
+    advance, spans, edge = extent - farthest[:-1], events["kind"] == EventClass.SPANNING, events["site"] == 0
+    ax.plot(force[advance > 0], extent[advance > 0] / contacts, color=c, lw=1, label=as_written(label) if label else None)
+    for chosen, marker, size, what in (((advance > least_advance) & ~spans, "o", 3, "precursor"), (spans, "D", 5, "spanning")):
+        for here, style in ((chosen & edge, "full"), (chosen & ~edge, "none")):
+            if here.any():
+                look = {"ms": size, "color": c, "fillstyle": style, "label": None if label else what}
+                ax.plot(force[here], extent[here] / contacts, marker, **look)
+    right = max(1.05 * force.max(initial=0), ax.get_xlim()[1] if ax.get_xlim()[0] == 0 else 0)
+    name = name if ax.get_xlabel() in ("", name) else OVER_STRENGTH  # of what else is drawn
+    ax.set(xlabel=name, ylabel="extent over length, $x/L$", xlim=(0, right), ylim=(0, 1.05))
+    opened = any(line.get_fillstyle() == "none" for line in ax.lines)
+    title = "open: does not begin at the edge" if opened else None
+    ax.legend(handles=handles_of(ax, again=False), **ABOVE, ncols=2, title=title, title_fontsize="small", alignment="left")
     return ax
+
+
+def _driving(body: Block | Chain, interface: Interface | Profile | None) -> tuple[int, float, str]:
+    """Number of contacts, force at which all would be at their threshold, and name of the force over it."""
+    if isinstance(body, Chain):
+        return body.sites, float(body.stiffness * np.sum(body.threshold, where=np.asarray(body.contact) > 0)), OVER_STRENGTH
+    if body.contacts is None:
+        raise ValueError("a block without end has no length that a precursor could be compared with: give Block.length")
+    threshold = np.asarray((interface or Interface()).threshold_at(jnp.arange(body.contacts)))
+    name = OVER_FRICTION[body.top] if body.friction and (threshold == 1).all() else OVER_STRENGTH
+    return body.contacts, float(body.stiffness * threshold.sum()), name
 
 
 @drawn

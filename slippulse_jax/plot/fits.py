@@ -13,7 +13,7 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import profile_2d
 from slippulse_jax.inference.predicted import abscissa, alike, on_one_curve
 from slippulse_jax.inference.report import CONSTANTS, TIED, Shown, folded, sentences, shown_with
-from slippulse_jax.plot.labels import axis_label, equation, printed
+from slippulse_jax.plot.labels import as_written, axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
     COLUMN,
@@ -67,7 +67,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     specimens. With `ax`, the panels take its place.
     """
     names = _determined(result)[:MOST_PROFILES]
-    title = list(_title(result))
+    title = [as_written(line, TITLE) for line in _title(result)]
     with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + LINE * len(title), ax) as figure:
         figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize="small")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
@@ -331,7 +331,7 @@ def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np
         for marker, own, name in zip(MARKERS, of_specimens, names, strict=False):
             rows = group[specimen[group] == name]
             if rows.size:
-                yield marker, color if len(curves) > 1 else own, name, rows
+                yield marker, color if len(curves) > 1 else own, as_written(name), rows
 
 
 def _palette(c: Colours, count: int) -> Sequence[str]:
@@ -538,7 +538,7 @@ def confidence_region(
     for (name, one), color in zip(drawn_from.items(), itertools.cycle((c.ink, c.green, c.purple)), strict=False):
         theta = np.reshape(getattr(one, "theta", one), (-1, len(q.free)))
         x, y = q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j])
-        ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=name or None)
+        ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=as_written(name) or None)
     if len(drawn_from) > 1:
         for handle in filter(None, ax.legend(fontsize="small", markerscale=6).legend_handles):
             handle.set_alpha(1)
@@ -566,8 +566,8 @@ def _name(one: "Free", axis: "Axis") -> None:
     if (axis.get_scale() == "linear" or high < 100 * low) and not -2 <= power < 4:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
         unit = f"$10^{{{power}}}$ {printed(unit)}".rstrip()
-    specimen = f"\n{one.label[one.label.index('[') :]}" if "[" in one.label else ""
-    axis.set_label_text(axis_label(one.name, unit) + specimen)
+    specimen = one.label.partition("[")[2][:-1]
+    axis.set_label_text(axis_label(one.name, unit) + (f"\n[{as_written(specimen)}]" if specimen else ""))
 
 
 def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:
@@ -576,7 +576,7 @@ def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> l
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for _, rows in groups]
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
-    names = [f"{min(owner)}: {_best(result, min(owner))}" if alone else _best(result) for owner in owners]
+    names = [f"{as_written(min(owner))}: {_best(result, min(owner))}" if alone else _best(result) for owner in owners]
     differ = _differing(one, [np.array(names) == name for name in set(names)])
     return [", ".join([name, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, name in enumerate(names)]
 
@@ -620,7 +620,7 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
         arrest = length[row] * m.correlation_length[row] if np.isfinite(length[row]) else 0.0
         x = np.linspace(0, 1.08 * max(readings.position[own].max(), arrest), GAUGE_POINTS)
         title = m.label[row] if m.label else m.place(row)
-        ax.plot(x * 1e3, result.field(row, name, x) * scale, color=color, label=title)
+        ax.plot(x * 1e3, result.field(row, name, x) * scale, color=color, label=as_written(title))
         at, read, sigma = readings.position[own] * 1e3, values[own] * scale, errors[own[there]] * scale
         ax.errorbar(at, read, sigma, fmt="o", capsize=2, color=color)
     ax.set_xlim(left=0)

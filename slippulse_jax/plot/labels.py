@@ -1,4 +1,6 @@
-"""Names, symbols and units of quantities on the axes of pictures."""
+"""Names, symbols and units of quantities on the axes of pictures, and text that users wrote."""
+
+import unicodedata
 
 NAMES = {
     "height": ("height", "H"),
@@ -82,6 +84,40 @@ def in_unit(words: str, unit: str) -> str:
 def printed(unit: str) -> str:
     """A unit as Matplotlib prints it."""
     return f"${UNITS[unit]}$" if unit in UNITS else COMBINED.get(unit, unit)
+
+
+MOST_CHARACTERS = 40
+"""Most characters of a text of the user's."""
+
+
+def as_written(text: str, most: int = MOST_CHARACTERS) -> str:
+    r"""Text of the user's, such as the name of a specimen, for Matplotlib to draw it as written.
+
+    It is neither read as a formula nor hidden from legends. White space is blank; what the font has no sign for is drawn as
+    its escape, and "…" for the middle of a long text.
+
+    Examples
+    --------
+    >>> as_written("$x_{"), as_written("_a\n7\x07")
+    ('\\$x_{', ' _a 7\\x07')
+    """
+    text = "".join(map(_drawn_as, text))
+    if len(text) > most:
+        text = f"{text[: most // 2]}…{text[1 - most // 2 :]}"
+    return " " * text.startswith("_") + text.replace("$", r"\$")  # a legend leaves out what begins with "_"
+
+
+def _drawn_as(character: str) -> str:
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    if character.isspace():
+        return " "
+    if unicodedata.category(character) == "Cf":  # invisible; Matplotlib's PDF fails on some
+        return ""
+    fonts = () if character <= "~" else (findfont(FontProperties(family=[one])) for one in FontProperties().get_family())
+    if " " < character <= "~" or any(get_font(font).get_char_index(ord(character)) for font in fonts):
+        return character
+    return character.encode("unicode_escape").decode()
 
 
 DISTANCE = axis_label("position", "λc")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from slippulse_jax.plot import style
-from slippulse_jax.plot.labels import AGAIN, NAMES, axis_label, in_unit, symbol
+from slippulse_jax.plot.labels import AGAIN, NAMES, as_written, axis_label, in_unit, symbol
 from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
@@ -189,8 +189,9 @@ def _short(values: np.ndarray) -> list[str]:
 
 
 def _axis(name: str) -> str:
-    return axis_label(name, UNIT_OF.get(name, ""))
+    return axis_label(name, UNIT_OF.get(name, "")) if name in NAMES else as_written(name)
 
 
 def _label(column: "xr.DataArray") -> str:
-    return in_unit(str(column.attrs.get("long_name", column.name)), column.attrs.get("units", ""))
+    words = as_written(str(column.attrs.get("long_name", column.name)), 2 * WIDEST)
+    return in_unit(words, as_written(str(column.attrs.get("units", ""))))

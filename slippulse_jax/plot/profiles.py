@@ -6,7 +6,7 @@ import numpy as np
 
 from slippulse_jax.inference.fitted import LEVELS
 from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.plot.style import ABOVE, axes, colours, drawn
+from slippulse_jax.plot.style import axes, colours, dashed_where, drawn, handles_of, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": axis_label(
 def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) -> "Axes":
     """Draw a recovered profile with its 68 % and 95 % bands.
 
-    With the band of the prior alone, and the arrests.
+    With the band of the prior alone, and the arrests; dashed where the lengths do not determine it.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -30,9 +30,10 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
         ax.fill_between(x, np.exp(-1.96 * prior), np.exp(1.96 * prior), color=c.grey, alpha=0.13, lw=0, label="prior, 95 %")
     for level, alpha in zip(LEVELS[::-1], (0.2, 0.35), strict=True):
         ax.fill_between(x, *found.interval(level), color=c.blue, alpha=alpha, lw=0, label=f"{level:.0%} band")
-    ax.plot(x, found.profile, color=c.blue, label="recovered")
+    dashed_where(ax, x, found.profile, ~found.determined, color=c.blue, label="recovered")
+    ax.plot([], [], "--", color=c.blue, lw=0.8, label="not determined")
     if found.at_arrest is not None:
-        along = {"fmt": "o", "ms": 3, "lw": 0.8, "color": c.vermilion, "label": "from one length each"}
+        along = {"fmt": "o", "ms": 3, "lw": 0.8, "color": c.vermilion, "label": "one length each"}
         ax.errorbar(found.arrest, found.at_arrest, found.at_arrest_stderr, found.measurements.length_sigma, **along)
     else:
         ax.axhline(0, color=c.grey, lw=0.6)
@@ -42,8 +43,7 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
     low, high = (end[shown] for end in found.interval(LEVELS[-1]))
     room = 0.15 * (high.max() - low.min())
     ax.set(xlabel=DISTANCE, ylabel=LABEL[found.kind], xlim=(0, x[shown][-1]), ylim=(low.min() - room, high.max() + room))
-    # the bands leave no corner free
-    ax.legend(**ABOVE, ncols=3, fontsize="small")
+    legend_above(ax, handles_of(ax, again=False), most=3)  # the bands leave no corner free
     return ax
 
 

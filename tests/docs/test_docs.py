@@ -3,6 +3,7 @@
 import doctest
 import enum
 import importlib
+import importlib.util
 import inspect
 import pkgutil
 import re
@@ -60,6 +61,44 @@ def test_every_public_name_is_in_the_reference():
     assert {name for name, thing in public.items() if not any(thing is known for known in REFERENCE.values())} == set()
     short = {name for name in REFERENCE if "." not in name}
     assert short <= set(public), "documented as public, but not public"
+
+
+def sources():
+    """Every text that shows users what to write: pages, README, notebooks, worked fits and the modules with their docstrings."""
+    folders = {
+        DOCS: "*.md",
+        ROOT / "notebooks": "*.ipynb",
+        ROOT / "fit_examples": "*.[mp][dy]",
+        Path(sp.__file__).parent: "*.py",
+    }
+    return [ROOT / "README.md", *(path for folder, names in folders.items() for path in sorted(folder.rglob(names)))]
+
+
+def is_there(name):
+    """Whether the package has this name, as far as the parts before each dot are modules or classes."""
+    thing = sp
+    for part in name.split("."):
+        if inspect.isclass(thing):
+            return hasattr(thing, part) or part in getattr(thing, "__dataclass_fields__", {})
+        if not inspect.ismodule(thing):
+            return True
+        if not hasattr(thing, part) and not importlib.util.find_spec(f"{thing.__name__}.{part}"):
+            return False
+        thing = getattr(thing, part) if hasattr(thing, part) else importlib.import_module(f"{thing.__name__}.{part}")
+    return True
+
+
+def test_every_name_of_the_package_that_a_text_uses_exists():
+    """Whatever follows ``sp.`` or ``slippulse_jax.``; NAME stands for any of them."""
+    used = {
+        (path.relative_to(ROOT).as_posix(), name)
+        for path in sources()
+        for name in re.findall(r"(?<![\w./])(?:sp|slippulse_jax)\.((?:\w+\.)*\w+)", path.read_text(encoding="utf-8"))
+    }
+    assert len(used) > 300
+    assert {(path, name) for path, name in used if name != "NAME" and not is_there(name)} == set()
+    assert not is_there("Adiabatic")
+    assert not is_there("plot.nothing")
 
 
 INSIDE = {"Inputs", "Linear", "Modes", "Springs", "ParameterSet", "Free", "Problem", "Curve", "Fitted"}

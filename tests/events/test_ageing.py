@@ -28,7 +28,7 @@ def test_crossings_against_a_root_finder(law):
     stress = threshold * np.asarray(ageing.strength(age)) * rng.uniform(0, 0.999, n)
     got = np.asarray(next_crossing(ageing, stress, slope, threshold, age))
     for i in range(n):
-        grown = (lambda a: 1 - np.exp(-a / 2)) if law == "exponential" else (lambda a: np.log2(1 + a / 2))
+        grown = (lambda a: 1 - np.exp(-a / 2)) if law == "exponential" else (lambda a: np.minimum(np.log2(1 + a / 2), 1))
 
         def gap(d, i=i, grown=grown):
             return threshold[i] * (0.3 + 0.7 * grown(age[i] + d)) - stress[i] - slope[i] * d
@@ -84,6 +84,8 @@ def test_with_ageing_precursors_grow_until_one_spans():
     assert furthest[-1] == 150
     large = np.asarray(got.breaks)[:n] >= 20
     assert (np.diff(np.asarray(got.extent)[:n][large][:3]) > 0).all()
+    force = np.asarray(got.force_before)[:n][large]
+    assert force[1:3].max() < 0.9 * force[0] < force[-1], "the force falls after the first event, and rises in the end"
 
 
 @pytest.mark.parametrize(

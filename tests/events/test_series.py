@@ -17,7 +17,9 @@ CHAIN = sp.chain(sp.Slider(*FIG2), sites=SITES)
 
 
 def ages(law, newborn, scale):
-    grown = {"exponential": lambda a: 1 - np.exp(-a / scale), "logarithmic": lambda a: np.log2(1 + a / scale)}[law]
+    grown = {"exponential": lambda a: 1 - np.exp(-a / scale), "logarithmic": lambda a: np.minimum(np.log2(1 + a / scale), 1)}[
+        law
+    ]
     return lambda a: newborn + (1 - newborn) * grown(a)
 
 

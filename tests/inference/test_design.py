@@ -147,6 +147,40 @@ def test_roots_of_one_length_are_told_apart_elsewhere():
     assert two.log_stderr < one.log_stderr
 
 
+ONE = sp.Measurements(height=25.0, poisson=0.3, length=24.5, length_sigma=0.1)
+"""Has two roots; at the stiffer one the edge contact breaks again before the front stops."""
+
+
+@pytest.mark.parametrize("of", ["measurements", pytest.param("fit", marks=pytest.mark.ci)])
+def test_the_root_at_which_the_edge_breaks_again_is_called_so(of):
+    """With bounds to paste that keep the other; in the report, in JSON and in the picture."""
+    known = sp.Knowledge.from_measurements(ONE) if of == "measurements" else sp.Knowledge.from_fit(sp.fit(ONE))
+    assert known.rebreaks.tolist() == [False, True]
+    found = sp.design(known, height=[10, 100], sigma=0.5)
+    lines = found.report().splitlines()
+    assert re.search(r"0\.0186.*0\.114.*; edge breaks again\)$", lines[0])
+    assert re.search(r"if k/K = 0\.114 \(edge breaks again\)", found.report())
+    assert f"  Note: {known.notes[0]}" in lines
+    assert [root["rebreaks"] for root in found.to_dict()["knowledge"]["roots"]] == [False, True]
+    names = [text.get_text() for text in sp.plot.design_lengths(found).get_legend().get_texts()]
+    assert {"known so far", "known so far, edge breaks again", "edge breaks again"} <= {*names}
+    bounds = tuple(map(float, re.search(r"--bounds (\S+) (\S+) ", str(known)).groups()))
+    for prior in (None, sp.Knowledge(known.log_stiffness, known.weight)):
+        kept = sp.Knowledge.from_measurements(ONE, bounds=bounds, prior=prior)
+        assert kept.log_stiffness.max() < np.log(0.03)
+        assert not kept.rebreaks.any()
+        assert str(kept) == kept.statement
+        assert "again" not in str(kept)
+
+
+def test_where_every_root_breaks_again_whole_events_are_advised():
+    stiff = sp.Knowledge.from_measurements(ONE, bounds=(0.05, 1.0))
+    assert stiff.rebreaks.tolist() == [True]
+    assert "--event full" in str(stiff)
+    assert "--bounds" not in str(stiff)
+    assert "\n" not in str(sp.Knowledge.lognormal([0.01, 0.06], 0.2))
+
+
 def test_information_is_that_of_the_slope_where_little_is_unknown():
     """ℓ is straight over a narrow prior: the D-optimal gain ½ ln(1 + s²J²/σ²)."""
     known = sp.Knowledge.lognormal(0.01, 0.02)
@@ -250,7 +284,10 @@ def test_designs_take_lengths_as_the_fit_did():
     assert "those of whole events" in found.report()
     assert found.to_dict()["knowledge"]["event"] == "full"
     again = sp.Knowledge.from_measurements(m, prior=whole)
-    assert again.event == "full"
+    assert (
+        again.event == sp.Knowledge.from_measurements(m, prior=sp.Knowledge(np.log([0.05, 0.1])), event="full").event == "full"
+    )
+    assert not whole.rebreaks.any()
     assert again.log_sd < whole.log_sd
     crack = sp.fit(m, fixed={"friction": 0.3}, event="crack", intervals="profile")
     with pytest.raises(ValueError, match="the fit is of crack-like fronts: designs predict"):
@@ -295,6 +332,15 @@ def test_command(tmp_path):
     assert len(content["sequence"]) == 2
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert done.stderr.strip() == f"figure written to {picture}"
+    done = CliRunner().invoke(command, ["--measured", str(table), *asked[:-2], "--bounds", "1e-3", "0.045"])
+    assert len(json.loads(done.stdout)["knowledge"]["roots"]) == 1
+
+
+@pytest.mark.ci
+def test_command_of_whole_events():
+    asked = ["--height", "10", "--sigma", "0.5", "--poisson", "0.3", "--stiffness", "0.1", "--log-sd", "0.1", "--event", "full"]
+    done = CliRunner().invoke(command, [*asked, "--json"])
+    assert json.loads(done.stdout)["knowledge"]["event"] == "full"
 
 
 @pytest.mark.parametrize(
@@ -305,6 +351,10 @@ def test_command(tmp_path):
         (["--height", "10", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "missing --sigma"),
         (["--height", "0.5", "--sigma", "0.5", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "must exceed 1"),
         (["--height", "9", "--sigma", "0.5", "--poisson", "0.3", "--measured", "nowhere.csv"], "nowhere.csv"),
+        (
+            ["--height", "9", "--sigma", "1", "--poisson", "0.3", "--stiffness", "1", "--log-sd", "1", "--bounds", "1", "2"],
+            "--bounds is the range of the stiffness that --measured",
+        ),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_status_2(arguments, message):

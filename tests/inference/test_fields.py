@@ -1,6 +1,8 @@
 """Recovered profiles: data from the dense program, derivatives against differences, algebra against textbook formulas, coverage."""
 
+import dataclasses
 import json
+import re
 
 import jax
 import jax.numpy as jnp
@@ -337,6 +339,42 @@ def test_coverage_campaign(kind):
     edge = found.held("edge")
     assert (edge.share > said - 3 * error(edge)).all(), edge
     assert found.given_up < 50
+
+
+def test_nothing_beyond_the_arrests_is_determined(recovered):
+    """Neither in the list of places, nor in the report's table, nor in the picture."""
+    four = sp.Measurements(height=[10, 17, 25, 33], poisson=0.3, length=[9.9, 17.4, 26.1, 34.0], length_sigma=0.2)
+    for found in (recovered, sp.recover_profile(four, stiffness=STIFFNESS)):
+        first, last = found.arrest.min(), found.arrest.max()
+        assert found.determination is Determination.DETERMINED
+        ((low, high),) = found.stretches
+        assert first <= low < first + 1
+        assert last - 1 < high <= last
+        assert f"at x/λc: {low:.4g} to {high:.4g}\n" in found.report()
+        marked = [float(line.split()[0]) for line in found.report().splitlines() if line.endswith("  lengths")]
+        assert low <= min(marked) < max(marked) <= high
+        ax = sp.plot.recovered_profile(found)
+        (line,) = (line for line in ax.lines if line.get_label() == "recovered")
+        there = line.get_xdata()[np.isfinite(line.get_ydata())]
+        assert (there.min(), there.max()) == (low, high)
+    assert re.search(r"contact 0 in (\d+ to )?all of 400 draws", found.report())
+
+
+@pytest.mark.parametrize(
+    ("at_edge", "said"),
+    [
+        ([1.0, 1.0], "all of 400"),
+        ([0.5, 1.0], "200 to all of 400"),
+        ([0.0, 0.0], "none of 400"),
+        ([0.0, 0.25], "none to 100 of 400"),
+    ],
+)
+def test_how_many_draws_start_at_the_edge(recovered, at_edge, said):
+    n = len(at_edge)
+    columns = [np.zeros(n, int), np.array(at_edge), recovered.fitted[:n]]
+    starts = np.rec.fromarrays(columns, names="contact,at_edge,length")
+    found = dataclasses.replace(recovered, nucleation=starts, fitted=recovered.fitted[:n])
+    assert f"(contact 0 in {said} draws from the posterior)" in found.report()
 
 
 def test_report_json_and_pictures(recovered):
