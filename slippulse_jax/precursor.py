@@ -43,7 +43,7 @@ from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.units import Numbers
+from slippulse_jax.units import Numbers, at_least_single
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -302,6 +302,7 @@ def first_precursor(
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
+    slider, interface = jax.tree.map(at_least_single, (slider, interface))
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)

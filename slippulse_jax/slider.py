@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity, quantity_field
+from slippulse_jax.units import Numbers, are_numbers, as_float, at_least_single, floats_or_axes, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -259,7 +259,7 @@ def from_si(
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:
     """The fields of `slider` and `others` in one floating type and, but for scalars, of one rank; not broadcast."""
-    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
+    values = [at_least_single(jnp.asarray(x)) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
     rank, dtype = max(x.ndim for x in values), jnp.result_type(float, *values)
     return [x.astype(dtype).reshape((1,) * (rank - x.ndim) * (x.ndim > 0) + x.shape) for x in values]
 

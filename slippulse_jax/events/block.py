@@ -60,7 +60,7 @@ class BlockPrecursor(eqx.Module):
     nucleation: Int[Array, ""]  # contact that breaks first
     contacts_broken: Int[Array, ""]
     breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
-    length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops
+    length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops; extrapolated where `precursor_length` does
     load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in K u_s
     status: Int[Array, ""]  # an `Outcome`
     stress_before: Float[Array, " sites"]  # at nucleation

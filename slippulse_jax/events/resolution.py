@@ -67,11 +67,18 @@ def first_precursor(
     block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind
 ) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    found = in_double(_resolved)((block, interface), sites, partial(blocks.record, kind=kind))
+    found = in_double(_record)(block, interface, sites, kind)
     _warn_of_few_sites(block, sites, found.length)
     if block.contacts is not None:  # no more than it has
         found = jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
     return dataclasses.replace(found, block=block)  # not rounded
+
+
+def _record(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
+    found = _resolved((block, interface), sites, partial(blocks.record, kind=kind))
+    if not _is_tall(block, interface, sites):
+        return found
+    return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
 
 
 def precursor_length(
@@ -103,14 +110,19 @@ def _length(
     block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
 ) -> Float[Array, ""]:
     smooth = isinstance(rule, SmoothBreak)
-    every = sites is not None or block.length is not None or smooth
-    if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
+    if not smooth and _is_tall(block, interface, sites):
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
         begins = int(_resolved((block, interface), sites, partial(blocks.record, kind=kind)).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
+
+
+def _is_tall(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> bool:
+    """Whether the length of a block without end is extrapolated."""
+    every = sites is not None or block.length is not None or isinstance(interface, Profile)
+    return not every and bool(_known(block).height > TALL)
 
 
 Found = TypeVar("Found", Array, BlockPrecursor)

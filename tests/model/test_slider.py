@@ -10,6 +10,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax import Slider, precursor_length
 from slippulse_jax.exact.front import exact_front_stress
+from slippulse_jax.slider import of_one_type
 from slippulse_jax.units import quantities
 
 
@@ -230,3 +231,39 @@ def test_a_batch_of_records_needs_its_size():
     """The message shows the call that works."""
     with pytest.raises(ValueError, match=r"recorded_sites=200\)\)\(sliders\)"):
         jax.vmap(sp.first_precursor)(Slider(jnp.array([10.0, 25.0]), jnp.full(2, 0.03), jnp.full(2, 0.3)))
+
+
+HALF = [jnp.bfloat16, jnp.float16, jnp.float8_e4m3fn]
+
+
+@pytest.mark.parametrize("dtype", HALF)
+def test_half_precision_is_taken_as_single(dtype):
+    """In every field of every body and interface, also as NumPy has it, traced, and in fields that were converted later."""
+    two, parts = jnp.asarray(2, dtype), jnp.asarray([1, 0.5], dtype)
+    every = sp.Slider(two, two, 0 * two), sp.Interface(parts[1], two), sp.Profile(parts, parts[1] / 4)
+    every = *every, sp.Block(two, two, 0 * two, sp.Push(parts[1], parts[1]), normal_stiffness=two, friction=two)
+    numbers = [x for x in jax.tree.leaves(every) if jnp.issubdtype(x.dtype, jnp.floating)]
+    assert len(numbers) == 14
+    assert {str(x.dtype) for x in numbers} == {"float32"}
+    assert jax.jit(lambda x: Slider(x, x, 0 * x).height)(two).dtype == jnp.float32
+    assert Slider(np.asarray(two), 1, 0).height == np.float64(2)
+    later = jax.tree.map(lambda x: jnp.asarray(x, dtype), sp.Slider(2.0, 2.0, 0.0))
+    in_half = sp.chain(later, sites=4, threshold=two, prestress=parts[1], contact=two)
+    assert {str(x.dtype) for x in (*of_one_type(later, two), *jax.tree.leaves(in_half))} == {"float32"}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("length", [sp.exact_length, sp.precursor_length, lambda *body: sp.first_precursor(*body).length])
+def test_lengths_of_half_precision_are_those_of_single(length):
+    def body(dtype, convert=jnp.asarray):
+        return sp.Slider(*(convert(x, dtype) for x in (25.0, 0.03125, 0.3125))), sp.Interface(
+            *(convert(x, dtype) for x in (0.125, 0.0))
+        )
+
+    single = float(length(*body(jnp.float32)))
+    assert np.isfinite(single)
+    for dtype in HALF[:2]:
+        found = length(*body(dtype))
+        assert (float(found), found.dtype) == (single, jnp.float32)
+    in_half = jax.tree.map(lambda x: x.astype(jnp.bfloat16), body(jnp.float32))
+    assert float(length(*in_half)) == single

@@ -34,6 +34,8 @@ def test_public_functions_by_default():
         assert np.isfinite(scale), name
         np.testing.assert_allclose(found[name], exact[name], rtol=error, atol=error * scale, err_msg=name)
     assert found["slider"] != exact["slider"], "the process was in double precision"
+    for one in (found, exact):
+        assert one["a tall block"] == one["a push at a third"], "the length and the record of one block"
 
 
 def test_blocks_that_single_precision_cannot_do(float32):
