@@ -60,6 +60,13 @@ class NotFollowed(ValueError):
         )
 
 
+def _without_length(block: Block, interface: Interface | Profile | None, status: Any) -> Exception:
+    """Make the error for an event of which nothing is known."""
+    where = f"{block}" if interface is None else f"{block} on {interface}"
+    kind = ValueError if status == Outcome.INVALID else NotConverged
+    return kind(f"no length of {where}: {Outcome(int(status)).message}")
+
+
 # --- one block ---------------------------------------------------------------------------------------------------------
 
 
@@ -89,7 +96,13 @@ def precursor_length(
     if not is_traced(given) or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         found = in_double(_length)(*given, sites, kind)
         _warn_of_few_sites(block, sites, found)
-        if block.friction is not None and not isinstance(found, Tracer) and np.isnan(found):
+        if not isinstance(found, Tracer) and np.isnan(found):
+            # a tall block would have said so already
+            status = (
+                Outcome.LIFT_OFF if _is_tall(block, interface, sites) else in_double(_record)(*given[:2], sites, kind).status
+            )
+            if status != Outcome.LIFT_OFF:
+                raise _without_length(block, interface, status)
             warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=3)
         return found
     _known(given, blocks.IN_DOUBLE)
@@ -370,7 +383,7 @@ def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.nda
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
     if lost.any():
         block, interface = _some(body, np.argmax(lost))
-        raise NotConverged(f"no length of {block} on {interface}: {Outcome(int(status[lost][0])).message}")
+        raise _without_length(block, interface, status[lost][0])
     return length, broken, status
 
 
