@@ -285,9 +285,10 @@ def length(
 ) -> Float[Array, ""]:
     """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
     given, tree = jax.tree.flatten((block, interface, rule))
+    types = [x.dtype for x in given]
 
     def one(*numbers: Array) -> Array:
-        here = [x.astype(like.dtype) for x, like in zip(numbers, given, strict=True)]
+        here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
         block, interface, rule = jax.tree.unflatten(tree, here)
         body = contacts_of(block, interface, sites)
         if isinstance(rule, SmoothBreak):

@@ -163,7 +163,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"chunk": 0}, "chunk = 0"),
         ({"share": (2, 2)}, r"share = \(2, 2\)"),
         ({"share": (0, 2)}, "give it a store"),
-        ({"share": (0, 2), "client": "a client"}, "share is for processes without a scheduler"),
+        ({"share": (0, 2), "client": object()}, "share is for processes without a scheduler"),
         ({"lazy": True, "store": "s"}, "lazy = True takes no store and no client"),
     ],
 )
