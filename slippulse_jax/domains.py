@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from slippulse_jax.bulk.process import check_process
+from slippulse_jax.keywords import did_you_mean
 
 
 class Domain(NamedTuple):
@@ -77,8 +78,9 @@ def check_choice(name: str, value: object, choices: Any) -> None:
     ValueError
         Naming the argument, its value, and the choices.
     """
-    if value not in get_args(choices):
-        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(choices)))}")
+    known = get_args(choices)
+    if value not in known:
+        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, known))}{did_you_mean(value, known)}")
 
 
 def check_single(owner: str, **given: Any) -> None:

@@ -356,7 +356,7 @@ def _check_of_block(interface: Contacts, **given: Any) -> None:
 
 @functools.lru_cache
 def _warn_once(message: str) -> None:
-    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=4)
+    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=5)
 
 
 def warn_single_precision(slider: Slider) -> None:

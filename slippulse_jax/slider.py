@@ -48,7 +48,8 @@ class Slider(eqx.Module):
     Notes
     -----
     The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
-    and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field; where only the height has one, say so:
+    and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field, and where a field has none JAX says only that
+    "its rank should be at least 1": broadcast them, ``Slider(*jnp.broadcast_arrays(height, 0.03, 0.3))``, or name the axis,
     ``jax.vmap(f, in_axes=(Slider(0, None, None),))``.
 
     Examples

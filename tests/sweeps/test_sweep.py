@@ -235,6 +235,17 @@ def test_pictures():
     assert map_of.length.sel(height=20).plot()
 
 
+def test_one_output_of_a_sweep_is_drawn_alone():
+    """As xarray's users select it: ``found.length``, with the values of the axes that it was selected at."""
+    found = sp.sweep(height=[10.0, 20.0, 30.0], stiffness=[0.02, 0.03], poisson=[0.2, 0.3], outputs="length")
+    chosen = found.sel(poisson=0.3)
+    alone, whole = (plot.sweep(one, ax=Figure().subplots()) for one in (chosen.length, chosen))
+    for own, other in zip(alone.lines, whole.lines, strict=True):
+        np.testing.assert_array_equal(own.get_xydata(), other.get_xydata())
+    assert (alone.get_ylabel(), alone.get_title()) == (whole.get_ylabel(), whole.get_title())
+    assert alone.lines
+
+
 @pytest.mark.ci
 def test_pictures_mark_where_the_edge_breaks_again():
     """The dashed part of a line begins at its last point before; maps are hatched. Sweeps without a status are not marked."""
