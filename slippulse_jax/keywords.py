@@ -55,5 +55,5 @@ def _checked(function: Callable, name: str, own: int) -> Callable:
             raise TypeError(f"{name} has no argument {wrong}{told}{INSTEAD.get(name, '').replace('; ', ' ')}")
         return function(*given, **named)
 
-    checked.checked_by_name = True  # pyright: ignore[reportFunctionMemberAccess]
+    checked.checked_by_name = True  # pyright: ignore[reportAttributeAccessIssue]
     return checked

@@ -5,7 +5,7 @@ import math
 import warnings
 from functools import partial
 from types import NoneType
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import equinox as eqx
 import jax
@@ -302,7 +302,8 @@ def first_precursor(
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
-    slider, interface = jax.tree.map(at_least_single, (slider, interface))
+    slider = cast(Slider, jax.tree.map(at_least_single, slider))
+    interface = jax.tree.map(at_least_single, interface)
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)

@@ -51,7 +51,7 @@ def delete_unreadable(warning: Warning | str) -> bool:
     JAX compiles it, but would not write over the file, and so compile it in every call.
     """
     folder, failed = os.environ.get("JAX_COMPILATION_CACHE_DIR"), sys.exception()
-    if not str(warning).startswith(UNREADABLE) or folder != str(_folder()):
+    if folder is None or folder != str(_folder()) or not str(warning).startswith(UNREADABLE):
         return False
     for frame, _ in traceback.walk_tb(failed and failed.__traceback__):
         if key := frame.f_locals.get("cache_key"):  # the warning does not name it

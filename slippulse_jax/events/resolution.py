@@ -83,7 +83,7 @@ def first_precursor(
 
 def _record(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
     found = _resolved((block, interface), sites, partial(blocks.record, kind=kind))
-    if not _is_tall(block, interface, sites):
+    if isinstance(interface, Profile) or not _is_tall(block, sites):
         return found
     return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
 
@@ -97,10 +97,8 @@ def precursor_length(
         found = in_double(_length)(*given, sites, kind)
         _warn_of_few_sites(block, sites, found)
         if not isinstance(found, Tracer) and np.isnan(found):
-            # a tall block would have said so already
-            status = (
-                Outcome.LIFT_OFF if _is_tall(block, interface, sites) else in_double(_record)(*given[:2], sites, kind).status
-            )
+            tall = not isinstance(interface, Profile) and _is_tall(block, sites)  # which would have raised for any other reason
+            status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
             if status != Outcome.LIFT_OFF:
                 raise _without_length(block, interface, status)
             warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
@@ -123,7 +121,7 @@ def _length(
     block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
 ) -> Float[Array, ""]:
     smooth = isinstance(rule, SmoothBreak)
-    if not smooth and _is_tall(block, interface, sites):
+    if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
@@ -132,10 +130,9 @@ def _length(
     return found
 
 
-def _is_tall(block: Block, interface: Interface | Profile | None, sites: Numbers | None) -> bool:
-    """Whether the length of a block without end is extrapolated."""
-    every = sites is not None or block.length is not None or isinstance(interface, Profile)
-    return not every and bool(_known(block).height > TALL)
+def _is_tall(block: Block, sites: Numbers | None) -> bool:
+    """Whether a length is extrapolated, on thresholds that are no profile."""
+    return sites is None and block.length is None and bool(_known(block).height > TALL)
 
 
 Found = TypeVar("Found", Array, BlockPrecursor)

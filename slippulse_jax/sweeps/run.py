@@ -146,10 +146,10 @@ def sweep(
     The bits of a point depend on its own parameters, the processor and the versions alone: not on chunks, resuming, processes
     or number of devices.
     """
-    every = locals().copy()
+    every: dict[str, Any] = locals().copy()
     if isinstance(client, str):
-        with connected(client) as found:
-            return sweep(**every | {"client": found})
+        with connected(client) as every["client"]:
+            return sweep(**every)
     given = {name: value for name, value in every.items() if name in PARAMETERS}
     axes = make_axes(given, interface, points=points, push_control=push_control, contact_law=contact_law, top=top)
     check_right_end(right, sites)
