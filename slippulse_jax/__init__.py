@@ -27,7 +27,11 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'slippulse_jax' has no attribute {name!r}")
     module = _MODULE_OF[name]
-    return import_module(f"{module}.{name}") if module == __name__ else getattr(import_module(module), name)
+    if module == __name__:
+        return import_module(f"{module}.{name}")
+    from slippulse_jax.keywords import public
+
+    return public(import_module(module), name)
 
 
 def __dir__() -> list[str]:

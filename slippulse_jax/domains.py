@@ -4,6 +4,9 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
+from slippulse_jax.bulk.process import check_process
+from slippulse_jax.keywords import did_you_mean
+
 
 class Domain(NamedTuple):
     """An interval, and the message for a value outside."""
@@ -40,13 +43,16 @@ THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the thresho
 
 
 def check_kind(name: str, value: object, *kinds: type) -> None:
-    """Check that an argument is an object of one of these classes.
+    """Check that an argument is an object of one of these classes, and that this process can compute with it.
 
     Raises
     ------
     TypeError
         Naming the argument, what it is, and what it must be.
+    RuntimeError
+        As `check_process`.
     """
+    check_process()
     if not isinstance(value, kinds):
         expected = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
         raise TypeError(f"{name} is {type(value).__name__}: must be {expected}")
@@ -72,8 +78,9 @@ def check_choice(name: str, value: object, choices: Any) -> None:
     ValueError
         Naming the argument, its value, and the choices.
     """
-    if value not in get_args(choices):
-        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, get_args(choices)))}")
+    known = get_args(choices)
+    if value not in known:
+        raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, known))}{did_you_mean(value, known)}")
 
 
 def check_single(owner: str, **given: Any) -> None:

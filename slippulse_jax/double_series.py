@@ -628,7 +628,7 @@ def overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
 
 def exponential_terms(x: Array) -> Float[Array, "20"]:
     """xⁿ/n!, the terms of e^x for |x| ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
-    return jnp.concatenate([jnp.ones_like(x)[None], jnp.cumprod(x / np.arange(1, 20))])
+    return jnp.concatenate([jnp.ones_like(x)[None], jnp.cumprod(x / np.arange(1.0, 20).astype(x.dtype))])
 
 
 def divided_difference(x_rate: Array, y_rate: Array, s: Array) -> Array:

@@ -5,7 +5,7 @@ import math
 import warnings
 from functools import partial
 from types import NoneType
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import equinox as eqx
 import jax
@@ -43,7 +43,7 @@ from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.units import Numbers
+from slippulse_jax.units import Numbers, at_least_single
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -302,6 +302,8 @@ def first_precursor(
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
+    slider = cast(Slider, jax.tree.map(at_least_single, slider))
+    interface = jax.tree.map(at_least_single, interface)
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
@@ -355,7 +357,7 @@ def _check_of_block(interface: Contacts, **given: Any) -> None:
 
 @functools.lru_cache
 def _warn_once(message: str) -> None:
-    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=4)
+    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=5)
 
 
 def warn_single_precision(slider: Slider) -> None:

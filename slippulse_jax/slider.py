@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity, quantity_field
+from slippulse_jax.units import Numbers, are_numbers, as_float, at_least_single, floats_or_axes, quantity, quantity_field
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -48,7 +48,8 @@ class Slider(eqx.Module):
     Notes
     -----
     The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
-    and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field; where only the height has one, say so:
+    and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field, and where a field has none JAX says only that
+    "its rank should be at least 1": broadcast them, ``Slider(*jnp.broadcast_arrays(height, 0.03, 0.3))``, or name the axis,
     ``jax.vmap(f, in_axes=(Slider(0, None, None),))``.
 
     Examples
@@ -259,7 +260,7 @@ def from_si(
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:
     """The fields of `slider` and `others` in one floating type and, but for scalars, of one rank; not broadcast."""
-    values = [jnp.asarray(x) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
+    values = [at_least_single(jnp.asarray(x)) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
     rank, dtype = max(x.ndim for x in values), jnp.result_type(float, *values)
     return [x.astype(dtype).reshape((1,) * (rank - x.ndim) * (x.ndim > 0) + x.shape) for x in values]
 

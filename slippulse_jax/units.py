@@ -101,7 +101,7 @@ def are_numbers(*values: Any) -> bool:
 
 
 def as_float(x: Any) -> Any:
-    """Convert to floating point: JAX arrays and tracers in their own precision, anything else to NumPy float64.
+    """Convert to floating point: JAX arrays and tracers in their own precision, at least single; all else to NumPy float64.
 
     Raises
     ------
@@ -118,9 +118,14 @@ def as_float(x: Any) -> Any:
     elif array.dtype.kind == "O":  # such as large whole numbers
         real = not any(isinstance(one, str | bytes | None) for one in array.ravel())
     else:
-        real = array.dtype.kind in "fiub"
+        real = array.dtype.kind in "fiub" or jnp.issubdtype(array.dtype, jnp.floating)  # such as bfloat16
     if not real:
         raise TypeError(f"{shortened(repr(x))}: must be a real number, or several")
     if isinstance(x, jax.Array):
-        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+        return at_least_single(x) if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     return np.asarray(x, dtype=np.float64)
+
+
+def at_least_single(x: Array) -> Array:
+    """Convert half precision, in which no length has a digit, to single; anything else stays as it is."""
+    return x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize < 4 else x

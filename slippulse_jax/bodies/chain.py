@@ -11,6 +11,7 @@ from types import NoneType
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -22,7 +23,7 @@ from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.slider import Slider
-from slippulse_jax.units import as_float, quantity_field
+from slippulse_jax.units import as_float, at_least_single, quantity_field
 
 ForceLaw = Callable[[Float[Array, " N"]], Float[Array, " N"]]
 
@@ -133,6 +134,7 @@ def chain(
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_single("chain", slider=slider, interface=interface)
     check_whole("sites", sites, 2)
+    slider = jax.tree.map(at_least_single, slider)
     of_interface = _of_interface(interface, sites)
     threshold = of_interface[0] if threshold is None else threshold
     prestress = of_interface[1] if prestress is None else prestress
@@ -143,7 +145,8 @@ def chain(
         if np.shape(value) not in ((), (count,)):
             raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
         check_domain(name, as_float(value), inside, f"must be {domain}")
-        array = jnp.asarray(value)  # a Python number takes the slider's precision: a weak type would compile another program
+        array = at_least_single(jnp.asarray(value))
+        # a Python number takes the slider's precision: a weak type would compile another program
         given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
         return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
 

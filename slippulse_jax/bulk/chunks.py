@@ -27,6 +27,7 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import compiled, local_devices
+from slippulse_jax.bulk.process import check_process
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Results of a chunk of lanes, each with the lanes last. No lane may depend on another.
@@ -90,6 +91,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     Large temporary arrays are avoided: the system provides their memory anew at every call, which costs as much as the
     arithmetic on them.
     """
+    check_process()
     count, fields = len(lanes[0]), len(lanes)
     devices = local_devices(cpu=layout.chunk == 1)
     in_step = devices[0].platform != "cpu" and layout.chunk > 1
@@ -199,7 +201,3 @@ def workers() -> int:
 def _pool(threads: int) -> ThreadPoolExecutor:
     """Keep the threads: starting them takes longer than ten thousand lengths."""
     return ThreadPoolExecutor(threads)
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads are not copied

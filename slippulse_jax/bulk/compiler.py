@@ -177,14 +177,15 @@ def reduces_in_one_loop() -> bool:
 
 def _reduced(f: Callable, *given: Any) -> Any:
     arrays, tree = jax.tree.flatten(given)
+    count = len(arrays)
 
-    def once(row: Sequence[Any]) -> Any:
-        return f(*jax.tree.unflatten(tree, row[: len(arrays)]))
+    def once(row: Sequence[Any]) -> Any:  # that holds none of the arrays, which JAX may trace
+        return f(*jax.tree.unflatten(tree, row[:count]))
 
     results = jax.tree.structure(jax.eval_shape(once, [jax.ShapeDtypeStruct((), x.dtype) for x in arrays]))
-    spare = results.num_leaves - len(arrays)
+    spare = results.num_leaves - count
     if spare < 0:
-        raise ValueError(f"{len(arrays)} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
+        raise ValueError(f"{count} arguments, {results.num_leaves} results: in_one_loop needs at least as many")
     one = arrays[0]
     rows = tuple(jnp.broadcast_to(x, (2, *one.shape)) for x in [*arrays, *[jnp.zeros_like(one)] * spare])
     zeros = tuple(jnp.zeros((), x.dtype) for x in rows)

@@ -8,12 +8,18 @@ import hashlib
 import itertools
 import os
 import platform
+import shutil
+import sys
 import time
+import traceback
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 KEPT_DAYS = 60
 """Age at which a program is deleted: by then another release of JAX, or of this package, has usually replaced it."""
+
+UNREADABLE = "Error reading persistent compilation cache"
 
 
 def keep_compiled_programs() -> None:
@@ -28,14 +34,37 @@ def keep_compiled_programs() -> None:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # JAX runs whatever programs it finds there
         for program in folder.iterdir():
             if time.time() - program.stat().st_mtime > KEPT_DAYS * 86400:
-                program.unlink(missing_ok=True)
+                _remove(program)
     except (OSError, RuntimeError):  # no folder, or no home folder to put it in
         return
     if os.access(folder, os.W_OK):
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-        # unreadable programs are compiled, unwritable ones dropped; the user need not know
-        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+        # unreadable programs are compiled anew, unwritable ones dropped; the user need not know
+        warnings.filterwarnings("always", UNREADABLE)
+        warnings.filterwarnings("ignore", "Error writing persistent compilation cache")
+
+
+def delete_unreadable(warning: Warning | str) -> bool:
+    """Delete the program that JAX is warning of, while it handles the error; return whether it was such a warning.
+
+    JAX compiles it, but would not write over the file, and so compile it in every call.
+    """
+    folder, failed = os.environ.get("JAX_COMPILATION_CACHE_DIR"), sys.exception()
+    if folder is None or folder != str(_folder()) or not str(warning).startswith(UNREADABLE):
+        return False
+    for frame, _ in traceback.walk_tb(failed and failed.__traceback__):
+        if key := frame.f_locals.get("cache_key"):  # the warning does not name it
+            with suppress(OSError):
+                _remove(Path(folder, f"{key}-cache"))
+    return True
+
+
+def _remove(program: Path) -> None:
+    if program.is_dir():
+        shutil.rmtree(program)
+    else:
+        program.unlink(missing_ok=True)
 
 
 def compile_everything_anew() -> None:

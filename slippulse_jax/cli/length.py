@@ -208,14 +208,15 @@ def _block_text(result: dict[str, Any]) -> str:
     normal, friction = result["normal_stiffness"], result["friction"]
     pressed = "" if normal is None else f"; k_n/k = {normal:g}"
     pressed += "" if friction is None else f"; thresholds of μ = {friction:g} times the pressure"
-    if math.isnan(result["length"]):
+    if math.isnan(result["length"]):  # any other reason is an error
         length = "none: the block lifts off"
+    of_slider = f"{result['length_of_slider']:.6g} λc" if math.isfinite(result["length_of_slider"]) else "none"
     return "\n".join(
         [
             f"block: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
             f"pushed {where}, {result['push_control']} held{pressed}",
             f"ℓ   = {length}",
-            f"      {result['length_of_slider']:.6g} λc with the slider of the same contacts",
+            f"      {of_slider} with the slider of the same contacts",
         ]
     )
 

@@ -9,10 +9,11 @@ import io
 import os
 import sys
 import warnings
+from typing import Any
 
 import click
 
-from slippulse_jax.cli.cache import compile_everything_anew, keep_compiled_programs
+from slippulse_jax.cli.cache import compile_everything_anew, delete_unreadable, keep_compiled_programs
 from slippulse_jax.cli.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_when_interrupted
 from slippulse_jax.status import NotConverged
 
@@ -76,7 +77,7 @@ def main() -> None:
     """Run the command line and exit with its status."""
     leave_when_interrupted()
     _print_in_any_encoding()
-    warnings.showwarning = lambda message, *_: click.echo(f"Warning: {message}", err=True)
+    warnings.showwarning = _show
     try:
         status = slippulse.main(standalone_mode=False)  # of ctx.exit; None where a command ran to its end
         if sys.stdout is not None:
@@ -104,6 +105,11 @@ def main() -> None:
             raise
         click.echo(f"Error: not enough memory ({error}); a sweep with --store needs it for a few chunks only", err=True)
         sys.exit(FAILURE)
+
+
+def _show(warning: Warning | str, *_: Any) -> None:
+    if not delete_unreadable(warning):
+        click.echo(f"Warning: {warning}", err=True)
 
 
 def _print_in_any_encoding() -> None:

@@ -1,7 +1,6 @@
 """``slippulse sweep``."""
 
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +20,6 @@ from slippulse_jax.cli.shared import (
     table_path,
     top_of_block,
 )
-from slippulse_jax.files import shortened
-
-TIMEOUT = 10
-"""Seconds to wait for a scheduler to answer."""
 
 if TYPE_CHECKING:
     import numpy as np
@@ -128,19 +123,18 @@ def command(
         raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
     if figure is not None:
         _check_drawable(values, points, store)
-    with _client(scheduler) if scheduler else nullcontext() as client:
-        found = _sweep(
-            store,
-            **values,
-            outputs=outputs.split(","),
-            points=points,
-            right=right,
-            sites=sites,
-            resume=resume,
-            chunk=chunk,
-            share=share,
-            client=client,
-        )
+    found = _sweep(
+        store,
+        **values,
+        outputs=outputs.split(","),
+        points=points,
+        right=right,
+        sites=sites,
+        resume=resume,
+        chunk=chunk,
+        share=share,
+        client=scheduler,
+    )
     _hand_over(found, out, figure, as_json, store)
 
 
@@ -165,18 +159,6 @@ def _check_drawable(values: dict[str, Any], points: bool, store: str | None) -> 
         raise click.UsageError(not_drawn(axes, "give several values of a parameter, such as --height 10:50:41"))
 
 
-def _client(address: str) -> Any:
-    """Connect to a Dask scheduler."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise click.UsageError("--scheduler needs Dask: pip install 'slippulse_jax[cluster]'") from None
-    try:
-        return Client(address, timeout=TIMEOUT)
-    except (OSError, ValueError) as error:
-        raise click.BadParameter(f"no Dask scheduler answers at {address} ({shortened(str(error))})") from None
-
-
 def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
     """Run the sweep and turn its errors into messages and exit statuses."""
     from slippulse_jax.sweeps.run import sweep
@@ -185,7 +167,7 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
         last_words.append(_kept(store))
     try:
         found = sweep(store=store, **request)
-    except ValueError as error:
+    except (ValueError, ModuleNotFoundError) as error:
         refuse(error)
     except OSError as error:
         if store is None:

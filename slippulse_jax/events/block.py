@@ -60,7 +60,7 @@ class BlockPrecursor(eqx.Module):
     nucleation: Int[Array, ""]  # contact that breaks first
     contacts_broken: Int[Array, ""]
     breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
-    length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops
+    length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops; extrapolated where `precursor_length` does
     load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in K u_s
     status: Int[Array, ""]  # an `Outcome`
     stress_before: Float[Array, " sites"]  # at nucleation
@@ -285,9 +285,10 @@ def length(
 ) -> Float[Array, ""]:
     """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
     given, tree = jax.tree.flatten((block, interface, rule))
+    types = [x.dtype for x in given]
 
     def one(*numbers: Array) -> Array:
-        here = [x.astype(like.dtype) for x, like in zip(numbers, given, strict=True)]
+        here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
         block, interface, rule = jax.tree.unflatten(tree, here)
         body = contacts_of(block, interface, sites)
         if isinstance(rule, SmoothBreak):

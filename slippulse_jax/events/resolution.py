@@ -60,6 +60,13 @@ class NotFollowed(ValueError):
         )
 
 
+def _without_length(block: Block, interface: Interface | Profile | None, status: Any) -> Exception:
+    """Make the error for an event of which nothing is known."""
+    where = f"{block}" if interface is None else f"{block} on {interface}"
+    kind = ValueError if status == Outcome.INVALID else NotConverged
+    return kind(f"no length of {where}: {Outcome(int(status)).message}")
+
+
 # --- one block ---------------------------------------------------------------------------------------------------------
 
 
@@ -67,11 +74,18 @@ def first_precursor(
     block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind
 ) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
-    found = in_double(_resolved)((block, interface), sites, partial(blocks.record, kind=kind))
+    found = in_double(_record)(block, interface, sites, kind)
     _warn_of_few_sites(block, sites, found.length)
     if block.contacts is not None:  # no more than it has
         found = jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
     return dataclasses.replace(found, block=block)  # not rounded
+
+
+def _record(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
+    found = _resolved((block, interface), sites, partial(blocks.record, kind=kind))
+    if isinstance(interface, Profile) or not _is_tall(block, sites):
+        return found
+    return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
 
 
 def precursor_length(
@@ -82,8 +96,12 @@ def precursor_length(
     if not is_traced(given) or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         found = in_double(_length)(*given, sites, kind)
         _warn_of_few_sites(block, sites, found)
-        if block.friction is not None and not isinstance(found, Tracer) and np.isnan(found):
-            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=3)
+        if not isinstance(found, Tracer) and np.isnan(found):
+            tall = not isinstance(interface, Profile) and _is_tall(block, sites)  # which would have raised for any other reason
+            status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
+            if status != Outcome.LIFT_OFF:
+                raise _without_length(block, interface, status)
+            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
         return found
     _known(given, blocks.IN_DOUBLE)
     numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
@@ -103,14 +121,18 @@ def _length(
     block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
 ) -> Float[Array, ""]:
     smooth = isinstance(rule, SmoothBreak)
-    every = sites is not None or block.length is not None or smooth
-    if not every and not isinstance(interface, Profile) and _known(block).height > TALL:
+    if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
         begins = int(_resolved((block, interface), sites, partial(blocks.record, kind=kind)).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
+
+
+def _is_tall(block: Block, sites: Numbers | None) -> bool:
+    """Whether a length is extrapolated, on thresholds that are no profile."""
+    return sites is None and block.length is None and bool(_known(block).height > TALL)
 
 
 Found = TypeVar("Found", Array, BlockPrecursor)
@@ -142,7 +164,7 @@ def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> No
         warnings.warn(
             f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
@@ -358,7 +380,7 @@ def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.nda
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
     if lost.any():
         block, interface = _some(body, np.argmax(lost))
-        raise NotConverged(f"no length of {block} on {interface}: {Outcome(int(status[lost][0])).message}")
+        raise _without_length(block, interface, status[lost][0])
     return length, broken, status
 
 

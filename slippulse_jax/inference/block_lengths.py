@@ -14,7 +14,6 @@ input alone. Nodes are kept for the next fit.
 
 import itertools
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from jaxtyping import Float, Int
 from scipy.interpolate import PchipInterpolator
 from tqdm.auto import tqdm
 
-from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.bulk.chunks import distinct_rows, workers
 from slippulse_jax.events.resolution import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.interface import Interface
@@ -61,8 +60,8 @@ MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER, RUBBING = 4, 32
 """Nodes of one block computed at once: of several b, or, at one b, of several coefficients of friction."""
-AT_ONCE, LONG = 32, 20.0
-"""Events after which progress is shown, and a long time in s."""
+COMPILING, AN_EVENT = 10, 0.4
+"""Usual times in s to compile, and of a part of several events."""
 
 NONE = np.empty((0, len(GEOMETRY)))
 """No blocks."""
@@ -443,7 +442,7 @@ def _follow(keys: Sequence[Key]) -> None:
     """Compute nodes that are not known yet."""
     new = [key for key in dict.fromkeys(keys) if key[2] not in _known.setdefault(key[:2], {})]
     held = [key for key in new if _driven(key[0])]
-    for part in _announced([held[i : i + AT_ONCE] for i in range(0, len(held), AT_ONCE)]):
+    for part in _announced(held):
         geometry = np.array([key[0] for key in part])
         found, error = _each(geometry, UNIT * np.array([key[2] for key in part]), np.full(len(part), 1 / TALLEST))
         for key, value, off in zip(part, found, error, strict=True):
@@ -504,8 +503,7 @@ def _lengths(keys: list[Key]) -> list[float]:
         most = RUBBING if _pressed(geometry) else TOGETHER
         parts += [every[i : i + most] for i in range(0, len(every), most)]
     for alike in _alike(np.array([part[0][0] for part in parts]), np.array([part[0][1] for part in parts])) if parts else ():
-        kind = [parts[i] for i in alike]
-        for some in _announced([kind[i : i + AT_ONCE] for i in range(0, len(kind), AT_ONCE)]):
+        for some in _announced([parts[i] for i in alike]):
             _computed.update(zip(itertools.chain(*some), _events(some), strict=True))
     return [_computed[key] for key in keys]
 
@@ -581,14 +579,15 @@ def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0
     return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)))
 
 
-def _announced(parts: list[list[Any]]) -> Iterator[list[Any]]:
-    """Show the progress of the nodes computed: a bar on a terminal; elsewhere a line, once, if they take long."""
-    count, begun = sum(map(len, parts)), time.monotonic()
-    with tqdm(total=count, desc="events followed", unit=" events", delay=2, leave=False, disable=None) as bar:
-        for number, part in enumerate(parts):
-            yield part
-            bar.update(len(part))
-            left = (time.monotonic() - begun) / (number + 1) * (len(parts) - 1 - number)
-            if number == 1 and bar.disable and left > LONG and sys.stderr is not None:
-                text = f"following {count} events of blocks, which takes about {left:.0f} s more"
-                print(text, file=sys.stderr, flush=True)
+def _announced(every: list[Any]) -> Iterator[list[Any]]:
+    """Cut into parts of an event per thread, and show progress: a bar on a terminal, elsewhere one line, once."""
+    delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
+    what = {"desc": "events followed (the first compiles)", "unit": " events", "delay": delay, "leave": False}
+    with tqdm(total=len(every), disable=None, **what) as bar:
+        if bar.disable and every and not _computed and not any(_known.values()) and sys.stderr is not None:
+            about = COMPILING + len(every) * AN_EVENT / workers()
+            text = f"following {len(every)} events of blocks at first: about {about:.0f} s, {COMPILING} of them to compile"
+            print(text, file=sys.stderr, flush=True)
+        for start in range(0, len(every), workers()):
+            yield every[start : start + workers()]
+            bar.update(len(every[start : start + workers()]))

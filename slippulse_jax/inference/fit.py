@@ -397,7 +397,7 @@ def fit(
 def _warn_of_mistakes(m: Measurements, wanted: list[Parameter]) -> None:
     prestressed = any(one.name == "prestress" for one in wanted)
     for mistake in (*likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)):
-        warnings.warn(mistake, MeasurementWarning, stacklevel=3)
+        warnings.warn(mistake, MeasurementWarning, stacklevel=4)
 
 
 @contextmanager

@@ -413,7 +413,7 @@ class Measurements:
         return np.zeros(len(self)) if column is None else column
 
 
-def check_used(m: Measurements, what: str, *, stacklevel: int = 3) -> None:
+def check_used(m: Measurements, what: str, *, stacklevel: int = 4) -> None:
     """Refuse blocks with an end and soft machines for a caller that ignores them, and warn of other unused columns.
 
     Errors of inputs, errors that measured lengths share, and gauges would have changed the errors of the result.

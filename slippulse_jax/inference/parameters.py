@@ -17,6 +17,7 @@ from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Front, WholeEvent, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.keywords import did_you_mean
 from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
@@ -82,7 +83,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if self.name not in PARAMETERS:
-            raise ValueError(f"parameter {self.name!r}: one of {', '.join(PARAMETERS)}")
+            raise ValueError(f"parameter {self.name!r}: one of {', '.join(PARAMETERS)}{did_you_mean(self.name, PARAMETERS)}")
         if self.each not in (None, "specimen"):
             raise ValueError(f"parameter {self.name}: each = {self.each!r}: 'specimen' or nothing")
         positive = PARAMETERS[self.name].log

@@ -267,7 +267,7 @@ def posterior(
         They start at the roots in turn: a second root that they do not mix with shows in R-hat.
     seed : int
     progress : bool, optional
-        Whether to show a progress bar; by default on a terminal.
+        Whether to show a progress bar; by default on a terminal, and a line on stderr elsewhere.
 
     Returns
     -------
@@ -288,6 +288,8 @@ def posterior(
     _arviz()
     from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
 
+    if progress is not False and sys.stderr is not None:  # before the bar, which opens after compiling
+        print(f"sampling {chains} chains of {warmup + samples} steps: about 40 s to compile first", file=sys.stderr, flush=True)
     low, high = result.parameters.low, result.parameters.high
     starts = np.array([one.theta for one in result.roots] or [result.theta])
     unbounded = np.resize(logit(np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)), (chains, len(low)))

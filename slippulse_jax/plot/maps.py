@@ -31,7 +31,7 @@ LINES = 8
 
 
 @style.drawn
-def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
+def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output of a sweep.
 
     It is a line for each of at most 8 values of an axis, or a map over two axes. If the sweep has a status, lines are dashed
@@ -39,7 +39,7 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
 
     Parameters
     ----------
-    found : xarray.Dataset
+    found : xarray.Dataset or xarray.DataArray
         Result of `sweep` with one or two axes of more than one value; select from the others with ``.sel`` first.
     name : str, optional
         Output to draw; the first by default.
@@ -50,6 +50,8 @@ def sweep(found: "xr.Dataset", name: str | None = None, *, ax: "Axes | None" = N
     ValueError
         If the number of such axes is neither one nor two.
     """
+    if not hasattr(found, "data_vars"):  # one output
+        found = cast("xr.DataArray", found).to_dataset(name=str(name or found.name or "value"))
     column = found[str(next(iter(found.data_vars))) if name is None else name].squeeze()
     axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
     if "point" in axes:

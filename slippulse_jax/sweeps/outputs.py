@@ -17,6 +17,7 @@ from slippulse_jax.events import resolution
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
+from slippulse_jax.keywords import did_you_mean
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -243,7 +244,8 @@ def choose(requested: str | Iterable[str], parameters: Iterable[str]) -> tuple[s
     chosen: dict[str, None] = {}
     for name in (requested,) if isinstance(requested, str) else requested:
         if name not in OUTPUTS and name not in SETS:
-            raise ValueError(f"output {name!r}: must be one of {', '.join((*OUTPUTS, *SETS))}")
+            known = *OUTPUTS, *SETS
+            raise ValueError(f"output {name!r}: must be one of {', '.join(known)}{did_you_mean(name, known)}")
         if name in OUTPUTS and (objection := _objection(name, beyond)):
             raise ValueError(objection)
         chosen |= {one: None for one in SETS.get(name, (name,)) if not _objection(one, beyond)}

@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from tqdm.auto import tqdm
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.bodies.modes import RightEnd, check_right_end
 from slippulse_jax.bulk.chunks import in_this_thread
+from slippulse_jax.files import shortened
 from slippulse_jax.front.arrest import check_max_contacts
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface
@@ -27,10 +29,16 @@ if TYPE_CHECKING:
     from distributed import Client
 
 OF_LENGTHS, OF_BLOCKS, OF_OTHERS = 1 << 20, 1 << 7, 1 << 14
-"""Points per chunk by default: of lengths by the recursion, of blocks, and of anything between."""
+"""Points per chunk by default: of lengths by the recursion and other quick outputs, of blocks, and of anything between."""
 
 TASKS, POINTS_PER_TASK = 256, 1 << 12
 """Number of chunks into which Dask cuts a sweep without a store, and the fewest points of each."""
+
+QUICK = {"length", "contacts_broken", "status", "edge_stress", "is_one_domino", "nucleation_load", "b", "slow_decay_length"}
+"""Outputs that take no longer than lengths."""
+
+TIMEOUT = 10
+"""Seconds to wait for a scheduler to answer."""
 
 RETRIES = 2
 """Retries of a failed Dask task."""
@@ -65,7 +73,7 @@ def sweep(
     resume: bool = True,
     chunk: int | None = None,
     share: tuple[int, int] | None = None,
-    client: "Client | None" = None,
+    client: "Client | str | None" = None,
     lazy: bool = False,
     progress: bool | None = None,
 ) -> xr.Dataset:
@@ -106,8 +114,9 @@ def sweep(
         Largest number of points per chunk of the store, or per task.
     share : (int, int), optional
         Index and number of the processes that share the store without a scheduler. Chunk i belongs to process i mod number.
-    client : dask.distributed.Client, optional
-        Cluster on which the chunks are computed, each on one thread of a worker. With a store the workers write it themselves.
+    client : dask.distributed.Client or str, optional
+        Cluster on which the chunks are computed, each on one thread of a worker; or the address of its scheduler, such as
+        ``"tcp://node0:8786"``. With a store the workers write it themselves.
     lazy : bool
         Return dask arrays: a chunk is computed when one of its values is needed.
     progress : bool, optional
@@ -122,7 +131,7 @@ def sweep(
     Raises
     ------
     ValueError
-        If a parameter or an output is not valid, before anything is computed.
+        If a parameter or an output is not valid, or no scheduler answers, before anything is computed.
     StoreError
         A `ValueError`: if the store belongs to another request, is damaged, or is no store.
 
@@ -137,13 +146,17 @@ def sweep(
     The bits of a point depend on its own parameters, the processor and the versions alone: not on chunks, resuming, processes
     or number of devices.
     """
-    given = {name: value for name, value in locals().items() if name in PARAMETERS}
+    every: dict[str, Any] = locals().copy()
+    if isinstance(client, str):
+        with connected(client) as every["client"]:
+            return sweep(**every)
+    given = {name: value for name, value in every.items() if name in PARAMETERS}
     axes = make_axes(given, interface, points=points, push_control=push_control, contact_law=contact_law, top=top)
     check_right_end(right, sites)
     check_max_contacts(max_contacts)
     request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control, contact_law, top)
     _check_options(request, store, chunk, share, client, lazy)
-    most = chunk or _default_chunk(request, tasks=lazy or (client is not None and store is None))
+    most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
     if lazy:
         return _lazily(request, most)
     if store is None:
@@ -186,9 +199,9 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
     return stored.assign_attrs(complete=int(is_complete(stored, request)))
 
 
-def _default_chunk(request: Request, *, tasks: bool) -> int:
+def default_chunk(request: Request, *, tasks: bool) -> int:
     """Points per chunk: few files, but little lost if the process is killed; smaller for tasks in memory."""
-    chunk = OF_LENGTHS if {*request.outputs} <= {"length", "nucleation_load"} else OF_OTHERS
+    chunk = OF_LENGTHS if {*request.outputs} <= QUICK else OF_OTHERS
     chunk = OF_BLOCKS if "block_precursor_length" in request.outputs else chunk
     return min(chunk, max(POINTS_PER_TASK, -(-math.prod(request.shape) // TASKS))) if tasks else chunk
 
@@ -208,6 +221,21 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
         raise ValueError("share is for processes without a scheduler: leave it out with a client")
     if share is not None and store is None:
         raise ValueError(f"{share[1]} processes share this sweep: give it a store they can all write to")
+    if client is not None and not isinstance(client, getattr(sys.modules.get("distributed"), "Client", ())):
+        kind = type(client).__name__
+        raise TypeError(f'client is {kind}: must be a distributed.Client, or an address such as "tcp://node0:8786"')
+
+
+def connected(address: str) -> "Client":
+    """Connect to a Dask scheduler; a ValueError if none answers, a ModuleNotFoundError without Dask."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ModuleNotFoundError("a scheduler needs Dask: pip install 'slippulse_jax[cluster]'") from None
+    try:
+        return Client(address, timeout=TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"no Dask scheduler answers at {address} ({shortened(str(error))})") from None
 
 
 def _run(
@@ -221,7 +249,7 @@ def _run(
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
         for region, (columns, remarks) in here if client is None else _on_workers(client, compute, chunks):
             for remark in remarks - said:
-                warnings.warn(remark, RuntimeWarning, stacklevel=3)
+                warnings.warn(remark, RuntimeWarning, stacklevel=4)
             said |= remarks
             yield region, columns
             bar.update(math.prod(shape_of(region)))

@@ -58,7 +58,9 @@ def create(url: str, request: Request, chunk: int, processor: str) -> None:
         # a process killed while creating the store left some of ours
         others = {name for name in there if not name.startswith(".")} - {key.split("/")[0] for key in documents}
         if (others or any(files.exists(f"{root}/{name}/c") for name in request.outputs)) and not is_store(url):
-            what = "a file" if files.isfile(root) else "a folder with other things in it"
+            left = any(files.exists(f"{root}/{name}/{MANIFEST}") for name in there)
+            other = f"what is left of a store whose {MANIFEST} is missing" if left else "a folder with other things in it"
+            what = "a file" if files.isfile(root) else other
             raise StoreError(f"{url}: is {what}; give a new or empty folder")
         for key in [*(documents.keys() - {MANIFEST}), MANIFEST]:
             if isinstance(files, LocalFileSystem):
@@ -111,6 +113,7 @@ def open_store(url: str) -> tuple[xr.Dataset, Request]:
             outputs = [(found[name], OUTPUTS[name].dtype) for name in request.outputs]
             form = request.shape, chunk_shape(request.shape, about["chunk"])
             held = all((one.shape, one.encoding["chunks"], one.dtype) == (*form, dtype) for one, dtype in outputs)
+            held = held and json.loads(about["request"]) == request.describe()
             for one, dtype in outputs:
                 if "flag_values" in one.attrs:
                     one.attrs["flag_values"] = np.array(one.attrs["flag_values"], dtype)

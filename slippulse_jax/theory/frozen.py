@@ -114,7 +114,7 @@ def _a3_parts(slider: Slider, s: Array, printed: bool) -> tuple[Array, Array]:
     slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
     # rate κ_2 + 2nκ: the far part of Ψ_6' starts at n = 0, the near part at n = 1
     power = exponential_terms(g)
-    n = np.arange(power.size + 1)
+    n = np.arange(power.size + 1, dtype=power.dtype)
     weight = source * (slope_far * jnp.pad(power, (0, 1)) + slope_near * jnp.pad(power, (1, 0)))
     forced = jnp.exp(-g * jnp.exp(-2 * k * s)) * (weight @ overlap(a, k2 + 2 * n * k, s))
     return -a * s - g * jnp.expm1(-2 * k * s), forced

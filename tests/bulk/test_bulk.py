@@ -1,5 +1,9 @@
 """Lengths in bulk: three kernels, each against the one-front functions."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -141,3 +145,48 @@ def test_rank_follows_the_length():
     long_enough = length[order] > 5
     chunks = np.array_split(length[order][long_enough], 40)
     assert np.mean([chunk.max() / chunk.mean() for chunk in chunks]) < 1.5
+
+
+FORKED = """
+import os, warnings, jax
+import numpy as np
+import slippulse_jax as sp
+warnings.simplefilter("ignore")
+slider, si = sp.Slider(25.0, 0.03, 0.3), dict(correlation_length=1e-5, young=3e9, poisson=0.3)
+table = sp.Measurements.from_si(height=[0.01, 0.02], length=[0.01, 0.015], length_sigma=[1e-3, 1e-3], **si)
+calls = {
+    "before": lambda: np.ceil(slider.height),
+    "precursor_lengths": lambda: sp.precursor_lengths(slider),
+    "precursor_length": lambda: sp.precursor_length(slider),
+    "first_precursor of a block": lambda: sp.first_precursor(sp.Block(25.0, 0.03, 0.3)),
+    "exact_length": lambda: sp.exact_length(slider),
+    "exact_lengths": lambda: sp.exact_lengths(slider),
+    "onset": lambda: sp.rebreaking_onset(25.0, 0.3),
+    "chain": lambda: sp.chain(slider, sites=8),
+    "sensitivity": lambda: sp.sensitivity(slider, sites=8),
+    "sweep": lambda: sp.sweep(height=[10.0, 20.0], stiffness=0.03, poisson=0.3, outputs="length"),
+    "fit": lambda: sp.fit(table),
+}
+
+def in_child(call):
+    if (child := os.fork()) == 0:
+        try:
+            call()
+            os._exit(0)
+        except RuntimeError as error:
+            os._exit(1 if "get_context(\\"spawn\\")" in str(error) else 2)
+        except BaseException:
+            os._exit(3)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+print(in_child(calls["before"]), end=" ")
+jax.devices()  # as any call does
+print([name for name, call in calls.items() if in_child(call) != 1])
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.ci
+def test_a_child_of_fork_names_spawn_instead_of_waiting_for_ever():
+    done = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "0 ['before']\n"), done.stderr

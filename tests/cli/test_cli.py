@@ -7,12 +7,15 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import slippulse_jax as sp
 from slippulse_jax.cli import main as cli
+from slippulse_jax.events import resolution
+from slippulse_jax.exact import front as exact_front
 from slippulse_jax.files import plain
 from slippulse_jax.status import Outcome
 
@@ -101,6 +104,42 @@ def test_compiled_programs_are_kept_between_calls(own_cache):
 
 
 @pytest.mark.ci
+def test_an_unreadable_program_is_compiled_once_more(own_cache):
+    """Whatever is wrong with it; the others stay."""
+    code = """
+import os, shutil, sys, warnings
+from pathlib import Path
+from slippulse_jax.cli import cache, main
+cache.keep_compiled_programs()
+warnings.showwarning = main._show
+import jax
+folder = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+
+def compiled():
+    jax.clear_caches()
+    jax.jit(lambda x: 2 * x)(1.0), jax.jit(lambda x: 3 * x)(1.0)  # two programs of one name
+
+compiled()
+whole = {path: path.read_bytes() for path in folder.glob("*-cache")}
+path, content = next((path, content) for path, content in whole.items() if "lambda" in path.name)
+assert sum("lambda" in path.name for path in whole) == 2
+size = len(content)
+for bad in [b"", b"0", content[:4], content[:100], content[: size // 2], content[:-1], b"garbage " * 100, None]:
+    path.unlink()
+    path.mkdir() if bad is None else path.write_bytes(bad)
+    compiled()
+    now = {path: path.read_bytes() for path in folder.glob("*-cache")}
+    assert now == whole | {path: now[path]}, bad
+    assert len(now[path]) > 0.9 * size, bad
+    compiled()
+    assert path.read_bytes() == now[path], bad
+print("whole")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=own_cache[0])
+    assert (done.stdout, done.stderr) == ("whole\n", "")
+
+
+@pytest.mark.ci
 def test_the_cache_can_be_switched_off_and_may_be_unwritable(own_cache):
     env, folder = own_cache
     assert slippulse("--no-cache", "length", *FIG2, env=env).returncode == 0
@@ -147,6 +186,23 @@ def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_proc
     text = in_this_process("length", *FIG2, "--machine", "2").stdout
     assert "machine M/K = 2" in text
     assert "displacement of the machine at nucleation" in text
+
+
+@pytest.mark.parametrize(
+    ("status", "code"), [(Outcome.INVALID, 2), (Outcome.LIMIT, 3), (Outcome.NOT_CONVERGED, 3), (Outcome.LIFT_OFF, 0)]
+)
+@pytest.mark.parametrize("friction", [[], ["--friction", "0.3"]])
+@pytest.mark.filterwarnings("ignore:Block:RuntimeWarning")
+def test_a_block_without_a_length_says_why(status, code, friction, monkeypatch, in_this_process):
+    """Whatever its outcome; only a block that lifts off is said to lift off."""
+    monkeypatch.setattr(resolution, "_length", lambda *_: np.nan)
+    monkeypatch.setattr(resolution, "_record", lambda *_: SimpleNamespace(status=status))
+    monkeypatch.setattr(exact_front, "exact_length", lambda _: np.nan)
+    done = in_this_process("length", *FIG2, "--push-height", "0.3", *friction)
+    assert done.returncode == code
+    assert ("none: the block lifts off" in done.stdout) == (status is Outcome.LIFT_OFF)
+    assert "nan" not in done.stdout
+    assert status.message in done.stderr or code == 0
 
 
 def test_numbers_that_are_not_finite_are_null():

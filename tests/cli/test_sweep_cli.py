@@ -157,7 +157,7 @@ def test_store_that_vanishes(tmp_path, monkeypatch):
 )
 def test_bad_usage(arguments, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("slippulse_jax.cli.sweep.TIMEOUT", 1)
+    monkeypatch.setattr("slippulse_jax.sweeps.run.TIMEOUT", 1)
     done = invoke(*arguments)
     assert done.exit_code == 2
     assert message in done.stderr

@@ -4,7 +4,8 @@ import dataclasses
 import importlib.util
 import json
 import re
-import time
+import sys
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -500,20 +501,28 @@ def test_a_machine_beside_a_push_is_refused_by_the_names_of_its_columns():
 # --- progress -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("slow", [False, True])
-def test_long_computations_are_announced_once(slow, capsys, monkeypatch):
-    """On a stderr that is no terminal, where a bar would not be seen; quick ones are not."""
-    if slow:
-        monkeypatch.setattr(block_lengths, "LONG", 0.05)
-
-    parts = [[number] * 4 for number in range(6)]
-    for part, expected in zip(block_lengths._announced(parts), parts, strict=True):
-        assert part == expected
-        time.sleep(0.03)
+def test_events_are_announced_at_once_and_counted_one_by_one(capsys, monkeypatch):
+    """By one line on a stderr that is no terminal, by a bar on one; and nothing more of the next events."""
+    monkeypatch.setattr(block_lengths, "workers", lambda: 1)
+    monkeypatch.setattr(block_lengths, "_computed", {})
+    monkeypatch.setattr(block_lengths, "_known", {"a place": {}})
+    parts = block_lengths._announced([1, 2, 3])
+    assert next(parts) == [1]
     out, err = capsys.readouterr()
     assert out == ""
-    assert bool(re.fullmatch(rf"following {24} events of blocks, which takes about \d+ s more\n", err)) == slow
-    assert bool(err) == slow
+    assert re.fullmatch(r"following 3 events of blocks at first: about \d+ s, 10 of them to compile\n", err)
+    assert list(parts) == [[2], [3]]
+    block_lengths._computed["a key"] = 1.0
+    assert list(block_lengths._announced([4])) == [[4]]
+    assert list(block_lengths._announced([])) == []
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with monkeypatch.context() as quick:
+        quick.setattr(block_lengths, "tqdm", partial(block_lengths.tqdm, mininterval=0, miniters=1))
+        shown = []
+        for _ in block_lengths._announced([1, 2, 3]):
+            shown.append(capsys.readouterr().err)
+    assert ["| 0/3 [" in shown[0], "| 1/3 [" in shown[1], "| 2/3 [" in shown[2]] == [True] * 3
 
 
 # --- pressure ------------------------------------------------------------------------------------------------------------

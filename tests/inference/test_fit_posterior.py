@@ -91,12 +91,13 @@ def test_command_line(monkeypatch):
 
 
 @pytest.mark.ci
-def test_arviz_takes_the_posterior(monkeypatch):
+def test_arviz_takes_the_posterior(monkeypatch, capsys):
     """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
     az = import_arviz()
     result = fit(DATA)
     monkeypatch.setattr(FirstFront, "traced", tabulated(result.measurements))
-    drawn = result.posterior(samples=60, warmup=60, chains=2, progress=False)
+    drawn = result.posterior(samples=60, warmup=60, chains=2)
+    assert capsys.readouterr().err.startswith("sampling 2 chains of 120 steps: about ")
     tree = drawn.to_arviz()
     table = az.summary(tree)
     assert list(table.index) == ["areal_stiffness"]

@@ -1,5 +1,9 @@
 """The slider's numbers against the paper's formulas in many digits, and what it refuses."""
 
+import inspect
+import pickle
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +14,10 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax import Slider, precursor_length
 from slippulse_jax.exact.front import exact_front_stress
+from slippulse_jax.slider import of_one_type
 from slippulse_jax.units import quantities
+
+SLIDER = Slider(25.0, 0.03, 0.3)
 
 
 def formulas(height, stiffness, poisson):
@@ -230,3 +237,86 @@ def test_a_batch_of_records_needs_its_size():
     """The message shows the call that works."""
     with pytest.raises(ValueError, match=r"recorded_sites=200\)\)\(sliders\)"):
         jax.vmap(sp.first_precursor)(Slider(jnp.array([10.0, 25.0]), jnp.full(2, 0.03), jnp.full(2, 0.3)))
+
+
+@pytest.mark.parametrize("call", [name for name in sp.__all__ if callable(getattr(sp, name))])
+def test_an_unknown_argument_is_named_with_the_one_meant(call):
+    """Of every public class and function; `pulse_or_crack` hands all that it does not know to `fit`."""
+    public = getattr(sp, call)
+    known = [one.name for one in inspect.signature(public).parameters.values() if one.kind is not one.VAR_KEYWORD]
+    longest = max(known, key=len)
+    if call != "pulse_or_crack":
+        wrong = longest[:-2] + longest[:-3:-1] + "_"  # its last letters exchanged
+        with pytest.raises(TypeError, match=f"^{call} has no argument {wrong}: did you mean {longest}"):
+            public(**{wrong: 1})
+        with pytest.raises(TypeError, match=f"^{call} has no argument qqqq"):
+            public(qqqq=1)
+    with pytest.raises(TypeError, match=f"^{call} takes .* arguments by place"):
+        public(*(99 * [{}]))
+    assert pickle.loads(pickle.dumps(public)) is public
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: sp.Slider(heigth=25.0, stiffness=0.03, poisson=0.3), "Slider has no argument heigth: did you mean height?"),
+        (lambda: sp.Slider.from_material(heigth=25.0), "Slider.from_material has no argument heigth: did you mean height?"),
+        (
+            lambda: sp.sweep({"height": 25.0}),
+            "sweep takes no arguments by place; give the others by name, such as sweep(**request)",
+        ),
+        (lambda: sp.fit(height=[1.0]), "fit has no argument height; its first argument is a table: read_measurements(file)"),
+        (
+            lambda: sp.Measurements(height_mm=[1.0]),
+            "did you mean height? Measurements.from_si takes SI units, Measurements.from_da",
+        ),
+        (lambda: sp.Parameter("stiffnes"), "arrest; did you mean stiffness?"),
+        (lambda: sp.precursor_length(SLIDER, event="ful"), "did you mean full?"),
+        (lambda: sp.sweep(height=[9.0], stiffness=1.0, poisson=0.0, outputs="lenght"), "; did you mean length?"),
+    ],
+)
+def test_a_word_that_is_not_known_names_the_one_meant(call, message):
+    with pytest.raises((TypeError, ValueError), match=re.escape(message)):
+        call()
+
+
+def test_a_warning_points_at_the_call_not_into_the_package():
+    with pytest.warns(RuntimeWarning, match="have no length") as caught:
+        sp.precursor_lengths(SLIDER, max_contacts=5)
+    assert caught[0].filename == __file__
+
+
+HALF = [jnp.bfloat16, jnp.float16, jnp.float8_e4m3fn]
+
+
+@pytest.mark.parametrize("dtype", HALF)
+def test_half_precision_is_taken_as_single(dtype):
+    """In every field of every body and interface, also as NumPy has it, traced, and in fields that were converted later."""
+    two, parts = jnp.asarray(2, dtype), jnp.asarray([1, 0.5], dtype)
+    every = sp.Slider(two, two, 0 * two), sp.Interface(parts[1], two), sp.Profile(parts, parts[1] / 4)
+    every = *every, sp.Block(two, two, 0 * two, sp.Push(parts[1], parts[1]), normal_stiffness=two, friction=two)
+    numbers = [x for x in jax.tree.leaves(every) if jnp.issubdtype(x.dtype, jnp.floating)]
+    assert len(numbers) == 14
+    assert {str(x.dtype) for x in numbers} == {"float32"}
+    assert jax.jit(lambda x: Slider(x, x, 0 * x).height)(two).dtype == jnp.float32
+    assert Slider(np.asarray(two), 1, 0).height == np.float64(2)
+    later = jax.tree.map(lambda x: jnp.asarray(x, dtype), sp.Slider(2.0, 2.0, 0.0))
+    in_half = sp.chain(later, sites=4, threshold=two, prestress=parts[1], contact=two)
+    assert {str(x.dtype) for x in (*of_one_type(later, two), *jax.tree.leaves(in_half))} == {"float32"}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("length", [sp.exact_length, sp.precursor_length, lambda *body: sp.first_precursor(*body).length])
+def test_lengths_of_half_precision_are_those_of_single(length):
+    def body(dtype, convert=jnp.asarray):
+        return sp.Slider(*(convert(x, dtype) for x in (25.0, 0.03125, 0.3125))), sp.Interface(
+            *(convert(x, dtype) for x in (0.125, 0.0))
+        )
+
+    single = float(length(*body(jnp.float32)))
+    assert np.isfinite(single)
+    for dtype in HALF[:2]:
+        found = length(*body(dtype))
+        assert (float(found), found.dtype) == (single, jnp.float32)
+    in_half = jax.tree.map(lambda x: x.astype(jnp.bfloat16), body(jnp.float32))
+    assert float(length(*in_half)) == single

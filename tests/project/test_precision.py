@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import default_precision
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.bulk import chunks
 
 pytestmark = pytest.mark.ci
 
@@ -34,6 +36,8 @@ def test_public_functions_by_default():
         assert np.isfinite(scale), name
         np.testing.assert_allclose(found[name], exact[name], rtol=error, atol=error * scale, err_msg=name)
     assert found["slider"] != exact["slider"], "the process was in double precision"
+    for one in (found, exact):
+        assert one["a tall block"] == one["a push at a third"], "the length and the record of one block"
 
 
 def test_blocks_that_single_precision_cannot_do(float32):
@@ -93,3 +97,23 @@ def test_pages_pasted_into_a_new_process(page, tmp_path):
     program.write_text(text, encoding="utf-8")
     done = subprocess.run([sys.executable, program], capture_output=True, text=True, env=AS_IT_IS, cwd=ROOT)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("flag", "call"),
+    [
+        (jax.checking_leaks, lambda: sp.precursor_lengths(default_precision.SLIDER)),
+        (jax.checking_leaks, lambda: sp.precursor_length(sp.Block(8.0, 0.05, 0.3), sites=64)),
+        (partial(jax.numpy_dtype_promotion, "strict"), lambda: sp.theory.length_frozen(default_precision.SLIDER)),
+        (
+            partial(jax.numpy_dtype_promotion, "strict"),
+            lambda: sp.simulate_inertial(sp.chain(default_precision.SLIDER, sites=8), duration=2.0),
+        ),
+    ],
+)
+def test_the_checks_that_jax_offers_stop_nothing(flag, call, float32):
+    """As a user turns them on for a program of his own; the programs are traced under them."""
+    chunks._program.cache_clear()
+    jax.clear_caches()
+    with flag():
+        call()

@@ -2,6 +2,8 @@
 
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import jax
 import numpy as np
@@ -14,6 +16,7 @@ from slippulse_jax import plot
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps import outputs as table
+from slippulse_jax.sweeps import run
 from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, SLIDER, Request, make_axes
 
 AXES = {"height": np.array([10.0, 25.0, 50.0]), "stiffness": np.array([0.003, 0.01, 0.03, 0.1]), "poisson": 0.3}
@@ -160,7 +163,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"chunk": 0}, "chunk = 0"),
         ({"share": (2, 2)}, r"share = \(2, 2\)"),
         ({"share": (0, 2)}, "give it a store"),
-        ({"share": (0, 2), "client": "a client"}, "share is for processes without a scheduler"),
+        ({"share": (0, 2), "client": object()}, "share is for processes without a scheduler"),
         ({"lazy": True, "store": "s"}, "lazy = True takes no store and no client"),
     ],
 )
@@ -168,6 +171,27 @@ def test_refusals_come_before_any_work(given, message, monkeypatch):
     monkeypatch.setattr("slippulse_jax.sweeps.run.evaluate", None)
     with pytest.raises(ValueError, match=message):
         sp.sweep(**{"height": 25.0, "stiffness": 0.03, "poisson": 0.3, **given})
+
+
+@pytest.mark.parametrize("client", [7, ["tcp://node0:8786"], ThreadPoolExecutor(1), sp.sweep])
+def test_what_is_no_client_is_named(client):
+    with pytest.raises(TypeError, match=r"client is \w+: must be a distributed.Client, or an address"):
+        sp.sweep(height=[10.0, 20.0], stiffness=0.03, poisson=0.3, client=client)
+
+
+def test_an_address_is_taken_for_the_client_that_it_leads_to(monkeypatch):
+    asked = []
+    monkeypatch.setattr(run, "connected", lambda address: nullcontext(asked.append(address)))
+    found = sp.sweep(height=[10.0, 20.0], stiffness=0.03, poisson=0.3, outputs="length", client="tcp://node0:8786")
+    assert asked == ["tcp://node0:8786"]
+    assert found.length.shape == (2,)
+
+
+def test_a_sweep_with_a_client_shows_a_bar(monkeypatch, capsys):
+    monkeypatch.setattr(run, "_on_workers", lambda client, compute, chunks: ((one, compute(one)) for one in chunks))
+    chunks = [(slice(0, 4),), (slice(4, 8),)]
+    assert len(list(run._run(lambda _: ({}, set()), chunks, object(), True))) == 2
+    assert "sweep: 100%" in capsys.readouterr().err
 
 
 def test_request_of_a_hundred_million_points_is_small():
@@ -209,6 +233,17 @@ def test_pictures():
     with pytest.raises(ValueError, match=r"not 1 \(point\): leave out points=True"):
         plot.sweep(map_of.stack(point=["height", "stiffness"]))
     assert map_of.length.sel(height=20).plot()
+
+
+def test_one_output_of_a_sweep_is_drawn_alone():
+    """As xarray's users select it: ``found.length``, with the values of the axes that it was selected at."""
+    found = sp.sweep(height=[10.0, 20.0, 30.0], stiffness=[0.02, 0.03], poisson=[0.2, 0.3], outputs="length")
+    chosen = found.sel(poisson=0.3)
+    alone, whole = (plot.sweep(one, ax=Figure().subplots()) for one in (chosen.length, chosen))
+    for own, other in zip(alone.lines, whole.lines, strict=True):
+        np.testing.assert_array_equal(own.get_xydata(), other.get_xydata())
+    assert (alone.get_ylabel(), alone.get_title()) == (whole.get_ylabel(), whole.get_title())
+    assert alone.lines
 
 
 @pytest.mark.ci

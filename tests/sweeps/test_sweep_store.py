@@ -20,6 +20,7 @@ from stores import contents, reference_of, written
 import slippulse_jax as sp
 from slippulse_jax.sweeps import dataset, run
 from slippulse_jax.sweeps import store as stores
+from slippulse_jax.sweeps.outputs import choose
 from slippulse_jax.sweeps.request import Request, chunk_shape, make_axes, regions
 from slippulse_jax.sweeps.store import StoreError
 
@@ -143,6 +144,18 @@ def test_chunks_are_regular_and_large(shape, points):
         for region in regions(shape, points):
             found[region] += 1
         assert (found == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("outputs", "points"),
+    [("length", 1 << 20), (("length", "status"), 1 << 20), (("b", "edge_stress", "nucleation_load"), 1 << 20)]
+    + [(("length", "exact_length"), 1 << 14), ("gradients", 1 << 14), (("status", "block_precursor_length"), 1 << 7)],
+)
+def test_chunks_of_quick_outputs_have_a_million_points(outputs, points):
+    grid = {"height": np.linspace(10, 50, 3000), "stiffness": np.geomspace(1e-3, 0.1, 3000), "poisson": 0.3}
+    pushed = {"push_height": 0.3} if "block_precursor_length" in outputs else {}
+    request = Request(make_axes({**grid, **pushed}), choose(outputs, [*grid, *pushed]))
+    assert run.default_chunk(request, tasks=False) == points
 
 
 def test_dataset_of_a_store_can_be_pickled_and_plotted(reference):
@@ -358,6 +371,26 @@ def test_another_processor_or_release_resumes_with_one_warning(reference, tmp_pa
     assert (found["jaxlib"], found["slippulse_jax"], found["processor"]) == ("0.1", "0.1", "abacus")
 
 
+@pytest.mark.ci
+@pytest.mark.parametrize("part", ["sha256", "size", "max_contacts", "outputs", "sites", "combined", "more"])
+def test_an_edited_request_is_refused(reference, tmp_path, part):
+    store = Path(shutil.copytree(reference, tmp_path / "s"))
+
+    def edit(attributes):
+        request = json.loads(attributes["request"])
+        axis = request["parameters"]["height"]
+        changed = {"sha256": "0" * 64, "size": 7, "outputs": ["length", "status"], "combined": "points"}.get(part, 99)
+        (axis if part in axis else request)[part] = changed
+        attributes["request"] = json.dumps(request)
+
+    rewrite(store, edit)
+    before = contents(store)
+    for way in (sp.open_sweep, lambda store: sp.sweep(**REQUEST, store=store)):
+        with pytest.raises(StoreError, match=r"tampered with|damaged manifest"):
+            way(store)
+    assert contents(store) == before
+
+
 def test_stores_written_before_can_be_resumed():
     """The digest of a request of format 2 stays: the numbers, in this order and these types."""
     fronts = {"height": np.array([10.0, 25, 50]), "stiffness": 0.03, "poisson": 0.3, "prestress": [0, 0.1], "repin_delay": 2}
@@ -471,7 +504,7 @@ def test_killed_while_the_store_was_made(reference, tmp_path, monkeypatch):
     sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
     assert contents(tmp_path / "s") == contents(reference)
     (tmp_path / "s" / "zarr.json").unlink()
-    with pytest.raises(StoreError, match="other things in it"):
+    with pytest.raises(StoreError, match=r"left of a store whose zarr.json is missing"):
         sp.sweep(**REQUEST, store=tmp_path / "s", chunk=CHUNK)
 
 
