@@ -19,7 +19,8 @@ from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
-from slippulse_jax.inference.fitted import IMPROBABLE, LEVELS
+from slippulse_jax.inference.fitted import LEVELS
+from slippulse_jax.inference.likelihood import IMPROBABLE
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
 

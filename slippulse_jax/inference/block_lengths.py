@@ -60,8 +60,8 @@ MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER, RUBBING = 4, 32
 """Nodes of one block computed at once: of several b, or, at one b, of several coefficients of friction."""
-COMPILING, AN_EVENT = 10, 0.4
-"""Usual times in s to compile, and of a part of several events."""
+COMPILING, AN_EVENT, FEW = 10, 0.4, 10
+"""Usual times in s to compile, and of a part of several events; and how many of these take no time worth a word."""
 
 NONE = np.empty((0, len(GEOMETRY)))
 """No blocks."""
@@ -584,7 +584,7 @@ def _announced(every: list[Any]) -> Iterator[list[Any]]:
     delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
     what = {"desc": "events followed (the first compiles)", "unit": " events", "delay": delay, "leave": False}
     with tqdm(total=len(every), disable=None, **what) as bar:
-        if bar.disable and every and not _computed and not any(_known.values()) and sys.stderr is not None:
+        if bar.disable and len(every) > FEW and not _computed and not any(_known.values()) and sys.stderr is not None:
             about = COMPILING + len(every) * AN_EVENT / workers()
             text = f"following {len(every)} events of blocks at first: about {about:.0f} s, {COMPILING} of them to compile"
             print(text, file=sys.stderr, flush=True)

@@ -20,7 +20,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.events.resolution import tall_length
 from slippulse_jax.inference import block_lengths
-from slippulse_jax.inference.block_lengths import BlockLengths, b_of_tall, geometry_of
+from slippulse_jax.inference.block_lengths import BlockLengths, geometry_of
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.inputs import Inputs
@@ -146,15 +146,6 @@ def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
     last = np.exp(2 * block_lengths.WIDEST * block_lengths.UNIT)  # node before those at which events stop early
     np.testing.assert_allclose(found[long & (b < last)], expected[long & (b < last)], rtol=0.04)
     np.testing.assert_allclose(found[long & (b < 20)], expected[long & (b < 20)], rtol=0.06)
-
-
-@pytest.mark.ci
-def test_lengths_that_come_with_the_package_are_what_it_computes():
-    b = b_of_tall(0.6, 0.3)
-    assert np.isnan(b["0.1"])
-    for at in ("0.25", "0.5"):
-        found = BlockLengths()(inputs_of(1e5, [b[at]], float(at)))[0] / 1e5
-        assert found == pytest.approx(0.6, rel=0.02)
 
 
 @pytest.mark.ci
@@ -381,28 +372,6 @@ def test_refusals(changes, options, message):
     m = sp.Measurements(height=HEIGHT, poisson=0.3, length=0.7 * HEIGHT, length_sigma=5, push_height=0.25 * HEIGHT)
     with pytest.raises(ValueError, match=message):
         sp.fit(dataclasses.replace(m, **changes), **options)
-
-
-@pytest.mark.ci
-def test_a_table_that_does_not_say_is_told_what_a_block_would_give():
-    length = sp.exact_lengths(sp.Slider(HEIGHT, stiffness_at(0.6), 0.3))
-    m = sp.Measurements(height=HEIGHT, poisson=0.3, length=length, length_sigma=0.02 * length)
-    found = sp.fit(m)
-    (high, middle, low) = np.exp(next(one for one in found.changes if one.name == "block").moves["stiffness"])
-    block = sp.fit(dataclasses.replace(m, push_height=0.25 * HEIGHT))
-    ratio = block.values["stiffness"] / found.values["stiffness"]
-    assert middle == pytest.approx(ratio, rel=0.1)
-    assert high < 0.3
-    assert np.isnan(low)
-    ratios = [high, middle]
-    rows = section(found.report(), "What else would move it")
-    (row,) = [
-        row for row in rows if row.startswith("  a real block, pushed from 0.5, 0.25, 0.1 H up (column push_height fits one)")
-    ]
-    assert row.endswith(f"  × {ratios[0]:.2g}, × {ratios[1]:.2g}, none fits")
-    factor = f"{ratios[0]:.2g} to {ratios[1]:.2g} times this, or none fits, depending on where its side is pushed."
-    assert f"For a real block the stiffness is {factor}" in unfolded(found.report())
-    assert {"block", "push_width"} & moves(block).keys() == {"push_width"}  # no longer by where it is pushed
 
 
 @pytest.mark.ci
@@ -681,25 +650,6 @@ def test_next_to_a_fall_a_length_says_that_it_may_be_either():
             assert abs(length[i] - exact) < 2 * error[i]
         else:
             assert length[i] == pytest.approx(exact, rel=0.02 if exact > 3 else 0.1)
-
-
-@pytest.mark.ci
-def test_a_table_without_friction_is_told_what_pressure_would_make_of_it():
-    m = of_pressed(friction=None)
-    found = sp.fit(m)
-    moved = np.exp(next(one for one in found.changes if one.name == "pressure").moves["stiffness"])
-    assert moved.shape == (2,)
-    ratio = found.fitted / m.height
-    i = int(np.argsort(ratio)[len(ratio) // 2])
-    push = sp.Push(m.push_height[i] / m.height[i], 0.1)
-    for factor, friction in zip(moved, (0.3, 0.6), strict=True):
-        searched = np.geomspace(0.05, 30, 12) if np.isnan(factor) else [factor]
-        for each in searched:
-            block = sp.Block(m.height[i], each * found.values["stiffness"], 0.3, push, friction=friction)
-            off = float(sp.precursor_length(block, event="full")) / found.fitted[i] - 1
-            assert (abs(off) > 0.1) if np.isnan(factor) else (abs(off) < 0.04)
-    assert not np.allclose(moved, 1, atol=0.1)
-    assert "thresholds that follow the pressure, at μ = 0.3 or 0.6" in found.report()
 
 
 @pytest.mark.ci

@@ -458,7 +458,7 @@ def test_effects_are_in_the_order_of_what_is_printed():
     found = sp.fit(sp.Measurements(height, 0.3, [25.5, 22.4, 20.1], 0.15, provenance=("synthetic",) * 3), intervals="profile")
     cells = [re.split(r" {2,}", row)[-1] for row in section(found.report(), "What else would move it")[1:]]
     percent = [abs(float(cell[:-2])) for cell in cells if cell.endswith("%")]
-    assert len(percent) > 4
+    assert len(percent) >= 4
     assert percent == sorted(percent, reverse=True)
     assert not any(cell.endswith("%") for cell in cells[: len(cells) - len(percent)])
 
@@ -579,7 +579,7 @@ def test_an_offset_is_in_the_unit_of_the_table_wherever_it_is_printed():
 def test_changes_of_an_offset_are_in_order_too():
     result = sp.fit(in_mm(length_sigma_mm=0.3), ["offset"], fixed={"areal_stiffness": 9e9})
     rows = section(result.report(), "What else would move it")[1:]
-    moved = [abs(float(re.search(r"  ([+-][\d.e-]+|0)( mm)?$", row).group(1))) for row in rows]
+    moved = [abs(float(re.search(r"([+-][\d.e-]+|0)( mm)?$", row).group(1))) for row in rows if "machine" not in row]
     assert len(moved) > 5
     assert moved == sorted(moved, reverse=True)
     assert "longest attainable" not in result.report()  # that is a matter of the stiffness, which is held
