@@ -94,12 +94,13 @@ def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
 
 def log_ndtr(x: Array) -> Array:
     """Logarithm of the normal distribution function; below x = −20 by its series, whose derivatives are right however far."""
-    far = jnp.minimum(x, -20.0)
+    is_far = x < -20
+    far = jnp.where(is_far, x, -20.0)
     series = jnp.ones_like(far)
     for k in range(10, 0, -1):
         series = 1 - (2 * k - 1) / far**2 * series
     tail = -(far**2) / 2 - jnp.log(-far) - np.log(2 * np.pi) / 2 + jnp.log(series)
-    return jnp.where(x < -20, tail, special.log_ndtr(jnp.maximum(x, -20.0)))
+    return jnp.where(is_far, tail, special.log_ndtr(jnp.where(is_far, -20.0, x)))
 
 
 COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
