@@ -411,11 +411,11 @@ def _minimised(
         return problem.linearised(problem.predictions(theta), slope if lane is None else slope[lane], theta)
 
     every = np.arange(len(low))
-    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS)
+    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS, enough=limit / 2)
     theta, value = ends.theta, ends.value
     exactly = ~smooth if problem.plain else every >= 0  # the likelihood of a count has corners
     if exactly.any():
-        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20)
+        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20, enough=limit / 2)
         theta[exactly], value[exactly] = again.theta, again.value
     kept = 2 * value <= limit
     low, high, theta, slope = low[kept], high[kept], theta[kept], slope[kept]
