@@ -38,7 +38,7 @@ RUNAWAY = {1: NARROWEST, 2: 1e-3, 3: 1e-2}
 """Width, likewise, of cells on the border of run-away, by the number of parameters: of several it is a surface."""
 ROUNDS = 60
 MOST_HALVED, MOST_LEFT = 30_000, 500
-"""Cells after whose halving a scan ends where it is, ten times what most take; and those then kept, of the least deviance."""
+"""Cells after whose halving a scan ends where it is, ten times what most take; those of the least deviance to start from."""
 CHORDS = 6
 """Steps of the minimisation in a cell, whose derivatives are those of its linear model."""
 NEARBY = 0.5
@@ -165,7 +165,8 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
     elif cells is None:
         starts = _starts(problem, seed)
     else:
-        starts = cells.theta[_promising(cells, low, high)]
+        promising = np.nonzero(_promising(cells, low, high))[0]
+        starts = cells.theta[promising[np.argsort(cells.deviance[promising], kind="stable")[:MOST_LEFT]]]
         if not len(starts):  # in a deep misfit rounding may exclude every cell
             starts = first_look(problem, seed)[None]
         if problem.p == 1:
@@ -415,6 +416,8 @@ def _minimised(
     theta, value = ends.theta, ends.value
     exactly = ~smooth if problem.plain else every >= 0  # the likelihood of a count has corners
     if exactly.any():
+        exactly = np.nonzero(exactly)[0]
+        exactly = exactly[np.argsort(value[exactly], kind="stable")[:MOST_LEFT]]
         again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20, enough=limit / 2)
         theta[exactly], value[exactly] = again.theta, again.value
     kept = 2 * value <= limit
