@@ -31,7 +31,7 @@ from slippulse_jax.inference.search import SLACK, Cells, Root, first_edges
 NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 4  # per node
-EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out
+EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
 CONTENDING = 3.0  # expected deviance above that of the best start, within which a node gets a second start
 STEPS = 25  # of a minimisation at a node
 AT_NODES = 1e-7  # Newton decrement at which it ends
@@ -96,7 +96,7 @@ class Curve(NamedTuple):
     theta: np.ndarray  # (g, p)
 
 
-def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray) -> Curve:
+def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
     """Least deviance at every node with the `held` coordinates fixed there; the best of all starts.
 
     Parameters
@@ -105,13 +105,16 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     nodes : array, shape (g, number held)
     starts : array, shape (s, p) or (g, s, p)
         Values of the other coordinates to start from.
+    enough : float
+        Deviance above which that of a node need not be the least.
     """
     starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
     holding = dataclasses.replace(problem, held=held)
     box = problem.parameters.low, problem.parameters.high
-    found = minimise(holding, starts.reshape(-1, p), *box, held=held, max_steps=STEPS, tolerance=AT_NODES)
+    how = {"max_steps": STEPS, "tolerance": AT_NODES, "enough": enough / 2}
+    found = minimise(holding, starts.reshape(-1, p), *box, held=held, **how)
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
     rows = np.arange(count)
@@ -153,8 +156,9 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, cell
     starts[:, :, j] = node[:, None]
     value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
     best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
-    curve = constrained(problem, held, node[:, None], np.take_along_axis(starts, best, axis=1))
-    return _from_neighbours(problem, held, curve)
+    enough = min([2 * float(value.min()), *(root.deviance for root in roots)]) + EXCLUDED
+    curve = constrained(problem, held, node[:, None], np.take_along_axis(starts, best, axis=1), enough=enough)
+    return _from_neighbours(problem, held, curve, enough)
 
 
 def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
@@ -193,17 +197,20 @@ def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, p
     return np.clip(np.stack(starts, axis=1), problem.parameters.low, problem.parameters.high)
 
 
-def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve) -> Curve:
-    """Minimise again at each node from the results of its neighbours, until nothing improves."""
+def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: float) -> Curve:
+    """Minimise again at each node from the results of its neighbours, until none of these improves."""
+    theta, deviance = curve.theta.copy(), curve.deviance.copy()
+    look = np.arange(len(theta))
     for _ in range(3):
-        before, after = np.roll(curve.theta, 1, axis=0), np.roll(curve.theta, -1, axis=0)
-        again = constrained(problem, held, curve.theta[:, held], np.stack([before, after], axis=1))
-        better = again.deviance < curve.deviance - 1e-6
+        near = np.stack([theta[look - 1], theta[(look + 1) % len(theta)]], axis=1)
+        again = constrained(problem, held, theta[look][:, held], near, enough=enough)
+        better = again.deviance < deviance[look] - 1e-6
         if not better.any():
             break
-        theta = np.where(better[:, None], again.theta, curve.theta)
-        curve = Curve(curve.node, np.where(better, again.deviance, curve.deviance), theta)
-    return curve
+        moved = look[better]
+        theta[moved], deviance[moved] = again.theta[better], again.deviance[better]
+        look = np.unique(np.concatenate([moved - 1, moved + 1]) % len(theta))
+    return Curve(curve.node, deviance, theta)
 
 
 def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> Intervals:

@@ -96,8 +96,14 @@ def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
 
 
 def log_ndtr(x: Array) -> Array:
-    """Logarithm of the normal distribution function; its tail, from x = −20 on, to rounding instead of 4e-9."""
-    return special.log_ndtr(x, series_order=10)
+    """Logarithm of the normal distribution function; below x = −20 by its series, whose derivatives are right however far."""
+    is_far = x < -20
+    far = jnp.where(is_far, x, -20.0)
+    series = jnp.ones_like(far)
+    for k in range(10, 0, -1):
+        series = 1 - (2 * k - 1) / far**2 * series
+    tail = -(far**2) / 2 - jnp.log(-far) - np.log(2 * np.pi) / 2 + jnp.log(series)
+    return jnp.where(is_far, tail, special.log_ndtr(jnp.where(is_far, -20.0, x)))
 
 
 COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
@@ -137,22 +143,22 @@ def _values(kind: str, exact: bool) -> Kernel:
 
 @cache
 def _derivatives(kind: str, loss: Loss) -> Kernel:
-    """Cost of data (μ, value, σ), and its first and second derivative in μ."""
+    """Cost of data (μ, value, σ), its first derivative in μ, the positive part of the second, and the second."""
     cost = _cost(kind, loss)
 
     def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
         def first(mu: Array) -> tuple[Array, Array]:
             return jax.value_and_grad(cost)(mu, value, sigma)
 
-        (found, slope), (_, bend) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
+        (found, slope), (_, second) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
         if kind == "length":
             # the Gauss–Newton part, which weights the residual by the slope of the loss
             r2 = jnp.where(jnp.isfinite(mu), jnp.square((mu - value) / sigma), 0)
             bend = jnp.where(jnp.isfinite(mu), jax.grad(loss_of)(r2 / 2, loss) / jnp.square(sigma), 0)
         else:
             # log-concave: between zero and the curvature of a single edge
-            bend = jnp.clip(bend, 0, 1 / jnp.square(jnp.maximum(sigma, SHARPEST)))
-        return found, slope, bend
+            bend = second = jnp.clip(second, 0, 1 / jnp.square(jnp.maximum(sigma, SHARPEST)))
+        return found, slope, bend, second
 
     return lambda columns: jax.vmap(one)(*columns)
 
@@ -177,7 +183,8 @@ class Terms(NamedTuple):
 
     value: np.ndarray
     slope: np.ndarray  # ∂/∂μ
-    curvature: np.ndarray  # ∂²/∂μ², or the positive Gauss–Newton part of it
+    curvature: np.ndarray  # positive Gauss–Newton part of ∂²/∂μ²
+    second: np.ndarray  # ∂²/∂μ²
     information: np.ndarray  # its expectation under the model
 
 
@@ -202,15 +209,19 @@ def terms(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> T
 
 
 def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) -> np.ndarray:
-    """Evaluate `_derivatives` for every datum, by its kind; shape (3, B, n)."""
+    """Evaluate `_derivatives` for every datum, by its kind; shape (4, B, n)."""
     given = np.broadcast_arrays(mu, value, data.sigma)
-    columns = np.empty((3, *mu.shape))
+    columns = np.empty((4, *mu.shape))
     for kind in COSTS:
         there = data.kind == kind
         if there.any():
             found = over_lanes(_derivatives(kind, loss), [x[:, there].ravel() for x in given], LAYOUT)
-            columns[:, :, there] = np.reshape(found, (3, len(mu), there.sum()))
+            columns[:, :, there] = np.reshape(found, (4, len(mu), there.sum()))
     return columns
+
+
+Predicted = list[tuple[np.ndarray, np.ndarray | None]]
+"""Predictions (B, n) of each observable, and their derivatives in θ, (B, n, p)."""
 
 
 class Evaluation(NamedTuple):
@@ -304,17 +315,24 @@ class Problem:
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         lane = np.zeros(len(theta), dtype=int) if lane is None else lane
-        widest = max(len(data.rows) for data in self.observed) * (self.p if order else 1)
+        widest = max(len(data.rows) for data in self.observed) * (1, self.p, self.p * (2 * self.p + 1))[order]
         at_once = max(1, ELEMENTS // widest)
         parts = [
             self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
             for start in range(0, len(theta), at_once)
         ]
-        found = Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
-        return found._replace(curvature=self._curvature(theta, lane, found)) if order > 1 else found
+        return Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation) -> np.ndarray:
-        """Second derivatives, by differences of the gradient over 10⁻⁴ standard errors, all in one evaluation."""
+    def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
+        predicted = [self._predictions(data, theta, order) for data in self.observed]
+        found = self._of(predicted, theta, lane)
+        return found._replace(curvature=self._curvature(theta, lane, found, predicted)) if order > 1 else found
+
+    def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation, predicted: Predicted) -> np.ndarray:
+        """Second derivatives; those of the predictions by differences of their slopes over 10⁻⁴ standard errors.
+
+        Those of the cost are exact: next to a count without an error it bends within less than such a step.
+        """
         b, p = theta.shape
         diagonal = np.einsum("bpp->bp", at.metric)
         low, high = self.parameters.low, self.parameters.high
@@ -324,15 +342,18 @@ class Problem:
         shifts = step[:, None, :] * np.eye(p)[free]
         around = np.clip(np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1), low, high)
         ends = around[:, : len(free)] - around[:, len(free) :]
-        apart = np.einsum("bff->bf", ends[:, :, free])[:, :, None]
-        slope = self(around.reshape(-1, p), np.repeat(lane, around.shape[1]), 1).gradient
-        up, down = np.split(slope.reshape(around.shape), 2, axis=1)
-        second = np.zeros((b, p, p))
-        second[:, free] = (up - down) / np.where(apart > 0, apart, 1)
+        apart = np.einsum("bff->bf", ends[:, :, free])
+        second = np.broadcast_to(np.diag(self.prior_weight), (b, p, p)).copy()
+        for data, (mu, first) in zip(self.observed, predicted, strict=True):
+            cost = terms(mu, data, lane, self.loss)
+            slopes = self._predictions(data, around.reshape(-1, p), 1)[1]
+            assert first is not None
+            assert slopes is not None
+            up, down = np.split(slopes.reshape(b, 2 * len(free), *first.shape[1:]), 2, axis=1)
+            bend = (up - down) / np.where(apart > 0, apart, 1)[:, :, None, None]
+            second += np.matmul(np.swapaxes(first, 1, 2) * cost.second[:, None, :], first)
+            second[:, free] += np.einsum("bn,bfnp->bfp", cost.slope, bend)
         return (second + np.swapaxes(second, 1, 2)) / 2
-
-    def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
-        return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
 
     def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
         """Evaluate from known predictions, (B, N), and their derivatives in θ, (B, N, p)."""
@@ -340,7 +361,7 @@ class Problem:
         parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
         return self._of(list(parts), theta, np.zeros(len(theta), dtype=int))
 
-    def _of(self, predicted: "list[tuple[np.ndarray, np.ndarray | None]]", theta: np.ndarray, lane: np.ndarray) -> Evaluation:
+    def _of(self, predicted: Predicted, theta: np.ndarray, lane: np.ndarray) -> Evaluation:
         """Sum the cost of the predictions over the observables; with derivatives, gradient and metric too."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
@@ -450,6 +471,15 @@ class Problem:
             total = total + (data.weight[0] * _costs(mu, value, data, self.loss)[0]).sum(axis=1)
         return total
 
+    def met(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Whether a count or front without arrest costs nothing anywhere between two predictions, (B, N); bool."""
+        met, data = np.zeros(low.shape, bool), self.lengths  # which come first
+        for i in np.nonzero(data.kind != "length")[0]:
+            one = data._replace(**{name: getattr(data, name)[..., i : i + 1] for name in ("kind", "value", "sigma", "weight")})
+            both = np.concatenate([low[:, i], high[:, i]])[:, None]
+            met[:, i] = (_costs(both, one.value, one, self.loss)[0] <= NOTHING).reshape(2, -1).all(axis=0)
+        return met
+
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
@@ -476,6 +506,13 @@ class Problem:
 
         kept = self.observed[1:] if of_lengths else tuple(scaled(data) for data in self.observed[1:])
         return dataclasses.replace(self, observed=(scaled(self.lengths), *kept))
+
+    def blurred(self, width: float) -> "Problem":
+        """The problem with σ of counts and fronts without arrest at least so large, in λc; itself if they are already."""
+        data = self.lengths
+        sharp = (data.kind != "length") & (data.sigma < width)
+        blunt = data._replace(sigma=np.where(sharp, width, data.sigma))
+        return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
         """The problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""

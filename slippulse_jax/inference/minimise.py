@@ -7,23 +7,26 @@ per step.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Method
-from slippulse_jax.inference.likelihood import Evaluation
+from slippulse_jax.inference.likelihood import Evaluation, Problem
 from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""
 GAUSS_NEWTON_STEPS = 12  # before the full second derivative is used
+BEND_KEPT = 4  # steps for which its part beside the metric is kept, which costs many times as much
 KINK = 1e-2
 """Newton decrement, likewise, below which a point counts as a minimum if no step from it gains: the differences across a kink
 give a gradient that vanishes next to the minimum, not at it."""
 HALVINGS = 30  # of an optax step that does not lower the value
 ADAM_STEPS = 20  # of optax.adam for each one allowed
+BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
+"""Blurs, in λc, through which the edges of counts are sharpened, and the Newton decrement at which each is left."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
@@ -60,6 +63,7 @@ def minimise(
     method: Method = "lm",
     max_steps: int = 60,
     tolerance: float = TOLERANCE,
+    enough: float = np.inf,
 ) -> Descents:
     """Minimise within the box from every start.
 
@@ -80,6 +84,8 @@ def minimise(
         Steps allowed each start; Adam gets `ADAM_STEPS` times as many.
     tolerance : float
         Newton decrement at which a minimum is found; as `TOLERANCE`.
+    enough : float
+        Value above which no minimum matters: a start of "lm" ends where a step of Newton's method falls short of it by far.
     """
     check_choice("method", method, Method)
     start = np.clip(np.atleast_2d(np.array(start, dtype=np.float64)), low, high)
@@ -90,8 +96,17 @@ def minimise(
         value = objective(start, lane, 0).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Descents(start, value, ends, np.zeros(len(start), dtype=int))
-    by = _levenberg_marquardt if method == "lm" else partial(_by_optax, method)
+    by = partial(_levenberg_marquardt, enough=enough) if method == "lm" else partial(_by_optax, method)
     return by(objective, start, low, high, held, lane, tolerance, max_steps)
+
+
+def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
+    """Minimise a deviance, of several parameters through ever sharper counts and limits, whose edges no step follows."""
+    for blur in BLURS if problem.p > 1 else ():
+        if (blurred := problem.blurred(blur)) is not problem:
+            first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
+            start = minimise(blurred, start, low, high, **first).theta
+    return minimise(problem, start, low, high, **options)
 
 
 def _levenberg_marquardt(
@@ -103,17 +118,21 @@ def _levenberg_marquardt(
     lane: np.ndarray,
     tolerance: float,
     max_steps: int,
+    *,
+    enough: float,
 ) -> Descents:
     """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
     value, gradient, metric = _first_order(objective, theta, lane)
-    damping, size = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta)
+    damping, size, bend = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta), np.zeros_like(metric)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
     steps = np.zeros(len(theta), dtype=int)
     work = np.nonzero(np.isfinite(value))[0]
     for count in range(max_steps + 1):
-        order = 1 if count < GAUSS_NEWTON_STEPS else 2
+        order = 1 if count < GAUSS_NEWTON_STEPS or (count - GAUSS_NEWTON_STEPS + 1) % BEND_KEPT else 2
         if count == GAUSS_NEWTON_STEPS and len(work):
-            metric[work] = _positive(objective(theta[work], lane[work], 2).curvature, metric[work])
+            curvature = objective(theta[work], lane[work], 2).curvature
+            bend[work] = curvature - metric[work]
+            metric[work] = _positive(curvature, metric[work])
         g, m = gradient[work], metric[work]
         stuck = held | _pushed_out(theta[work], low[work], high[work], g)
         g, m = _without(g, m, stuck)
@@ -124,6 +143,7 @@ def _levenberg_marquardt(
         left = _decrement(g, m, size[work])
         done = flat | (left <= tolerance * scale)
         ends[work[done]] = np.where((flat & ~stuck.all(axis=1))[done], Convergence.FLAT, Convergence.CONVERGED)
+        done |= value[work] - left > enough  # the model of the value expects it to fall by half of `left`
         work, g, m, left, scale = (x[~done] for x in (work, g, m, left, scale))
         if not len(work) or count == max_steps:
             break
@@ -145,7 +165,11 @@ def _levenberg_marquardt(
         moved = work[accept]
         theta[moved], value[moved] = trial[accept], tried.value[accept]
         gradient[moved] = tried.gradient[accept]
-        metric[moved] = tried.metric[accept] if order == 1 else _positive(tried.curvature[accept], tried.metric[accept])
+        metric[moved] = tried.metric[accept]
+        if order == 2:
+            bend[moved] = tried.curvature[accept] - metric[moved]
+        if count >= GAUSS_NEWTON_STEPS:
+            metric[moved] = _positive(metric[moved] + bend[moved], metric[moved])
         steps[work] += 1
         kink = ~accept & (square <= tolerance * scale) & (left <= KINK * scale)
         ends[work[kink]] = Convergence.CONVERGED

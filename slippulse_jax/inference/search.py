@@ -17,7 +17,7 @@ import numpy as np
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import EXPECTED, Evaluation, Problem, terms
-from slippulse_jax.inference.minimise import Convergence, Method, minimise
+from slippulse_jax.inference.minimise import Convergence, Method, descend, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
 
 SCANNED = 3
@@ -34,9 +34,11 @@ WIDENED = 2.0
 """Factor on the departure from the linear model by which the range of the predictions in a cell is widened."""
 NARROWEST = 1e-7
 """Width of the narrowest cell, over the range searched."""
+RUNAWAY = {1: NARROWEST, 2: 1e-3, 3: 1e-2}
+"""Width, likewise, of cells on the border of run-away, by the number of parameters: of several it is a surface."""
 ROUNDS = 60
-MOST_ELEMENTS = 40_000_000
-"""Largest number of elements of the array of corners."""
+MOST_HALVED, MOST_LEFT = 30_000, 500
+"""Cells after whose halving a scan ends where it is, ten times what most take; those of the least deviance to start from."""
 CHORDS = 6
 """Steps of the minimisation in a cell, whose derivatives are those of its linear model."""
 NEARBY = 0.5
@@ -165,13 +167,14 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
     elif cells is None:
         starts = _starts(problem, seed)
     else:
-        starts = cells.theta[_promising(cells, low, high)]
+        promising = np.nonzero(_promising(cells, low, high))[0]
+        starts = cells.theta[promising[np.argsort(cells.deviance[promising], kind="stable")[:MOST_LEFT]]]
         if not len(starts):  # in a deep misfit rounding may exclude every cell
             starts = first_look(problem, seed)[None]
         if problem.p == 1:
             # a cell at the peak of a length is so narrow that its predictions are constant
             starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
-    ends = minimise(problem, starts, low, high, method=method, max_steps=max_steps)
+    ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
     minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
@@ -307,8 +310,7 @@ def scan(problem: Problem) -> Cells:
     low, high = _first_cells(problem)
     upper = _upper(p)
     corner = _predictions(problem, np.where(upper, high[:, None], low[:, None]))
-    best, done, complete = np.inf, [], True
-    most = max(1, MOST_ELEMENTS // (corner.shape[1] * corner.shape[2]))
+    best, done, complete, halved = np.inf, [], True, 0
     for round_ in range(ROUNDS):
         middle = (low + high) / 2
         centre = _predictions(problem, middle[:, None])[:, 0]
@@ -322,25 +324,35 @@ def scan(problem: Problem) -> Cells:
             # infinite at every corner, a prediction does not change
             span = np.nan_to_num(np.ptp(corner, axis=1), nan=0.0, posinf=np.inf)
         ranges = np.concatenate([corner, centre[:, None]], axis=1)
-        bound = 2 * problem.least(ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent, low, high)
+        ranges = ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent
+        bound = 2 * problem.least(*ranges, low, high)
         live = bound <= best + slack
+        # what is met everywhere in a cell says nothing there, however much its prediction changes
+        met = problem.met(*ranges)
+        corner = np.where(met[:, None], centre[:, None], corner)
+        bent, span = (np.where(met, 0, x) for x in (bent, span))
         # a jump across a parameter is resolved where nothing changes but across it
-        narrow = (high - low) / (box[1] - box[0]) <= NARROWEST
+        width = (high - low) / (box[1] - box[0])
+        narrow = width <= NARROWEST
         flat = np.stack([_in_sigmas(problem, np.nan_to_num(change)) for change in _changes(corner, upper)], axis=1) <= LINEAR
         jump = narrow.any(axis=1) & (narrow | flat).all(axis=1)
-        resolved = (_in_sigmas(problem, bent) <= LINEAR) & np.isfinite(span).all(axis=1) | jump
+        finite = np.isfinite(span).all(axis=1)
+        resolved = (_in_sigmas(problem, bent) <= LINEAR) & finite | jump | ~finite & (width <= RUNAWAY[p]).all(axis=1)
         ready = live & resolved
-        done.append((low[ready], high[ready], corner[ready], centre[ready], bound[ready]))
+        done.append((low[ready], high[ready], corner[ready], centre[ready], bound[ready], value[ready]))
         left = np.nonzero(live & ~resolved)[0]
         if not len(left):
             break
-        if 2 * len(left) > most:
-            done.append((low[left], high[left], corner[left], centre[left], bound[left]))
+        halved += len(left)
+        if halved > MOST_HALVED:
+            done.append((low[left], high[left], corner[left], centre[left], bound[left], value[left]))
             complete = False
             break
         low, high, corner = _halved(problem, low[left], high[left], corner[left], upper)
-    low, high, corner, centre, bound = (np.concatenate(column) for column in zip(*done, strict=True))
-    live = bound <= best + slack
+    low, high, corner, centre, bound, value = (np.concatenate(column) for column in zip(*done, strict=True))
+    live = np.nonzero(bound <= best + slack)[0]
+    if not complete:
+        live = live[np.argsort(value[live], kind="stable")[:MOST_LEFT]]
     return _minimised(problem, low[live], high[live], corner[live], centre[live], best + slack, complete)
 
 
@@ -438,11 +450,13 @@ def _minimised(
         return problem.linearised(problem.predictions(theta), slope if lane is None else slope[lane], theta)
 
     every = np.arange(len(low))
-    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS)
+    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS, enough=limit / 2)
     theta, value = ends.theta, ends.value
     exactly = ~smooth if problem.plain else every >= 0  # the likelihood of a count has corners
     if exactly.any():
-        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20)
+        exactly = np.nonzero(exactly)[0]
+        exactly = exactly[np.argsort(value[exactly], kind="stable")[:MOST_LEFT]]
+        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20, enough=limit / 2)
         theta[exactly], value[exactly] = again.theta, again.value
     kept = 2 * value <= limit
     low, high, theta, slope = low[kept], high[kept], theta[kept], slope[kept]

@@ -190,13 +190,13 @@ def test_bounds_cut_off_the_minimum():
 
 
 def test_unfinished_search_says_so(monkeypatch):
-    minimise = search.minimise
+    descend = search.descend
 
     def unfinished(*arguments, **options):
-        ends = minimise(*arguments, **options)
+        ends = descend(*arguments, **options)
         return ends._replace(convergence=np.full(len(ends.value), Convergence.NOT_CONVERGED))
 
-    monkeypatch.setattr(search, "minimise", unfinished)
+    monkeypatch.setattr(search, "descend", unfinished)
     result = fit(study(np.array([15.0, 30.0, 60.0]), 0.0123, 0.01))
     assert not result.converged
     assert "did not converge" in unfolded(result.report())

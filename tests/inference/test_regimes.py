@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import random_tables
 
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
@@ -9,7 +10,7 @@ from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.intervals import allowed_by_counts
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.search import _minimised, scan, search
+from slippulse_jax.inference.search import MOST_LEFT, _minimised, scan, search
 from slippulse_jax.status import Outcome
 
 
@@ -125,6 +126,129 @@ def test_no_number_where_a_wrong_valley_wins():
 
 def test_prestress_of_either_sign_lies_in_the_default_range():
     assert parameter_set(whole(80.0, 57.0), ["stiffness", "prestress"]).low[1] < -0.9
+
+
+def beside_a_count(height):
+    """A count without an error, and two lengths that would rather have a softer interface than it allows."""
+    heights = np.array([height, height / 2, height / 3])
+    exact = sp.exact_lengths(sp.Slider(heights, 1 / (2.6 * height), 0.3))
+    length = np.array([np.ceil(exact[0]), *(0.97 * exact[1:])])
+    sigma = np.array([0.0, *(0.02 * exact[1:])])
+    return sp.Measurements(height=heights, poisson=0.3, length=length, length_sigma=sigma, kind=["whole", "length", "length"])
+
+
+@pytest.mark.parametrize("height", [30.0, 2000.0, pytest.param(120_000.0, marks=pytest.mark.ci)])
+def test_a_minimum_at_the_edge_of_a_count_is_found(height):
+    m = beside_a_count(height)
+    result = sp.fit(m)
+    assert result.converged
+    assert m.length[0] - 1.01 < result.problem.predict(result.theta)[0, 0] < m.length[0] + 0.01
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.low < result.values["stiffness"] < piece.high
+
+
+@pytest.mark.parametrize("loss", ["normal", "student"])
+def test_second_derivative_next_to_the_edge_of_a_count(loss):
+    """Where the deviance turns from a floor to a wall within 2e-6 of ln k: of the blurred edge, and not of a step over it."""
+    m = beside_a_count(2000.0)
+    problem = make_problem(m, parameter_set(m, ["stiffness"]), loss, m.sigma)
+    theta = np.log(sp.fit(m).intervals["stiffness"][0.95][0].low)
+    at = problem(np.array([[theta], [theta + 1e-6]]), order=2)
+    step = 1e-9
+    slopes = problem(np.array([[theta - step], [theta + step]]), order=1).gradient
+    assert at.curvature[0, 0, 0] == pytest.approx(float(slopes[1, 0] - slopes[0, 0]) / (2 * step), rel=1e-3)
+    assert np.isfinite(at.curvature).all()
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("loss", "sigma"), [("normal", 0.01), ("student", 0.01), ("normal", None)])
+def test_limits_alone_end(loss, sigma):
+    """Nothing is excluded where all are met: in up to three dimensions, of which two have priors, half of the range."""
+    height = np.array([120.0, 30.0, 60.0, 2000.0, 200.0])
+    limit = 0.6 * sp.exact_lengths(sp.Slider(height, 1e-3, 0.21))
+    error = {} if sigma is None else {"poisson_sigma": np.full(5, sigma)}
+    m = sp.Measurements(
+        height=height,
+        poisson=0.21,
+        length=limit,
+        length_sigma=np.zeros(5),
+        kind=["at_least"] * 5,
+        specimen=list("abaab"),
+        **error,
+    )
+    with random_tables.within(60):
+        result = sp.fit(m, loss=loss)
+    assert result.converged
+    assert result.complete
+    (piece,) = result.intervals["stiffness"][0.95]
+    assert piece.low < 1e-3 < piece.high
+
+
+def test_a_scan_that_grows_too_large_ends_with_the_best_cells(monkeypatch):
+    m = sp.Measurements(height=[9.0, 300.0], poisson=0.3, length=[0.6, 90.0], length_sigma=[0.1, 0.0], kind=["at_least"] * 2)
+    problem = problem_of(m, "stiffness", "prestress")
+    assert scan(problem).complete
+    monkeypatch.setattr("slippulse_jax.inference.search.MOST_HALVED", 100)
+    cells = scan(problem)
+    assert not cells.complete
+    assert 0 < len(cells.low) <= MOST_LEFT
+    assert cells.deviance.min() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["whole", "at_least"])
+def test_slope_of_a_limit_however_far_away(kind):
+    """By σ = 0, of a thousandth of a contact: 1e8 blurs, where a difference of logarithms has no digits left."""
+    from slippulse_jax.inference.likelihood import Observations, terms
+
+    off = -np.array([1.0, 1e2, 1e5])
+    value = np.full((1, 3), 2e5)
+    none = None  # what the cost does not depend on
+    data = Observations(np.full(3, kind), value, np.zeros(3), np.ones((1, 3)), "length", *[none] * 5)
+    edge = value - (kind == "whole")
+    found = terms(edge + off, data, np.zeros(1, int), "normal")
+    np.testing.assert_allclose(found.slope[0], off * 1e6, rtol=2e-6)
+    np.testing.assert_allclose(found.second[0], 1e6, rtol=2e-6)
+
+
+def fitted_in_time(table):
+    """The fit, within 20 s of processor time; a second try does not compile."""
+    for last in (False, True):
+        try:
+            with random_tables.within(20):
+                return sp.fit(table.measurements, table.free, **table.options)
+        except random_tables.Late:
+            if last:
+                raise
+    return None
+
+
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.ci) for kind in ("bounds", "counts", "prestress", "priors")]
+)
+def test_a_random_table_is_fitted_in_time(kind):
+    table = random_tables.draw(3, kind)
+    assert fitted_in_time(table).converged
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+def test_random_tables():
+    """Every search ends and converges; of what is identified all but 1 % lie within 4 standard errors of the truth."""
+    off, failed = [], []
+    for seed in range(500):
+        table = random_tables.draw(seed)
+        try:
+            result = fitted_in_time(table)
+        except random_tables.Late:
+            failed.append((seed, "late"))
+            continue
+        if not result.converged:
+            failed.append((seed, "unconverged"))
+        named = [name for name, one in result.verdicts.items() if one.identifiability is Identifiability.IDENTIFIED]
+        off += [abs(result.values[name] - table.truth[name]) / result.stderrs[name] for name in named]
+    assert not failed
+    assert np.mean(np.array(off) > 4) <= 0.01
 
 
 @pytest.mark.slow
