@@ -44,7 +44,7 @@ RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
 CRACKS = Layout(chunk=250)
 """Layout of crack-like fronts."""
-FARTHEST, AT_LEAST = 8.0, 2**14
+FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
 """Changes of ln k/K over which the difference between ℓ and ℓ* is averaged: one that ends on a contact shows none."""
