@@ -30,7 +30,7 @@ class Identifiability(enum.Enum):
     SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
     AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
     ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched; widen it with bounds"
+    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
     SKEWED = "identified, but not with a symmetric error"
     REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
     EQUAL = "bounded, without a best value: all values inside the interval fit equally"

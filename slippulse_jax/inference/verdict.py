@@ -86,7 +86,7 @@ def _of_range(e: Fitted, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
         yield from _open(pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
     if end := _end(e, j):
-        yield Verdict(Identifiability.AT_BOUND, f"it is at the {end} end")
+        yield Verdict(Identifiability.AT_BOUND, f"the {end} one; give wider bounds")
     if problem.p > 1 and e.roots and e.roots[0].singular[j] and all(every):
         yield Verdict(Identifiability.UNINFORMATIVE, undetermined(problem, e.theta))
     if stiff and _above_maximum(e):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,11 @@ def test_both_roots_of_one_length(height):
     for root in result.roots:
         assert abs(float(exact(height, root.values["stiffness"])) - target) < 1e-6
         assert any(piece.low < root.values["stiffness"] < piece.high for piece in result.intervals["stiffness"][0.6827])
-    assert (
-        "\nValues that fit (not excluded at 95 %; to keep one, with its errors, give bounds=(low, high))\n" in result.report()
-    )
+    assert "\nValues that fit (not excluded at 95 %)\n" in result.report()
+    low, high = map(float, re.search(r"To keep the first, with its errors: bounds=\((\S+), (\S+)\)", result.report()).groups())
+    kept = fit(result.measurements, bounds=(low, high))
+    assert kept.values["stiffness"] == pytest.approx(result.values["stiffness"], rel=1e-6)
+    assert len(kept.roots) == 1
 
 
 def test_two_close_roots_either_side_of_the_peak():

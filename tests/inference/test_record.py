@@ -74,7 +74,7 @@ def test_a_fit_of_version_0_2_is_read():
     """With the numbers, verdicts and words of a fit of its table today; what would move it is found anew."""
     loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
     again = sp.fit(loaded.measurements, **loaded.request)
-    assert loaded.values == pytest.approx(again.values, rel=1e-9)
+    assert loaded.values == pytest.approx(again.values, abs=1e-6 * again.stderrs["stiffness"])
     assert loaded.stderrs == pytest.approx(again.stderrs, rel=1e-6)
     for level, pieces in again.intervals["stiffness"].items():
         np.testing.assert_allclose(loaded.intervals["stiffness"][level], pieces, rtol=1e-6)
