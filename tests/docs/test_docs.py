@@ -201,9 +201,22 @@ def jax_as_it_is():
 
 QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
+LONG = {
+    "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/optax.md", "fit/own_observable.md", "howto/break_rule.md",
+    "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/gradients.md", "model/precursors.md",
+}  # fmt: skip
+"""Pages whose programs take longest and call what other tests hold: they run every night."""
 
 
-@pytest.mark.parametrize("page", [page if page in QUICK else pytest.param(page, marks=pytest.mark.ci) for page in PAGES])
+def marks_of(page):
+    return () if page in QUICK else pytest.mark.slow if page in LONG else pytest.mark.ci
+
+
+def test_long_pages_are_there():
+    assert set(PAGES) >= LONG
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, marks=marks_of(page)) for page in PAGES])
 def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
     """Programs, commands and tables in their order, in one folder; pages mark what cannot run here as another kind of block."""
     import matplotlib.pyplot as plt

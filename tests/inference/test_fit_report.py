@@ -187,7 +187,7 @@ def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
         assert '(free=[sp.Parameter("stiffness", each="specimen")])' in notes[0]
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_pulls_scatter_as_the_remark_supposes():
     """Of studies with moduli drawn by their stated error, a remark on one in twenty."""
     rng = np.random.default_rng(8)
@@ -517,7 +517,7 @@ def test_counts_hold_or_are_off_by_contacts():
     assert re.search(r"off by [+-]\d+\.\d\d λc", odd.report())
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_an_end_is_as_long_as_said_where_the_contacts_have_another_size():
     """λc known to a factor only: a block that ends at 4/κ₂, where κ₂ is that of the fitted λc; as a fit of such a table."""
     table = two_specimens(young_sigma_GPa=None, correlation_length_sigma_um=100.0).drop(columns="young_sigma_GPa")
@@ -657,7 +657,7 @@ def test_no_size_of_errors_from_a_scatter_that_counts_do_not_have():
         sp.fit(m, sigma="relative")
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_narrow_pusher_is_judged_with_the_error_of_its_height():
     """As a fit of the table with the width stated, and not as if the height were exact."""
     table = {"height_cm": [1.2, 4.0], "correlation_length_um": 20, "poisson": 0.38, "young_MPa": 2400, "length_cm": [0.41, 2.1]}

@@ -43,7 +43,7 @@ def two_specimens():
         ),
         (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
         pytest.param(sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}, marks=pytest.mark.ci),
-        pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.ci),
+        pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_loaded_fit_is_the_one_saved(tmp_path, table, options):

@@ -156,8 +156,12 @@ def test_readme_links_lead_somewhere():
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
 
 
+QUICK = ("pmma_block", "pushed_block", "threshold_profile")
+"""One of a slider, of a block and of an interface that is not uniform; every night runs the others."""
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in EXAMPLES])
 def test_fit_example_runs_and_recovers(name, tmp_path, monkeypatch):
     """What its README says to run: main() fits the data and checks what it recovers, and the command line takes them too."""
     shutil.copytree(ROOT / "fit_examples", tmp_path / "fit_examples", ignore=shutil.ignore_patterns("__pycache__"))

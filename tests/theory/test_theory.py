@@ -300,7 +300,7 @@ OF_B = {
 }
 
 
-LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.ci, "envelope_length": pytest.mark.ci}
+LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.slow, "envelope_length": pytest.mark.ci}
 
 
 @pytest.mark.ci
