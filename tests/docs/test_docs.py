@@ -285,9 +285,9 @@ def test_links_between_pages_lead_somewhere():
 
 
 @pytest.mark.parametrize("folder", ["pmma_block", pytest.param("pushed_block", marks=pytest.mark.ci)])
-def test_sentence_for_a_paper(folder):
+def test_sentence_for_a_paper(folder, worked):
     """The page quotes what `FitResult.methods` writes, but for the version."""
     page = (DOCS / "fit" / "own_csv.md").read_text(encoding="utf-8")
     without = re.compile(r"slippulse_jax [0-9.a-z]+\)")
-    said = sp.fit(ROOT / "fit_examples" / folder / "lengths.csv").methods()
+    said = worked(folder).methods()
     assert without.sub("", said) in [without.sub("", quoted) for quoted in re.findall(r"^> (.*)$", page, flags=re.M)]

@@ -87,9 +87,9 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
 
 
 @pytest.mark.ci
-def test_the_total_of_a_block_is_an_interval_too():
+def test_the_total_of_a_block_is_an_interval_too(worked):
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
-    result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
+    result = worked("pushed_block")
     value, by = result.values["areal_stiffness"], result.changes
     low, high, *_ = total_interval(result, "areal_stiffness", by)
     others = np.linalg.norm([one.by("areal_stiffness") for one in of_inputs(by) if one.name != "push_height"])
@@ -101,7 +101,7 @@ def test_the_total_of_a_block_is_an_interval_too():
         assert abs(np.log(end / value)) == pytest.approx(side, rel=0.05)
     sides = re.search(r"k/λc² \(Pa/m\)  \((\S+) -(\S+) \+(\S+)\)e10 ", result.report()).groups()
     assert [float(x) * 1e10 for x in sides] == pytest.approx([value, value - low, high - value], abs=0.06e10)
-    even = sp.fit(EXAMPLES / "pmma_block/lengths.csv").report()
+    even = worked("pmma_block").report()
     assert re.search(r"k/λc² \(Pa/m\)  \(1.96 ± 0.17\)e10 ", even)
 
 
@@ -381,9 +381,9 @@ def test_of_many_roots_the_best_are_listed():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv")))
-def test_the_deviance_is_that_of_the_residuals_shown(name):
+def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
-    result = sp.fit(EXAMPLES / name / "lengths.csv", intervals="profile")
+    result = worked(name)
     if result.problem.plain:
         parts = [(result.residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
         for one, t in zip(result.parameters.free, result.theta, strict=True):
@@ -415,8 +415,8 @@ def test_sigma_is_shown_with_what_is_added_to_it():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("verbose", [False, True])
-def test_counts_have_no_best_value_and_no_sigma(verbose):
-    result = sp.fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
+def test_counts_have_no_best_value_and_no_sigma(verbose, worked):
+    result = worked("counts_and_run_throughs")
     assert result.identifiability is Identifiability.EQUAL
     report = unfolded(result.report(verbose=verbose))
     assert "k/K any in the interval" in report

@@ -160,8 +160,8 @@ def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path)
 @pytest.mark.parametrize(
     "name", ["pmma_block", *(pytest.param(name, marks=pytest.mark.ci) for name in ("pushed_block", "threshold_profile"))]
 )
-def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
-    result = sp.fit(EXAMPLES / name / "lengths.csv")
+def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
+    result = worked(name)
     result.save(tmp_path / "fit.json")
     said, content = result.report(verbose=True), result.to_dict()
 
