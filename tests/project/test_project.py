@@ -191,6 +191,12 @@ def test_release_is_one_everywhere():
     assert project["requires-python"] == f">={named[0]}"
 
 
+def test_every_folder_of_tests_has_its_night():
+    jobs = re.findall(r"^ +tests: (.+)$", (ROOT / ".github/workflows/nightly.yml").read_text("utf-8"), flags=re.M)
+    folders = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("test_*.py")}
+    assert sorted(" ".join(jobs).split()) == sorted(folders)
+
+
 def test_readme_quotes_the_report():
     """The text below the first command is how its output begins, up to …"""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
