@@ -192,7 +192,7 @@ def test_an_interface_that_gives_way_across(push, contacts):
     np.testing.assert_allclose(found.near[0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_stiff_interface_across_is_a_rigid_one():
     """And as it gives way, the front runs further."""
     rigid, stiff, equal = (
@@ -204,7 +204,7 @@ def test_a_stiff_interface_across_is_a_rigid_one():
     assert sp.Block(5.0, 0.1, 0.3, normal_stiffness=np.inf).normal_stiffness is None
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivative_in_the_normal_stiffness():
     def length(ratio):
         return sp.precursor_length(at_b(40.0, 0.3, sp.Push(0.25), normal_stiffness=ratio), sites=192)
@@ -276,7 +276,7 @@ def test_a_block_of_twelve_heights_is_as_good_as_endless():
     assert endless < found[0] < found[1] < found[2] < found[3] == np.inf
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivatives_of_a_block_that_ends():
     def length(x):
         return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(x[3]), length=80), sites=128)
@@ -333,7 +333,7 @@ def test_an_event_without_a_length_has_no_derivative():
         assert abs(float(jax.grad(length)(1e-6))) < 1e-6
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivative_in_every_threshold():
     """Of an event that begins inside and runs both ways: only contacts that broke and the next one matter."""
     rng = np.random.default_rng(3)
@@ -430,7 +430,7 @@ def test_far_from_the_edge_a_uniform_shift_is_followed():
     np.testing.assert_allclose(found.near[0], found.near[0].T, atol=1e-13)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_forces_are_in_balance_and_a_break_loses_its_energy():
     """The pusher's force is that of all contacts; a break at stress a loses k a² (1 + R_jj)/2."""
     block = at_b(4.0, 1.5, sp.Push(0.3))

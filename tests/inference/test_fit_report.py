@@ -427,7 +427,7 @@ def test_counts_have_no_best_value_and_no_sigma(verbose, worked):
     assert f"k/K {value}" not in report
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     """Lengths of a pusher 0.1 H high, fitted as if it covered all above: the factor leads from one stiffness to the other."""
     push, k = np.arange(0.25, 0.56, 0.05), 8e-3

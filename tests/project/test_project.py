@@ -233,7 +233,7 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.ci)])
+@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.slow)])
 def test_a_newcomer_reaches_the_physics_in_few_frames(name):
     """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
     call, target, most = PATHS[name]

@@ -246,7 +246,7 @@ def test_one_output_of_a_sweep_is_drawn_alone():
     assert alone.lines
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_pictures_mark_where_the_edge_breaks_again():
     """The dashed part of a line begins at its last point before; maps are hatched. Sweeps without a status are not marked."""
     stiffness = np.geomspace(0.01, 0.3, 12)
