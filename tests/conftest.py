@@ -1,5 +1,6 @@
 """Every test runs with JAX as strict as it goes, in float64 unless it asks for float32."""
 
+import functools
 import gc
 import os
 import resource
@@ -21,6 +22,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import jax
 import pytest
 
+import slippulse_jax as sp
 from slippulse_jax.bulk.compiler import knows
 
 # Some of XLA's options reduce the time to compile to less than a third (the second, because both cores are busy already). An
@@ -93,6 +95,13 @@ def compiler_flags_stay():
     before = os.environ.get("XLA_FLAGS")
     yield
     assert os.environ.get("XLA_FLAGS") == before
+
+
+@pytest.fixture(scope="session")
+def worked():
+    """Fit of a bundled table as it comes, by the name of its folder: every worker fits each once."""
+    folder = Path(__file__).resolve().parent.parent / "fit_examples"
+    return functools.cache(lambda name: sp.fit(folder / name / "lengths.csv"))
 
 
 @pytest.fixture

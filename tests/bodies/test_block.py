@@ -24,7 +24,7 @@ from slippulse_jax.status import Outcome
 PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
 NAMES = ["top", "patch", "force", "side"]
 EACH = [
-    pytest.param(push, id=name, marks=[] if name == "patch" else pytest.mark.ci)
+    pytest.param(push, id=name, marks=[] if name == "patch" else pytest.mark.slow)
     for push, name in zip(PUSHES, NAMES, strict=True)
 ]
 KINDS = ["domino", "full"]
@@ -131,9 +131,10 @@ def test_response_is_that_of_a_long_block(push):
 
 
 @pytest.mark.ci
-def test_twenty_random_blocks_break_in_the_same_order():
+@pytest.mark.parametrize("blocks", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_random_blocks_break_in_the_same_order(blocks):
     rng = np.random.default_rng(7)
-    for _ in range(20):
+    for _ in range(blocks):
         height, poisson = rng.uniform(3, 5), rng.uniform(0, 0.45)
         push = [sp.Push(rng.uniform(0.1, 0.7)), sp.Push(rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.3))][rng.integers(2)]
         block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
@@ -174,7 +175,10 @@ def test_plane_strain_is_plane_stress_of_other_constants():
 @pytest.mark.parametrize(
     ("push", "contacts"),
     [
-        *(pytest.param(push, 160, id=name, marks=pytest.mark.ci) for push, name in zip(PUSHES, NAMES, strict=True)),
+        *(
+            pytest.param(push, 160, id=name, marks=pytest.mark.ci if name == "force" else pytest.mark.slow)
+            for push, name in zip(PUSHES, NAMES, strict=True)
+        ),
         pytest.param(PUSHES[1], 14, id="ends"),
     ],
 )
@@ -188,7 +192,7 @@ def test_an_interface_that_gives_way_across(push, contacts):
     np.testing.assert_allclose(found.near[0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_stiff_interface_across_is_a_rigid_one():
     """And as it gives way, the front runs further."""
     rigid, stiff, equal = (
@@ -200,7 +204,7 @@ def test_a_stiff_interface_across_is_a_rigid_one():
     assert sp.Block(5.0, 0.1, 0.3, normal_stiffness=np.inf).normal_stiffness is None
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivative_in_the_normal_stiffness():
     def length(ratio):
         return sp.precursor_length(at_b(40.0, 0.3, sp.Push(0.25), normal_stiffness=ratio), sites=192)
@@ -224,7 +228,7 @@ def test_a_free_end_of_the_slider(contacts):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
+@pytest.mark.parametrize("push", EACH)
 def test_a_block_with_a_free_end(push):
     """Two contacts, and 2.5 and 6 heights; the sequence of breaks too, to the end where it runs through."""
     for contacts in (2, 10, 24):
@@ -246,7 +250,7 @@ def test_a_block_with_a_free_end(push):
             np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-9)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_fields_of_a_block_with_a_free_end():
     """What they pull at the contacts is what the pusher does; the mean of their lower edge is what the contacts read."""
     found = sp.first_precursor(at_b(6.0, 1.0, sp.Push(0.3), length=20))
@@ -263,7 +267,7 @@ def test_fields_of_a_block_with_a_free_end():
         blocks.fields(found.block, found.load, jnp.zeros(8))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_block_of_twelve_heights_is_as_good_as_endless():
     """And a shorter one has longer events, until they run through."""
     endless = float(sp.precursor_length(at_b(20.0, 1.0, sp.Push(0.4))))
@@ -272,7 +276,7 @@ def test_a_block_of_twelve_heights_is_as_good_as_endless():
     assert endless < found[0] < found[1] < found[2] < found[3] == np.inf
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivatives_of_a_block_that_ends():
     def length(x):
         return sp.precursor_length(sp.Block(x[0], x[1], x[2], sp.Push(x[3]), length=80), sites=128)
@@ -287,7 +291,13 @@ def test_derivatives_of_a_block_that_ends():
 @pytest.mark.ci
 @pytest.mark.parametrize(
     ("law", "event"),
-    [("glued", "domino"), ("glued", "full"), ("amontons", "full"), ("multicontact", "domino"), ("ended", "full")],
+    [
+        ("multicontact", "domino"),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (("glued", "domino"), ("glued", "full"), ("amontons", "full"), ("ended", "full"))
+        ),
+    ],
 )
 def test_derivatives_back_are_those_forward(law, event):
     """The length goes back through its breaks; its record carries tangents through them. Both at a fixed order."""
@@ -310,7 +320,7 @@ def test_derivatives_back_are_those_forward(law, event):
         np.testing.assert_allclose(back, forward, rtol=1e-8)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_an_event_without_a_length_has_no_derivative():
     """Where it runs through zero would be wrong; where no domino starts it is right."""
 
@@ -323,7 +333,7 @@ def test_an_event_without_a_length_has_no_derivative():
         assert abs(float(jax.grad(length)(1e-6))) < 1e-6
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivative_in_every_threshold():
     """Of an event that begins inside and runs both ways: only contacts that broke and the next one matter."""
     rng = np.random.default_rng(3)
@@ -345,7 +355,7 @@ def test_derivative_in_every_threshold():
     assert not slopes[broken.max() + 2 :].any()
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_second_derivatives_of_a_block():
     def length(x):
         return sp.precursor_length(sp.Block(x[0], x[1], 0.3, sp.Push(x[2])), sites=64)
@@ -392,7 +402,7 @@ def test_stiffness_of_a_strip_at_one_wavelength(reach):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("b", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("b", [0.1, *(pytest.param(b, marks=pytest.mark.slow) for b in (1.0, 10.0))])
 def test_slow_decay_is_that_of_an_edge_load(b):
     """The first root of the strip's characteristic equation on the imaginary axis."""
     poisson = 0.3
@@ -420,7 +430,7 @@ def test_far_from_the_edge_a_uniform_shift_is_followed():
     np.testing.assert_allclose(found.near[0], found.near[0].T, atol=1e-13)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_forces_are_in_balance_and_a_break_loses_its_energy():
     """The pusher's force is that of all contacts; a break at stress a loses k a² (1 + R_jj)/2."""
     block = at_b(4.0, 1.5, sp.Push(0.3))
@@ -518,7 +528,7 @@ def test_a_side_displaced_as_a_whole_has_no_precursor():
     assert "a side that is pushed as a whole" in str(found)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_lengths_on_finer_meshes():
     """A mesh twice as fine lengthens an event by half a per cent or less, the next one by less than half of that."""
     block = at_b(60.0, 1.0, sp.Push(0.25))
@@ -543,7 +553,7 @@ def test_lengths_do_not_depend_on_the_contacts_resolved():
     assert float(sp.precursor_length(block)) == pytest.approx(many, rel=1e-12)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_too_few_contacts_resolved_are_said():
     """A block that goes on has a length, which is not known; one that ends has none, and no warning."""
     block = at_b(30.0, 1.0, sp.Push(0.4))
@@ -584,7 +594,7 @@ def test_a_smooth_front_on_the_slider_as_a_waveguide():
     assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_smooth_front_tends_to_the_hard_one():
     """And an interface counts: with a prestress it runs further."""
     block = at_b(40.0, 1.0, sp.Push(0.25))
@@ -596,8 +606,8 @@ def test_a_smooth_front_tends_to_the_hard_one():
     assert float(stressed) > hard + 1
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("count", [11, pytest.param(81, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [11, 81])
 def test_a_smooth_length_has_no_jumps(count):
     """Over pushes at which contacts behind the front break again in ever other orders, the hard one has."""
 
@@ -709,8 +719,15 @@ def test_refusals(make, message):
 # --- series of events ---------------------------------------------------------------------------------------------------
 
 
+PROTOCOLS = [
+    pytest.param(Adiabatic(), id="edge", marks=pytest.mark.slow),
+    pytest.param(Spring(0.7), id="spring"),
+    pytest.param(Steps(0.05), id="steps", marks=pytest.mark.slow),
+]
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.7), Steps(0.05)], ids=["edge", "spring", "steps"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_series_of_the_slider_as_a_waveguide(protocol):
     """Springs, forces and energies of contacts whose response is a matrix are those of the chain."""
     slider, sites = sp.Slider(10.0, 0.03, 0.3), 64
@@ -733,7 +750,7 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("contacts", [None, 40])
+@pytest.mark.parametrize("contacts", [pytest.param(None, marks=pytest.mark.slow), 40])
 def test_a_series_of_a_block(contacts):
     """Loads and breaks of a whole block by sparse finite elements; the first event is the first precursor."""
     block = sp.Block(4.0, 0.08, 0.3, sp.Push(0.3), length=contacts)
@@ -751,7 +768,7 @@ def test_a_series_of_a_block(contacts):
     assert found.load[0] == pytest.approx(float(first.load), rel=1e-12)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_series_on_an_interface_and_of_a_batch():
     """The first event is the first precursor there; lanes do not depend on each other; the force is the balance of all contacts."""
     interface = sp.Interface(prestress=0.2, threshold_slope=0.01)
@@ -790,7 +807,7 @@ def test_series_that_cannot_be(body, given, message):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("b", "again"), [(2.0, False), (10.0, True), (25.0, True)])
+@pytest.mark.parametrize(("b", "again"), [(2.0, False), (10.0, True), pytest.param(25.0, True, marks=pytest.mark.slow)])
 def test_both_events_of_the_slider_as_a_waveguide(b, again):
     """Contacts in one block, against the recursion and the event of the chain."""
     slider = sp.Slider(50.0, b / 130, 0.3)
@@ -825,7 +842,7 @@ def test_the_front_of_a_block_is_that_of_its_slider():
     assert "'full' has the length of the whole event" in str(sp.first_precursor(at_b(40.0, 25.0, sp.Push(0.4))))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_both_events_of_tall_blocks():
     """From coarser blocks, against the contacts themselves."""
     block = at_b(600.0, 25.0, sp.Push(0.1))
@@ -835,7 +852,7 @@ def test_both_events_of_tall_blocks():
     assert found[0] < found[1]
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivative_of_a_front_at_a_fixed_order_of_breaks():
     """Beyond the onset of breaking again, where the whole event has other ones."""
     slopes = []
@@ -884,7 +901,7 @@ def test_the_whole_event_of_a_slider_where_it_cannot_be():
 # --- precision ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("double", [True, False])
 def test_blocks_under_strict_promotion(double):
     """No number changes its type by itself."""
@@ -906,7 +923,7 @@ def test_blocks_under_strict_promotion(double):
             assert int(many.number) == 3
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
 

@@ -28,9 +28,10 @@ def random_block(rng):
 
 
 @pytest.mark.ci
-def test_twenty_random_blocks_with_friction_break_in_the_same_order():
+@pytest.mark.parametrize("blocks", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_random_blocks_with_friction_break_in_the_same_order(blocks):
     rng = np.random.default_rng(35)
-    for _ in range(20):
+    for _ in range(blocks):
         block = random_block(rng)
         dense = whole(block, block.contacts)
         relief = float(block.friction * block.normal_stiffness)
@@ -72,7 +73,7 @@ def test_pressure_balances_the_torque_of_the_push(push):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("ended", [True, False])
+@pytest.mark.parametrize("ended", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_without_friction_it_is_the_block_of_the_same_normal_stiffness(ended):
     """At μ = 0, and in the limit; both laws."""
     push, length = sp.Push(0.25, 0.1), 96 if ended else None
@@ -83,7 +84,7 @@ def test_without_friction_it_is_the_block_of_the_same_normal_stiffness(ended):
             assert float(sp.precursor_length(block, sites=128)) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_stiff_interface_across_reads_the_reaction():
     """Between k_n/k and infinity lengths and pressures differ by its inverse."""
     rigid, stiff = (
@@ -186,7 +187,7 @@ def test_a_held_top_undoes_most_of_the_tilt():
 # --- derivatives ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["amontons", "multicontact"])
 def test_derivatives_with_friction(law):
     """In H/λc, k/K, ν, push, k_n/k and μ, at a fixed order of breaks."""
@@ -207,7 +208,7 @@ def test_derivatives_with_friction(law):
 # --- smooth fronts, batches, outcomes -------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_smooth_front_with_friction_tends_to_the_hard_one():
     block = pressed(40, 1.0, sp.Push(0.25), 0.2, 4.0)
     hard = float(sp.precursor_length(block))
@@ -216,7 +217,7 @@ def test_a_smooth_front_with_friction_tends_to_the_hard_one():
     assert abs(off[2]) < 0.05
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_batch_over_friction_is_its_blocks():
     friction = np.array([0.0, 0.1, 0.3])
     with jax.enable_x64(True):
@@ -261,8 +262,17 @@ def test_bad_friction_is_named():
 # --- series -----------------------------------------------------------------------------------------------------------
 
 
+PROTOCOLS = [
+    pytest.param(Adiabatic(), id="edge"),
+    *(
+        pytest.param(protocol, id=name, marks=pytest.mark.slow)
+        for name, protocol in {"spring": Spring(0.3), "steps": Steps(0.01)}.items()
+    ),
+]
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("protocol", [Adiabatic(), Spring(0.3), Steps(0.01)], ids=["edge", "spring", "steps"])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_series_is_that_of_the_finite_elements(protocol):
     """Loads, sites and extents of twelve events, from breaks one by one; forces and energies in balance."""
     block = pressed(8, 1.0, sp.Push(0.25), 0.3)
@@ -313,7 +323,7 @@ def test_precursors_begin_at_the_edge_and_grow_by_small_steps():
     np.testing.assert_allclose([share[0], share[jump], *at], [0.5435, 0.5370, 0.462, 0.515, 0.575], rtol=0.01)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_rough_contacts_series():
     """Each event begins where the first one of its own pinning would, by the same balance; forces are those of the contacts."""
     block = pressed(20, 1.0, sp.Push(0.25, 0.1), 0.3, 3.0, contact_law="multicontact")
@@ -327,7 +337,7 @@ def test_rough_contacts_series():
     assert float(found.drift) < 0.02
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["amontons", "multicontact"])
 def test_pictures_of_a_block_with_friction(law):
     """Of rough contacts those after the event are of the stiffnesses at nucleation."""

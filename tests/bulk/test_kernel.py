@@ -67,7 +67,7 @@ print(loops_are_whole(), int(constant), *np.asarray(found), *lengths)
 """
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_whole_loops_give_the_same(breaks):
     """Loops compiled as one function each, in a process that asks for it; the bits of lengths in bulk do not depend on it."""
     whole, constant, *found = run(inspect.getsource(loops_are_whole) + WHOLE, XLA_FLAGS="").split()
@@ -154,7 +154,11 @@ def failing(rows, starts, take, axes):
 @pytest.mark.ci
 @pytest.mark.parametrize(
     ("reduction", "said"),
-    [(pairs, "in another order"), (apart, r"in \d+ loops"), (failing, r"with an error \(UNIMPLEMENTED: reductions\)")],
+    [
+        pytest.param(pairs, "in another order", marks=pytest.mark.slow),
+        (apart, r"in \d+ loops"),
+        (failing, r"with an error \(UNIMPLEMENTED: reductions\)"),
+    ],
 )
 def test_a_compiler_without_the_habit(monkeypatch, reduction, said):
     """It is seen, said once, and lengths are the same to rounding."""

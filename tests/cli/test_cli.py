@@ -341,7 +341,7 @@ def test_reader_that_hangs_up_is_not_an_error_message():
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("encoding", ["latin-1", "cp1252"])
+@pytest.mark.parametrize("encoding", ["cp1252", pytest.param("latin-1", marks=pytest.mark.slow)])
 def test_every_encoding_of_stdout(encoding):
     env = os.environ | {"PYTHONIOENCODING": encoding}
     for arguments in (["length", *FIG2], ["length", "--help"]):

@@ -195,7 +195,7 @@ def test_space_time(ax, catalogue):
         space_time(catalogue._replace(break_site=catalogue.break_site[:9], break_event=catalogue.break_event[:9]), ax=ax)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_single_precision(float32, catalogue):
     """A series follows the precision of its chain: the same events while no two contacts are as near to their thresholds as 1e-5."""
     chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=40)

@@ -201,9 +201,22 @@ def jax_as_it_is():
 
 QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
+LONG = {
+    "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/optax.md", "fit/own_csv.md", "fit/own_observable.md", "howto/break_rule.md",
+    "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/block_theory.md", "model/gradients.md", "model/precursors.md",
+}  # fmt: skip
+"""Pages whose programs take longest and call what other tests hold: they run every night."""
 
 
-@pytest.mark.parametrize("page", [page if page in QUICK else pytest.param(page, marks=pytest.mark.ci) for page in PAGES])
+def marks_of(page):
+    return () if page in QUICK else pytest.mark.slow if page in LONG else pytest.mark.ci
+
+
+def test_long_pages_are_there():
+    assert set(PAGES) >= LONG
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, marks=marks_of(page)) for page in PAGES])
 def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
     """Programs, commands and tables in their order, in one folder; pages mark what cannot run here as another kind of block."""
     import matplotlib.pyplot as plt
@@ -272,9 +285,9 @@ def test_links_between_pages_lead_somewhere():
 
 
 @pytest.mark.parametrize("folder", ["pmma_block", pytest.param("pushed_block", marks=pytest.mark.ci)])
-def test_sentence_for_a_paper(folder):
+def test_sentence_for_a_paper(folder, worked):
     """The page quotes what `FitResult.methods` writes, but for the version."""
     page = (DOCS / "fit" / "own_csv.md").read_text(encoding="utf-8")
     without = re.compile(r"slippulse_jax [0-9.a-z]+\)")
-    said = sp.fit(ROOT / "fit_examples" / folder / "lengths.csv").methods()
+    said = worked(folder).methods()
     assert without.sub("", said) in [without.sub("", quoted) for quoted in re.findall(r"^> (.*)$", page, flags=re.M)]

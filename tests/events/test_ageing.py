@@ -47,7 +47,7 @@ def test_never_broken_and_unpulled_contacts():
     assert np.isinf(got[1])
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_infinitely_fast_ageing_is_none():
     none, fast = long_series(CHAIN), long_series(CHAIN, ageing=sp.Ageing(0.999999, 1e-12))
     assert np.array_equal(none.extent[1:30], fast.extent[1:30])

@@ -153,7 +153,7 @@ def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion
     np.testing.assert_allclose(found.state.load, load, atol=5e-5)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_error_over_a_hundred_thousand_breaks():
     """The bound: n breaks leave a relative error of at most n (ε + 8u), componentwise; what is found is far below it."""
     c = chain(FIG2, sites=3000, right="free")

@@ -70,7 +70,7 @@ def test_all_modes_agree(points, gradients):
     np.testing.assert_allclose(jax.jacfwd(length)(theta[0]), gradients[0], rtol=1e-13)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_hessian_in_every_order_of_modes(points):
     theta = points[0][:6]
 

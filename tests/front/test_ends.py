@@ -106,7 +106,7 @@ def test_the_machine_stays_while_the_front_runs():
     assert int(event.extent[0]) == int(front.contacts_broken)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("right", [pytest.param("free", marks=pytest.mark.slow), "clamped"])
 def test_derivatives_in_the_number_of_sites_and_the_machine(right):
     """Against central differences, by the traced length and in bulk; both are smooth between whole counts."""

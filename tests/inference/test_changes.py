@@ -130,6 +130,7 @@ def test_a_pressure_that_tilts_is_fitted_to_the_whole_table(each):
     assert "pressure" in check_rows(TWO_BLOCKS, {"pressure", "slider"}, **options)
 
 
+@pytest.mark.ci
 def test_rows_where_several_values_fit_and_the_value_that_stands_first():
     """The soft one, although the stiff one fits better: the edge breaks again there, which the model leaves out."""
     rows = check_rows(TWO_ROOTS, {"young", "length", "machine_stiffness"})

@@ -395,7 +395,7 @@ def test_at_what_height_to_push_a_block():
     np.testing.assert_allclose([c["information"] for c in said["candidates"]], plan.information, rtol=1e-12)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_push_is_over_the_height_of_its_block_or_in_mm():
     """One h/H for blocks of several heights scales with each; mm stay mm. As for a block, and for `sweep`."""
     known = sp.Knowledge.lognormal(9e10, 0.2, in_si=True)

@@ -206,9 +206,9 @@ def test_unfinished_search_says_so(monkeypatch):
     assert result.stderrs["stiffness"] is None
 
 
-def test_bundled_pmma_block_gives_back_its_stiffness():
+def test_bundled_pmma_block_gives_back_its_stiffness(worked):
     """Data made by an independent banded solver with 2.0e10 Pa/m: within two standard errors, and a sensible χ²."""
-    result = fit(read_measurements(PMMA))
+    result = worked("pmma_block")
     value, error = result.values["areal_stiffness"], result.stderrs["areal_stiffness"]
     assert result.identifiability is Identifiability.IDENTIFIED
     assert abs(value - 2.0e10) < 2 * error
@@ -217,8 +217,8 @@ def test_bundled_pmma_block_gives_back_its_stiffness():
     assert result.stderrs["stiffness"] / result.values["stiffness"] == pytest.approx(error / value)
 
 
-def test_bundled_printed_count_gives_a_range_around_the_papers_stiffness():
-    result = fit(read_measurements(ROOT / "fit_examples/paper_printed_value/lengths.csv"))
+def test_bundled_printed_count_gives_a_range_around_the_papers_stiffness(worked):
+    result = worked("paper_printed_value")
     soft, stiff = result.intervals["stiffness"][0.6827]
     assert soft.low < 0.03 < soft.high < stiff.low
     assert result.identifiability is Identifiability.SEVERAL_ROOTS
@@ -402,11 +402,11 @@ def test_value_with_error(value, error, text):
 
 
 @pytest.mark.ci
-def test_figure(tmp_path):
+def test_figure(tmp_path, worked):
     """Both panels have units, a legend, and show what is claimed; nothing warns on the way."""
     for name, measured in (("pmma_block", "measured ± σ"), ("paper_printed_value", "whole contacts")):
         best = "best fit" if name == "pmma_block" else "one that fits"
-        result = fit(read_measurements(ROOT / f"fit_examples/{name}/lengths.csv"))
+        result = worked(name)
         figure = plot.fit(result)
         left, right, off = figure.axes
         assert not left.get_xlabel()  # that of the residuals below
@@ -486,9 +486,9 @@ def test_panels_take_the_place_of_an_axes():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ["height", "length", "young", "poisson", "correlation_length"])
-def test_budget_is_what_fits_of_moved_inputs_give(name):
-    m = read_measurements(PMMA)
-    result = fit(m, "areal_stiffness")
+def test_budget_is_what_fits_of_moved_inputs_give(name, worked):
+    result = worked("pmma_block")
+    m = result.measurements
     by = {"height": 1.01, "length": 1.01, "young": 1.05, "poisson": -0.02, "correlation_length": 0.5}[name]
     change = {name: m.poisson + by} if name == "poisson" else {name: getattr(m, name) * by}
     if name == "correlation_length":  # heights and lengths were measured in mm

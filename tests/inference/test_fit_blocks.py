@@ -71,7 +71,7 @@ def test_coarser_blocks_have_the_length_to_the_error_they_state(b, push):
     assert off < 0.02 * found
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_derivatives_of_a_tall_block_at_a_fixed_order_of_breaks():
     def length(height, stiffness):
         return sp.precursor_length(sp.Block(height, stiffness, 0.3, sp.Push(0.3)))
@@ -102,7 +102,7 @@ def test_lengths_of_a_fit_are_those_of_the_cascade():
     assert np.all(off < 0.01 * found)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_blocks_followed_from_measured_ones_have_the_length_of_the_cascade():
     """At every b near a measured length; and of blocks that differ in all that may have an error: to what mixed errors leave."""
     rng, n = np.random.default_rng(5), 8
@@ -165,7 +165,7 @@ def at_prestress(height, b, push, prestress):
     return sp.Block(height, b / (2.6 * height), 0.3, sp.Push(push)), sp.Interface(prestress)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("b", "push", "prestress", "known"),
     # every contact of a block of H/λc = 5000; of 3000; the limit by 240 and 480
@@ -181,10 +181,10 @@ def test_prestressed_tall_blocks_have_the_length_of_every_contact(b, push, prest
 @pytest.mark.ci
 @pytest.mark.parametrize(
     ("b", "prestress"),
-    [(10.0, 0.5), (10.0, 0.8), (1.0, 0.56), *(pytest.param(10.0, phi, marks=pytest.mark.slow) for phi in (0.53, 0.6))],
+    [(1.0, 0.56), *(pytest.param(10.0, phi, marks=pytest.mark.slow) for phi in (0.5, 0.8, 0.53, 0.6))],
 )
 def test_tall_blocks_whose_event_does_not_stop_are_refused(b, prestress):
-    """Coarser contacts would stop it: after 2.1, 2.9, 3.9, 0 and 1.4 heights."""
+    """Coarser contacts would stop it: after 3.9, 2.1, 2.9, 0 and 1.4 heights."""
     with pytest.raises(ValueError, match=r"the event of Block\(height=5000.* farther than can be followed; .* may never stop"):
         sp.precursor_length(*at_prestress(5000.0, b, 0.1, prestress))
 
@@ -196,7 +196,7 @@ def test_a_tall_block_on_falling_thresholds_is_refused():
         sp.precursor_length(block, sp.Interface(0.0, -1e-4))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "b", "prestress"), [(30.0, 10.0, 0.6), (20.0, 10.0, 0.7), (120.0, 1.0, 0.56)])
 def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
     """By contacts of their own; the taller, the sooner."""
@@ -207,7 +207,7 @@ def test_short_blocks_run_away_where_tall_ones_do(height, b, prestress):
         tall_length(block, interface, "full")
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_events_that_do_not_stop_are_inf_in_bulk():
     interface = {"poisson": 0.3, "push_height": 0.1, "prestress": [0.3, 0.6]}
     found = sp.sweep(height=[30.0, 5000.0], stiffness=0.1, **interface, outputs="block_precursor_length")
@@ -394,7 +394,7 @@ def test_the_command_has_lengths_of_blocks():
         assert message in refused.output
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_lengths_by_finite_elements_that_share_no_code_with_the_package():
     """The program of `fit_examples/independent_block.py`, whose mesh leaves 0.03 %: within 0.1 %, with friction and without."""
     spec = importlib.util.spec_from_file_location("independent_block", ROOT / "fit_examples/independent_block.py")
@@ -427,7 +427,7 @@ def test_counts_and_run_throughs_of_blocks(study):
     assert sp.fit(past).values["stiffness"] == pytest.approx(stiffness, rel=0.02)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("control", ["displacement", "force"])
 def test_a_push_on_a_patch_is_fitted_as_one(control):
     """A force that is held lets a contact inside break first, and its lengths say little of the stiffness."""
@@ -445,6 +445,7 @@ def test_a_push_on_a_patch_is_fitted_as_one(control):
         assert found.identifiability is not Identifiability.IDENTIFIED
 
 
+@pytest.mark.ci
 def test_one_block_pushed_at_several_heights_is_drawn_against_them():
     block = [sp.Block(400.0, 7e-4, 0.3, sp.Push(push)) for push in (0.25, 0.35, 0.5)]
     length = np.array([float(sp.precursor_length(one, event="full")) for one in block])
@@ -522,7 +523,7 @@ def with_friction():
     return m, sp.fit(m)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_fit_of_blocks_with_friction(with_friction):
     m, found = with_friction
     assert found.identifiability is Identifiability.IDENTIFIED
@@ -545,7 +546,7 @@ def test_a_fit_of_blocks_with_friction(with_friction):
     assert without.deviance > found.deviance + 4
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_fit_of_blocks_that_end():
     """Lengths followed are those of the block itself, pressure and end included, to what contacts of two sizes leave."""
     m = of_pressed(friction=0.25, ratio=3)
@@ -567,7 +568,7 @@ def test_a_fit_of_blocks_that_end():
         assert found.fitted[i] == pytest.approx(float(sp.precursor_length(block, event="full")), rel=0.03)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_friction_with_an_error_is_fitted_beside(with_friction):
     m, exact = with_friction
     found = sp.fit(dataclasses.replace(m, friction_sigma=0.025))
@@ -581,7 +582,7 @@ def test_friction_with_an_error_is_fitted_beside(with_friction):
     assert low < 0.25 < high
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_lengths_over_friction_have_no_jump_and_are_those_of_the_blocks():
     """At every b, also where events are of another kind than the measured one; between blocks that are followed to 0.5 %."""
     log_b = np.linspace(np.log(0.02), np.log(200), 40)
@@ -607,7 +608,7 @@ def test_lengths_over_friction_have_no_jump_and_are_those_of_the_blocks():
         assert followed(at(friction))[0][i] == pytest.approx(expected, rel=5e-3)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_length_is_followed_to_where_it_falls():
     """At b = 1 and 0.5 a third of H falls to a contact or two at μ = 0.4025 and 0.3975; 0.0025 before, it is right to 2 %."""
     height, b = np.full(8, 60.0), np.repeat([1.0, 0.5], 4)
@@ -633,7 +634,7 @@ def test_a_length_is_followed_to_where_it_falls():
     np.testing.assert_allclose(error, np.sqrt(part * (1 - part)) * (long - short), atol=1e-5)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_next_to_a_fall_a_length_says_that_it_may_be_either():
     """At μ = 0.4 a third of H falls to three contacts between b = 1.13 and 1.17."""
     log_b = np.arange(0.085, 0.2, 0.01)

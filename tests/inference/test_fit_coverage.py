@@ -25,7 +25,9 @@ def test_sample_of_coverage():
     assert within(hits[1] / tries, 0.95, tries)
 
 
-@pytest.mark.parametrize("kind", DEGENERATE)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow if kind == "every front ran past" else ()) for kind in DEGENERATE]
+)
 def test_degenerate_studies_get_no_number(kind):
     rng = np.random.default_rng(3)
     assert all(degenerate(rng, kind) for _ in range(2))

@@ -1,7 +1,5 @@
 """Curves of a fit between and beyond its measurements, against lengths computed without it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ import slippulse_jax as sp
 from slippulse_jax.inference import intervals
 from slippulse_jax.status import Outcome
 
-EXAMPLES = Path(__file__).parents[2] / "fit_examples"
 MEASURED, OTHERS = np.array([20.0, 40.0, 80.0]), np.array([12.0, 30.0, 55.0, 140.0])
 FACTOR, OFFSET = 1.2, 0.7
 
@@ -63,8 +60,8 @@ def test_the_band_of_several_is_that_of_the_error_of_their_own():
     np.testing.assert_allclose((high - low) / 2, 1.959964 * FACTOR * slope * error, rtol=1e-4)
 
 
-def test_a_curve_along_the_height_of_the_push_goes_through_the_fitted_lengths():
-    result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
+def test_a_curve_along_the_height_of_the_push_goes_through_the_fitted_lengths(worked):
+    result = worked("pushed_block")
     m = result.measurements
     curve = result.curve(np.arange(len(m)), m.push_height, along="push_height")
     np.testing.assert_allclose(curve.length, result.fitted, rtol=1e-9)

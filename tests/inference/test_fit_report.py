@@ -87,9 +87,9 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
 
 
 @pytest.mark.ci
-def test_the_total_of_a_block_is_an_interval_too():
+def test_the_total_of_a_block_is_an_interval_too(worked):
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
-    result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
+    result = worked("pushed_block")
     value, by = result.values["areal_stiffness"], result.changes
     low, high, *_ = total_interval(result, "areal_stiffness", by)
     others = np.linalg.norm([one.by("areal_stiffness") for one in of_inputs(by) if one.name != "push_height"])
@@ -101,7 +101,7 @@ def test_the_total_of_a_block_is_an_interval_too():
         assert abs(np.log(end / value)) == pytest.approx(side, rel=0.05)
     sides = re.search(r"k/λc² \(Pa/m\)  \((\S+) -(\S+) \+(\S+)\)e10 ", result.report()).groups()
     assert [float(x) * 1e10 for x in sides] == pytest.approx([value, value - low, high - value], abs=0.06e10)
-    even = sp.fit(EXAMPLES / "pmma_block/lengths.csv").report()
+    even = worked("pmma_block").report()
     assert re.search(r"k/λc² \(Pa/m\)  \(1.96 ± 0.17\)e10 ", even)
 
 
@@ -187,7 +187,7 @@ def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
         assert '(free=[sp.Parameter("stiffness", each="specimen")])' in notes[0]
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_pulls_scatter_as_the_remark_supposes():
     """Of studies with moduli drawn by their stated error, a remark on one in twenty."""
     rng = np.random.default_rng(8)
@@ -383,9 +383,9 @@ def test_of_many_roots_the_best_are_listed():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv")))
-def test_the_deviance_is_that_of_the_residuals_shown(name):
+def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
-    result = sp.fit(EXAMPLES / name / "lengths.csv", intervals="profile")
+    result = worked(name)
     if result.problem.plain:
         parts = [(result.residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
         for one, t in zip(result.parameters.free, result.theta, strict=True):
@@ -417,8 +417,8 @@ def test_sigma_is_shown_with_what_is_added_to_it():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("verbose", [False, True])
-def test_counts_have_no_best_value_and_no_sigma(verbose):
-    result = sp.fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
+def test_counts_have_no_best_value_and_no_sigma(verbose, worked):
+    result = worked("counts_and_run_throughs")
     assert result.identifiability is Identifiability.EQUAL
     report = unfolded(result.report(verbose=verbose))
     assert "k/K any in the interval" in report
@@ -429,7 +429,7 @@ def test_counts_have_no_best_value_and_no_sigma(verbose):
     assert f"k/K {value}" not in report
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     """Lengths of a pusher 0.1 H high, fitted as if it covered all above: the factor leads from one stiffness to the other."""
     push, k = np.arange(0.25, 0.56, 0.05), 8e-3
@@ -519,7 +519,7 @@ def test_counts_hold_or_are_off_by_contacts():
     assert re.search(r"off by [+-]\d+\.\d\d λc", odd.report())
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_an_end_is_as_long_as_said_where_the_contacts_have_another_size():
     """λc known to a factor only: a block that ends at 4/κ₂, where κ₂ is that of the fitted λc; as a fit of such a table."""
     table = two_specimens(young_sigma_GPa=None, correlation_length_sigma_um=100.0).drop(columns="young_sigma_GPa")
@@ -659,7 +659,7 @@ def test_no_size_of_errors_from_a_scatter_that_counts_do_not_have():
         sp.fit(m, sigma="relative")
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_narrow_pusher_is_judged_with_the_error_of_its_height():
     """As a fit of the table with the width stated, and not as if the height were exact."""
     table = {"height_cm": [1.2, 4.0], "correlation_length_um": 20, "poisson": 0.38, "young_MPa": 2400, "length_cm": [0.41, 2.1]}

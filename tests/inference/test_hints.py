@@ -215,7 +215,7 @@ def test_lengths_that_nothing_reaches_and_a_single_one():
     assert note.startswith("the length lies within 3% of the longest attainable, where it constrains stiffness little")
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_no_block_is_suggested_where_the_table_states_what_one_cannot_take():
     """Of the lengths that suggest one otherwise (`test_a_trend_in_height`)."""
     length = lengths(0.004, prestress=0.3) + NOISE

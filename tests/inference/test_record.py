@@ -43,7 +43,7 @@ def two_specimens():
         ),
         (pd.DataFrame({"height": [20, 40], "poisson": 0.3, "length": [15.0, 33], "length_sigma": 0.3}, index=["A", "B"]), {}),
         pytest.param(sp.Measurements(height=25, poisson=0.3, length=35, length_sigma=1), {}, marks=pytest.mark.ci),
-        pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.ci),
+        pytest.param(two_specimens(), {"free": ["stiffness", "prestress"], "fixed": {"offset": 0}}, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_loaded_fit_is_the_one_saved(tmp_path, table, options):
@@ -160,8 +160,8 @@ def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path)
 @pytest.mark.parametrize(
     "name", ["pmma_block", *(pytest.param(name, marks=pytest.mark.ci) for name in ("pushed_block", "threshold_profile"))]
 )
-def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch):
-    result = sp.fit(EXAMPLES / name / "lengths.csv")
+def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
+    result = worked(name)
     result.save(tmp_path / "fit.json")
     said, content = result.report(verbose=True), result.to_dict()
 

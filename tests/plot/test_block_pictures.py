@@ -46,7 +46,7 @@ def test_pictures(found):
             sp.plot.block_stress(found, interface=sp.Interface(prestress=0.2))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_movie(tmp_path):
     with jax.enable_x64(True):
         sp.plot.animate(sp.first_precursor(sp.Block(6.0, 0.1, 0.3, sp.Push(0.4))), tmp_path / "block.gif")

@@ -133,15 +133,15 @@ def test_a_profile_has_the_colour_of_its_specimen_and_is_dashed_for_its_own_leng
 
 
 @pytest.mark.ci
-def test_one_curve_per_condition_and_the_label_says_what_differs():
-    result = fit(EXAMPLES / "prestressed_slider/lengths.csv")
+def test_one_curve_per_condition_and_the_label_says_what_differs(worked):
+    result = worked("prestressed_slider")
     ax = plot.length_versus_stiffness(result)
     assert texts(ax)[:5] == [rf"$\varphi$ = {share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4)]
     assert len(ax.patches) == 5 + len(result.intervals["stiffness"][0.95])
 
 
-def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end():
-    result = fit(EXAMPLES / "counts_and_run_throughs/lengths.csv")
+def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end(worked):
+    result = worked("counts_and_run_throughs")
     ax = plot.length_versus_stiffness(result)
     m = result.measurements
     bands = {(round(one.get_y(), 9), round(one.get_y() + one.get_height(), 9)) for one in ax.patches if one.get_width() == 1}
@@ -212,8 +212,8 @@ def test_the_profile_of_a_rejected_fit_has_no_levels():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ["counts_and_run_throughs", "own_csv", "prestressed_slider"])
-def test_no_legend_reaches_beyond_the_figure(name):
-    figure = plot.fit(fit(EXAMPLES / name / "lengths.csv"))
+def test_no_legend_reaches_beyond_the_figure(name, worked):
+    figure = plot.fit(worked(name))
     figure.draw_without_rendering()
     legends = [ax.get_legend() for ax in figure.axes if ax.get_legend()]
     assert max(one.get_window_extent().x1 for one in legends) <= figure.bbox.x1

@@ -38,7 +38,7 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     assert "u_s" in above.get_ylabel()
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_html_and_notebooks(front, tmp_path):
     movie = sp.plot.animate(front, tmp_path / "front.html", sites=14, dark=True)
     page = (tmp_path / "front.html").read_text(encoding="utf-8")

@@ -6,6 +6,8 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(path.name for path in FOLDER.glob("*.ipynb"))
+QUICK = ("01_the_model_from_scratch.ipynb", "02_scanning.ipynb", "03_gradients.ipynb")
+"""Those that CI runs; every night runs the others."""
 
 AS_NEW = "%reset -f\nimport jax, matplotlib\njax.config.update('jax_enable_x64', False)\nmatplotlib.rcdefaults()\n%reset -f"
 """A cell that undoes what notebooks set."""
@@ -29,7 +31,7 @@ def client():
 
 @pytest.mark.ci
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, which is not ours
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in NOTEBOOKS])
 def test_notebook_runs_and_is_committed_with_its_output(name, client):
     import nbformat
 
@@ -48,4 +50,4 @@ def test_notebook_runs_and_is_committed_with_its_output(name, client):
 
 
 def test_there_are_notebooks():
-    assert NOTEBOOKS
+    assert set(QUICK) <= set(NOTEBOOKS)

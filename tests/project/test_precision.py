@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 AS_IT_IS = {name: value for name, value in os.environ.items() if name != "JAX_ENABLE_X64"} | {"MPLBACKEND": "Agg"}
 
 
+@pytest.mark.slow
 def test_public_functions_by_default():
     """In one fresh process, against double precision in this one."""
     strict = ["-W", "error::RuntimeWarning", "-W", "error:Explicitly requested dtype"]  # which JAX cuts off elsewhere
@@ -86,7 +87,7 @@ def test_a_block_that_a_program_in_single_precision_holds(float32):
     assert "f32" in str(program)
 
 
-PROGRAMS = ["README.md", "docs/fit/own_observable.md"]
+PROGRAMS = ["README.md", pytest.param("docs/fit/own_observable.md", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("page", PROGRAMS)

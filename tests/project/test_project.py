@@ -156,8 +156,12 @@ def test_readme_links_lead_somewhere():
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
 
 
+QUICK = ("pmma_block", "pushed_block", "threshold_profile")
+"""One of a slider, of a block and of an interface that is not uniform; every night runs the others."""
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in EXAMPLES])
 def test_fit_example_runs_and_recovers(name, tmp_path, monkeypatch):
     """What its README says to run: main() fits the data and checks what it recovers, and the command line takes them too."""
     shutil.copytree(ROOT / "fit_examples", tmp_path / "fit_examples", ignore=shutil.ignore_patterns("__pycache__"))
@@ -185,6 +189,12 @@ def test_release_is_one_everywhere():
     named = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
     assert re.findall(r"3\.\d+", tried) == named
     assert project["requires-python"] == f">={named[0]}"
+
+
+def test_every_folder_of_tests_has_its_night():
+    jobs = re.findall(r"^ +tests: (.+)$", (ROOT / ".github/workflows/nightly.yml").read_text("utf-8"), flags=re.M)
+    folders = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("test_*.py")}
+    assert sorted(" ".join(jobs).split()) == sorted(folders)
 
 
 def test_readme_quotes_the_report():
@@ -223,7 +233,7 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.ci)])
+@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.slow)])
 def test_a_newcomer_reaches_the_physics_in_few_frames(name):
     """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
     call, target, most = PATHS[name]

@@ -123,7 +123,7 @@ def test_lazy_dataset_is_the_same_once_computed(points, chunk):
     xr.testing.assert_identical(sp.sweep(**one, lazy=True).compute(), sp.sweep(**one))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_every_output_can_be_chosen_and_every_set_names_outputs():
     """A function of several outputs computes exactly those that name it in the table."""
     given = {"height": 60.0, "stiffness": 4e-3, "poisson": 0.3, "width": 0.5, "push_height": 0.5}
@@ -246,7 +246,7 @@ def test_one_output_of_a_sweep_is_drawn_alone():
     assert alone.lines
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_pictures_mark_where_the_edge_breaks_again():
     """The dashed part of a line begins at its last point before; maps are hatched. Sweeps without a status are not marked."""
     stiffness = np.geomspace(0.01, 0.3, 12)
@@ -312,7 +312,7 @@ def test_blocks_over_the_height_of_the_push(pushes):
                 assert float(found.block_precursor_length.sel(height=h, push_height=at)) == pytest.approx(alone, rel=1e-9)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_blocks_pushed_by_a_force_on_a_patch():
     found = sp.sweep(height=60.0, stiffness=4e-3, poisson=0.3, push_height=0.5, push_width=[0.1, 0.2], push_control="force",
                      outputs="block_precursor_length")  # fmt: skip

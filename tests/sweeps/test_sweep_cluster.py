@@ -115,6 +115,7 @@ def test_a_fit_is_a_task_too(client):
     assert str(client.submit(sp.fit, table).result()) == str(sp.fit(table))
 
 
+@pytest.mark.slow
 def test_worker_of_another_processor(reference, tmp_path, client):
     """It computes its chunks, and one warning names both processors."""
     _, second = client.scheduler_info()["workers"]
@@ -177,6 +178,7 @@ def sweeping(address, store):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_client_is_killed_and_the_sweep_resumed(reference, tmp_path, client, two_workers):
     store = tmp_path / "s"
     client.register_plugin(Counted(tmp_path / "log", 0.05), name="counted")
@@ -200,6 +202,7 @@ def test_command_with_a_scheduler(reference, tmp_path, two_workers):
     xr.testing.assert_equal(sp.open_sweep(tmp_path / "s").load(), sp.open_sweep(reference).load())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_local_devices_share_a_sweep(reference, tmp_path, count):
     """In pieces small enough that every device gets some."""

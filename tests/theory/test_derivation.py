@@ -91,6 +91,7 @@ def test_layer_ahead_and_behind_solve_their_equation_and_meet(x):
     np.testing.assert_allclose(with_slopes(d.released_layer)(x, s)[1] / k, d.released_slope(slider, s), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", SLIDERS)
 def test_every_step_from_continuity_to_the_equation_of_a3(x):
     """Labels cra49, cra50, cra49b, cra50b, cra49c1, cra50c1, cra49c, cra50c, cra51, cra55, cra54, cra54b."""

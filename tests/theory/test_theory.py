@@ -150,7 +150,7 @@ def continuum_and_slopes(x, y, s):
     return fields, rise, bend
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [0.0, 9.0])
 @pytest.mark.parametrize("x", [(25.0, 0.03, 0.3), (400.0, 1e-4, 0.4)])
 def test_continuum_fields_satisfy_their_equations(x, s):
@@ -300,7 +300,7 @@ OF_B = {
 }
 
 
-LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.ci, "envelope_length": pytest.mark.ci}
+LONG = {"length_frozen": pytest.mark.slow, "length_continuum": pytest.mark.slow, "envelope_length": pytest.mark.ci}
 
 
 @pytest.mark.ci
