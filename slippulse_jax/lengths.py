@@ -216,22 +216,9 @@ def event_lengths(
     """ℓ of whole events; with derivatives in every field at a fixed order of breaks in the rows after it.
 
     Beyond an onset of the areal stiffness (`rebreaking_onset`) contact 0 breaks again before the front stops, and others after
-    it, the most overloaded next (`slippulse_jax.events.rupture`), on a chain of which enough sites are resolved.
-
-    Parameters
-    ----------
-    lanes : array, shape (3, n) or (5, n)
-        H/λc, k/K, ν; and φ, ε.
-    front : array, shape (n,)
-        Length of the front of each, in λc.
-    right, sites
-        Right end of the chain, and the number of sites of a finite one.
-    derivatives : {0, 1}
-
-    Returns
-    -------
-    array
-        inf where the event runs through a finite chain, NaN where it was given up.
+    it, the most overloaded next (`slippulse_jax.events.rupture`), on a chain of which enough sites are resolved. Of lanes H/λc,
+    k/K, ν, or of these and φ, ε, and of the length of the front of each, in λc; `sites` are those of a finite chain. inf where
+    the event runs through that, NaN where it was given up.
     """
     found = np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan)
     if sites is not None:

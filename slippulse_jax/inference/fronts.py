@@ -86,13 +86,7 @@ class Front:
     uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Refuse columns and parameters that have no meaning for this model.
-
-        Raises
-        ------
-        ValueError
-            Naming them.
-        """
+        """Refuse columns and parameters that have no meaning for this model; a ValueError names them."""
         if "friction" in names:
             raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
 
@@ -462,15 +456,10 @@ FRONTS: dict[tuple[Body, MeasuredEvent], Front] = {
 
 
 def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | None = None) -> Front:
-    """Choose the model of the measured lengths.
+    """Choose the model of the measured lengths; a ValueError if there is none for this event and body.
 
     By default a block and its whole event where every measurement states how its side is pushed, unless the event is one of
     sliders only; else a slider and its first front.
-
-    Raises
-    ------
-    ValueError
-        If there is none for this event and body.
     """
     if event is not None:
         check_choice("event", event, MeasuredEvent)
