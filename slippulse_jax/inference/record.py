@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 2
 """Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
+SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body")
+"""Arguments of a fit that a request holds beside its parameters."""
 LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
 LONGEST, DEEPEST = 2000, 64
@@ -77,7 +79,7 @@ def decode(hint: Any, x: Any, missing: float = np.inf, **given: Any) -> Any:
         absent = {name: given[name] for name in hints if name in given and name not in names}
         return hint(**{name: None for name in names - {*fields} if type(None) in get_args(hints[name])}, **fields, **absent)
     if hint is np.ndarray:
-        found = np.array(x) if _all_bools(x) else np.array(x, dtype=float)
+        found = np.array(x) if x and all(isinstance(one, bool) for one in x) else np.array(x, dtype=float)
         return found if found.dtype == bool else np.where(np.isnan(found), missing, found)
     return missing if x is None and hint is float else x
 
@@ -87,10 +89,6 @@ def _written(hint: type) -> tuple[str, ...]:
     if dataclasses.is_dataclass(hint):
         return tuple(one.name for one in dataclasses.fields(hint) if one.metadata.get("written", True))
     return hint._fields  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _all_bools(x: Any) -> bool:
-    return bool(x) and all(isinstance(one, bool) for one in x)
 
 
 # --- a fit ------------------------------------------------------------------------------------------------------------------
@@ -270,7 +268,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
     """Convert a request to the arguments of `fit`; a ValueError names what is not understood."""
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
-    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body"}
+    unknown = set(request) - {*SETTINGS}
     if unknown:
         raise ValueError(shortened(f"request: {', '.join(sorted(unknown))} not understood"))
     free = []
