@@ -160,12 +160,7 @@ def lengths(
 
 
 def _whole(
-    slider: Slider,
-    interface: Interface | None,
-    rule: BreakRule,
-    ends: Ends,
-    max_contacts: int,
-    derivatives: int,
+    slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
     if rule is not HARD or (interface is not None and interface.repin_delay):
@@ -186,11 +181,7 @@ def _whole(
 
 
 def arrests(
-    slider: Slider,
-    interface: Interface | None = None,
-    *,
-    ends: Ends = ENDLESS,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
+    slider: Slider, interface: Interface | None = None, *, ends: Ends = ENDLESS, max_contacts: int = DEFAULT_MAX_CONTACTS
 ) -> Arrest:
     """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
 

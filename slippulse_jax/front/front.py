@@ -337,19 +337,8 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
         slip(i)   = Σ_j G_ij p_j,
         stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ.
 
-    Parameters
-    ----------
-    slider : Slider
-        One slider.
-    prestress : array, shape ()
-        φ, in σ_s.
-    position : array, shape ()
-        Contacts broken, at most `count`. Of the last a part may be: f²(3 − 2f) of it for a fraction f, so that fields change
-        smoothly from one whole number to the next.
-    count : int
-        Contact i lies at x = i λc.
-    ends : Ends
-        Right end and drive; beyond a free end the fields have no meaning.
+    `position` is at most `count`; of the last contact a part f may be broken, f²(3 − 2f) of it, so that fields change smoothly
+    from one whole number to the next. Contact i lies at x = i λc; beyond a free end the fields have no meaning.
     """
     modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
     part = jnp.clip(position - site, 0, 1)

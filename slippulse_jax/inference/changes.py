@@ -21,14 +21,7 @@ from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.parameters import (
-    HEIGHTS,
-    MODEL_ERROR,
-    STIFFNESSES,
-    Parameter,
-    ParameterSet,
-    parameter_set,
-)
+from slippulse_jax.inference.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.search import between_contacts, ordered, search
 from slippulse_jax.shown import format_number, plural
 from slippulse_jax.status import NotConverged

@@ -95,13 +95,7 @@ class Front:
         return {}
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Lengths in λc; 0 where no domino starts, inf where nothing stops.
-
-        Raises
-        ------
-        NotConverged
-            If a length was not found; the message gives the inputs.
-        """
+        """Lengths in λc; 0 where no domino starts, inf where nothing stops. NotConverged names inputs where none was found."""
         raise NotImplementedError
 
     def status(self, inputs: Inputs) -> np.ndarray:
@@ -196,7 +190,8 @@ class FirstFront(Front):
         count, own = len(NEARBY), inputs.without(*ENDED)
         around = own.map(lambda x: np.broadcast_to(x, (count, x.size)))
         around = around._replace(log_stiffness=own.log_stiffness + NEARBY[:, None]).ravel()
-        exact = _endless(self).lengths(around)
+        endless = FirstFront() if isinstance(self, EndedFront) else self  # as the exact solution is
+        exact = endless.lengths(around)
         stops, off = np.isfinite(exact), np.zeros(len(exact))
         off[stops] = straight_lengths(around.take(stops), self.event) - exact[stops]
         off = np.where(np.isfinite(off), off, 0).reshape(count, -1)
@@ -572,11 +567,6 @@ def ends_of(inputs: Inputs, exp: Any = np.exp) -> Ends:
 
 def _interface(inputs: Inputs, relaxed: bool) -> Interface | None:
     return None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
-
-
-def _endless(front: FirstFront) -> FirstFront:
-    """The same model of blocks without end, as the exact solution is."""
-    return FirstFront() if isinstance(front, EndedFront) else front
 
 
 def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
