@@ -47,18 +47,8 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
     n tangents yields the value and the whole Jacobian; the tangent is then a plain product with it, which JAX can
     transpose. The pass itself is wrapped again, so that ``hessian``, ``grad`` of ``grad`` and so on work too.
 
-    Parameters
-    ----------
-    f : callable
-        From arrays, of n numbers in all, to an array; differentiable forward. Under ``vmap`` an argument without the mapped
-        axis stays without it: what depends on it alone is computed once.
-    first : callable
-        What computes the first derivatives: `with_gradient` where `f` has a reverse mode.
-
-    Returns
-    -------
-    callable
-        The same function, with derivatives. Differentiating costs one pass of `first` whatever the mode.
+    `f` maps arrays, of n numbers in all, to an array. Under ``vmap`` an argument without the mapped axis stays without it: what
+    depends on it alone is computed once. `first` computes the first derivatives: `with_gradient` where `f` has a reverse mode.
     """
     differentiable = jax.custom_jvp(f)
 
@@ -74,14 +64,7 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
 def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
     """Compile `f`, and make its differentiation a TypeError, as the derivative would be silently zero or an artefact.
 
-    Parameters
-    ----------
-    f : callable
-        Of pytrees of arrays.
-    why : str
-        The message: what is not differentiable, and what to use instead.
-    static_argnums : tuple of int
-        As for ``jax.jit``.
+    The message is `why`: what is not differentiable, and what to use instead.
     """
     refusing = jax.custom_jvp(f, nondiff_argnums=static_argnums)
 

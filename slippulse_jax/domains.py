@@ -45,12 +45,7 @@ THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the thresho
 def check_kind(name: str, value: object, *kinds: type) -> None:
     """Check that an argument is an object of one of these classes, and that this process can compute with it.
 
-    Raises
-    ------
-    TypeError
-        Naming the argument, what it is, and what it must be.
-    RuntimeError
-        As `check_process`.
+    A TypeError names the argument, what it is, and what it must be; a RuntimeError is as that of `check_process`.
     """
     check_process()
     if not isinstance(value, kinds):
@@ -59,25 +54,13 @@ def check_kind(name: str, value: object, *kinds: type) -> None:
 
 
 def check_whole(name: str, value: object, least: int) -> None:
-    """Check that an argument is a whole number, `least` or more.
-
-    Raises
-    ------
-    ValueError
-        Naming the argument and its value.
-    """
+    """Check that an argument is a whole number, `least` or more; a ValueError names it and its value."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} = {value!r}: must be a whole number, at least {least}")
 
 
 def check_choice(name: str, value: object, choices: Any) -> None:
-    """Check that an argument is one of the values of a ``Literal``.
-
-    Raises
-    ------
-    ValueError
-        Naming the argument, its value, and the choices.
-    """
+    """Check that an argument is one of the values of a ``Literal``; a ValueError names it, its value, and the choices."""
     known = get_args(choices)
     if value not in known:
         raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, known))}{did_you_mean(value, known)}")
@@ -86,10 +69,7 @@ def check_choice(name: str, value: object, choices: Any) -> None:
 def check_single(owner: str, **given: Any) -> None:
     """Check that arguments with a `shape` (None for one that was not given) are no batches.
 
-    Raises
-    ------
-    ValueError
-        Naming the owner, the argument, and its shape.
+    A ValueError names the owner, the argument, and its shape.
     """
     for name, value in given.items():
         if value is not None and value.shape != ():
@@ -99,10 +79,7 @@ def check_single(owner: str, **given: Any) -> None:
 def check_domain(name: str, value: Any, inside: Any, requirement: str) -> None:
     """Check that all values are finite and inside a domain; those that JAX traces are not checked.
 
-    Raises
-    ------
-    ValueError
-        With name, value and index of the first that is not, and `requirement`.
+    A ValueError has name, value and index of the first that is not, and `requirement`.
     """
     from jax.core import Tracer  # here, because a table of measurements is read without JAX
 

@@ -133,19 +133,9 @@ def system_of(
 ) -> System:
     """Roots ρ_j of A, their distances, and the first step of the front.
 
-    Parameters
-    ----------
-    gap, coupling, reflected : array, shapes (2, *lanes), (2, *lanes), (2, 2, *lanes)
-        1 − r_m, r_m w_m, r_m R_mn; on a line κ_m, W_m, R_mn.
-    start : array, shape (2, *lanes)
-        V(0).
-    prestress : array, shape (*lanes), optional
-        φ; without it the family of terms that it would add is left out.
-    runaway : array, shape (*lanes), optional
-        φ_c = (1 + G_00)/2, the run-away prestress. Without it, a line, whose φ_c is 1/2.
+    From 1 − r_m, r_m w_m and r_m R_mn, lanes last (on a line κ_m, W_m, R_mn), V(0), φ and φ_c = (1 + G_00)/2, the run-away
+    prestress. Without φ the family of terms that it would add is left out; without φ_c it is a line, whose φ_c is 1/2.
 
-    Notes
-    -----
     The smaller 1 − ρ_2 comes from the product (1 − ρ_1)(1 − ρ_2) = γ_1 γ_2 φ_c, and ρ_j − r_m as products of positive
     numbers from (r_1 − ρ_1)(r_1 − ρ_2) = −w_1 r_1 (r_1 − r_2) and the like at r_2.
     """

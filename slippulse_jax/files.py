@@ -28,11 +28,7 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
 
     `content` goes to a temporary file beside `path`, is flushed to disk and renamed. Whatever interrupts this (a full disk, a
     kill), `path` holds either its former content or all of the new. A link stays a link: the file that it leads to is written.
-
-    Raises
-    ------
-    OSError
-        If the folder does not exist or cannot be written, naming `path`; no temporary file is left.
+    An OSError names `path` if its folder does not exist or cannot be written; no temporary file is left.
     """
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.tmp")

@@ -21,10 +21,7 @@ from slippulse_jax.units import Numbers, are_numbers, floats_or_axes, quantity_f
 def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
     """Check thresholds and prestresses of contacts, scalars or one per site, where they are not traced.
 
-    Raises
-    ------
-    ValueError
-        If a value lies outside its domain, naming it after `owner`, and its site.
+    A ValueError names a value outside its domain after `owner`, and its site.
     """
     THRESHOLD.check(f"{owner}threshold", threshold)
     if isinstance(prestress, Tracer) or isinstance(threshold, Tracer):
@@ -36,10 +33,7 @@ def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike)
 def check_bulk(interface: "Interface | None") -> None:
     """Check that the numbers of `interface` broadcast with a slider's, as those of a `Profile` do not.
 
-    Raises
-    ------
-    TypeError
-        If it is not an `Interface`, naming the functions that take a profile.
+    A TypeError names the functions that take a profile.
     """
     if interface is not None and not isinstance(interface, Interface):
         raise TypeError(

@@ -160,12 +160,7 @@ def lengths(
 
 
 def _whole(
-    slider: Slider,
-    interface: Interface | None,
-    rule: BreakRule,
-    ends: Ends,
-    max_contacts: int,
-    derivatives: int,
+    slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
     if rule is not HARD or (interface is not None and interface.repin_delay):
@@ -186,11 +181,7 @@ def _whole(
 
 
 def arrests(
-    slider: Slider,
-    interface: Interface | None = None,
-    *,
-    ends: Ends = ENDLESS,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
+    slider: Slider, interface: Interface | None = None, *, ends: Ends = ENDLESS, max_contacts: int = DEFAULT_MAX_CONTACTS
 ) -> Arrest:
     """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
 
@@ -216,22 +207,9 @@ def event_lengths(
     """ℓ of whole events; with derivatives in every field at a fixed order of breaks in the rows after it.
 
     Beyond an onset of the areal stiffness (`rebreaking_onset`) contact 0 breaks again before the front stops, and others after
-    it, the most overloaded next (`slippulse_jax.events.rupture`), on a chain of which enough sites are resolved.
-
-    Parameters
-    ----------
-    lanes : array, shape (3, n) or (5, n)
-        H/λc, k/K, ν; and φ, ε.
-    front : array, shape (n,)
-        Length of the front of each, in λc.
-    right, sites
-        Right end of the chain, and the number of sites of a finite one.
-    derivatives : {0, 1}
-
-    Returns
-    -------
-    array
-        inf where the event runs through a finite chain, NaN where it was given up.
+    it, the most overloaded next (`slippulse_jax.events.rupture`), on a chain of which enough sites are resolved. Of lanes H/λc,
+    k/K, ν, or of these and φ, ε, and of the length of the front of each, in λc; `sites` are those of a finite chain. inf where
+    the event runs through that, NaN where it was given up.
     """
     found = np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan)
     if sites is not None:

@@ -156,21 +156,10 @@ NUMBER = (jax.Array, np.ndarray, np.generic, int, float)
 
 
 def check_rule(rule: Any, *, one: bool = False) -> None:
-    """Check that `rule` is a break rule and that all its methods are used.
+    """Check that `rule` is a break rule, a single one if `one`, and that all its methods are used.
 
-    Parameters
-    ----------
-    rule : HardBreak, or SmoothBreak or a class derived from it
-    one : bool
-        Whether it must be a single rule, not a batch.
-
-    Raises
-    ------
-    TypeError
-        If it is no rule, or if a class derived from `SmoothBreak` has a field that is neither a number nor static, or
-        overrides `broken` without `overloaded_length`.
-    ValueError
-        If it is a batch where a single rule is needed.
+    A TypeError if it is no rule, or if a class derived from `SmoothBreak` has a field that is neither a number nor static, or
+    overrides `broken` without `overloaded_length`; a ValueError if it is a batch where a single rule is needed.
     """
     if type(rule) is HardBreak:
         return

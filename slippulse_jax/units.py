@@ -103,12 +103,8 @@ def are_numbers(*values: Any) -> bool:
 def as_float(x: Any) -> Any:
     """Convert to floating point: JAX arrays and tracers in their own precision, at least single; all else to NumPy float64.
 
-    Raises
-    ------
-    TypeError
-        If it holds no real numbers: text, dates, complex numbers, other objects.
-    ValueError
-        If it is a masked array with masked values.
+    A TypeError if it holds no real numbers (text, dates, complex numbers, other objects), a ValueError if it is a masked array
+    with masked values.
     """
     array = x if isinstance(x, jax.Array) else np.asanyarray(x)
     if isinstance(array, np.ma.MaskedArray) and array.mask.any():

@@ -201,19 +201,8 @@ def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Fl
 
 
 def endless(bonds: Springs, contact: Array) -> Springs:
-    """Reduce an endless uniform half-line to three equivalent springs.
+    """Reduce an endless uniform half-line, which begins with its first bond, to three equivalent springs.
 
-    The half-line begins with its first bond.
-
-    Parameters
-    ----------
-    bonds : Springs
-        K_L and K along the layers, K_T across, in K.
-    contact : array
-        k, in K; positive.
-
-    Notes
-    -----
     In mode m the displacement falls by a factor r_m per site, so a bond pulls back with its stiffness times (1 − r_m): the
     end is B g(M), with B = diag(K_L, K), M the 2×2 matrix of the bulk equations with eigenvalues κ_m², and
     g(κ²) = 1 − r. For a 2×2 matrix g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).

@@ -151,18 +151,9 @@ def force_law(thresholds: ThresholdDistribution, *, reach: float = 4.0, points: 
 
 @functools.partial(jax.jit, static_argnames="junctions")
 def ensemble_force(thresholds: ThresholdDistribution, junctions: int, stretch: Array, key: Array) -> Float[Array, " G"]:
-    """Simulate explicit junctions pulled by X; return their mean stretch.
+    """Simulate explicit junctions pulled by X ≥ 0, in u_s, increasing; return their mean stretch.
 
     Every junction breaks at exactly its threshold.
-
-    Parameters
-    ----------
-    thresholds : ThresholdDistribution
-    junctions : int
-        N_c.
-    stretch : array, shape (G,)
-        X ≥ 0, increasing, in u_s.
-    key : jax.random.key
     """
 
     def pull(carry: tuple, x: Array) -> tuple[tuple, Array]:
@@ -204,23 +195,12 @@ def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int 
 
 
 def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array, " L"]:
-    """Compute the load for each stretch of the first contact.
+    """Compute the load for each stretch of the first contact, in u_s; NaN where Newton's method did not converge.
 
     The relaxed chain, with a force law, is followed as the stretch of its first contact grows, even where the load must
     decrease. The whole chain slides smoothly if and only if the load increases throughout. Where it decreases, a chain under
-    increasing load jumps: an event begins.
-
-    Parameters
-    ----------
-    chain : Chain
-        With a `law`; for tens of sites, since the matrix is dense.
-    stretch : array, shape (L,)
-        Increasing from near zero, in u_s, in steps much smaller than the width of the thresholds.
-
-    Returns
-    -------
-    array, shape (L,)
-        In u_s; NaN where Newton's method did not converge.
+    increasing load jumps: an event begins. For tens of sites, since the matrix is dense; stretches increase from near zero, in
+    steps much smaller than the width of the thresholds.
     """
     n = chain.sites
     pinning = jnp.zeros_like(chain.contact)

@@ -105,12 +105,7 @@ def along(block: Block, finer: int = 0) -> Along:
 def slabs(block: Block, finer: int = 0) -> tuple[Slab, Slab]:
     """Elements over one contact, on the normal stiffness of the interface, without the spring of the contact.
 
-    Returns
-    -------
-    layers : Slab
-        Those over contact 0, from the pusher on, along a leading axis.
-    slab : Slab
-        All over any other contact.
+    Those over contact 0, from the pusher on, along a leading axis; and all over any other contact.
     """
     corner, other = widths(block, finer)
     every = jax.vmap(lambda width: _column(block, heights(block, finer), width, along(block, finer)))(

@@ -74,16 +74,9 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
 
 
 def in_balance(valid: Array, safe: Chain, state: State, beyond: Springs) -> Equilibrium:
-    """Solve for the `equilibrium` of a chain that has been eliminated.
+    """Solve for the `equilibrium` of a chain that has been eliminated, with its contacts, to the springs `beyond`.
 
-    Parameters
-    ----------
-    valid : bool array, shape ()
-        Whether the chain and the state are those that were given, or have been replaced (`or_harmless`).
-    safe : Chain
-    state : State
-    beyond : Springs
-        Elimination of `safe` with its contacts.
+    `valid`, of shape (), says whether chain and state are those that were given, or have been replaced (`or_harmless`).
     """
     (upper, layer), converged = solve(safe, state, lax.stop_gradient(beyond))
     end = safe.end.upper * upper[-1] + safe.end.layer * layer[-1]

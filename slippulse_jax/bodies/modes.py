@@ -97,15 +97,7 @@ class Modes(eqx.Module):
 
 
 def lattice_modes(slider: Slider, ends: Ends = ENDLESS) -> Modes:
-    """Modes of the chain of one slider.
-
-    Parameters
-    ----------
-    slider : Slider
-        One slider (fields of shape ()).
-    ends : Ends
-        Right end and drive; semi-infinite and an imposed displacement by default.
-    """
+    """Modes of the chain of one slider (fields of shape ()); endless, its edge displaced, unless `ends` says otherwise."""
     given = [x for x in (ends.sites, ends.machine) if x is not None]
     height, stiffness, poisson, *given = of_one_type(slider, *given)
     machine = None if ends.machine is None else given.pop()
@@ -233,16 +225,8 @@ def equilibrium_fields(
 ) -> ChainFields:
     """Fields of a uniform chain in equilibrium (labels discr1, discr2), in O(sites).
 
-    Parameters
-    ----------
-    modes : Modes
-        Of the chain. Sites beyond those given are pinned at zero.
-    load : array, shape ()
-        U, displacement of the left edge of the upper layer, in u_s.
-    pinning : array, shape (sites,)
-        u_b, in u_s.
-    prestress : array, shape (sites,), optional
-        φ_i, in σ_s; none by default. It is balanced from outside (top shear), and moves nothing by itself.
+    At the load U and with pinning u_b, in u_s; sites beyond those given are pinned at zero. A prestress φ_i, in σ_s, is
+    balanced from outside (top shear), and moves nothing by itself.
     """
     site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)
     echo, y = jax.vmap(modes.echo_factor)(site), jax.vmap(modes.profile)(site)
@@ -265,14 +249,8 @@ def equilibrium_fields(
 def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
     """Check the ends of a chain and put them together.
 
-    Parameters
-    ----------
-    right : {"semi-infinite", "free", "clamped"}
-        Beyond its last site the chain continues without end, is free, or is tied to a wall one bond further.
-    sites : array_like, optional
-        Number of sites N ≥ 2 of a finite chain.
-    machine : array_like, optional
-        M/K > 0, stiffness of the drive; inf, like None, for an imposed displacement.
+    Beyond its last site, of N ≥ 2, it continues without end, is free, or is tied to a wall one bond further ("clamped"). The
+    machine, M/K > 0, is the stiffness of the drive; inf, like None, for an imposed displacement.
     """
     check_right_end(right, sites)
     if machine is not None and not isinstance(machine, Tracer):

@@ -250,14 +250,8 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
 def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"], edge_stiffness: Any = 0.0) -> Response:
     """Response of equal contacts in a single block.
 
-    Parameters
-    ----------
-    transfer : array, shape (M, M)
-        Stress that each contact adds to each per stress it releases, source first.
-    push : array, shape (M,)
-        Stress per load.
-    edge_stiffness : array, shape ()
-        Force on the pusher per load, in K.
+    From the stress that each contact adds to each per stress it releases, source first; the stress per load; and the force on
+    the pusher per load, in K.
     """
     size, none = push.size, partial(jnp.zeros, dtype=transfer.dtype)
     return Response(

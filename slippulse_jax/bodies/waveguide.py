@@ -167,23 +167,11 @@ def doubled(slab: Slab, along: Along) -> Slab:
 def joined(
     sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along
 ) -> Slab:
-    """Eliminate the column in the middle of a slab; what reads it is passed on to the outer columns.
+    """Eliminate the column in the middle of a slab; what reads it is passed on to the outer columns, `sides`.
 
     A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S. So displacements of the middle
-    along and across the guide do not act on each other: each half is inverted by itself.
-
-    Parameters
-    ----------
-    sides : Slab
-        The outer columns, as they are without the middle.
-    toward : array, shape (n, n)
-        Stiffness between the left column and the middle; of the right one it is the mirror image.
-    middle : array, shape (n, n)
-        Stiffness of the middle. Only what acts within either half is used.
-    read : array, shape (r, n)
-        How the interface reads the middle.
-    along : tuple of int
-        Numbers of the freedoms along the guide.
+    along and across the guide do not act on each other: each half is inverted by itself. `toward` is the stiffness between the
+    left column and the middle; of `middle` only what acts within either half is used; `read` is how the interface reads it.
     """
     parts, sign = _halves(along, len(toward))
     moved, halves = jnp.zeros_like(read), []
@@ -280,14 +268,8 @@ def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array,
 def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
     """Eliminate what lies left of column 1, but for the spring of contact 0.
 
-    Parameters
-    ----------
-    layers : Slab
-        Over contact 0 from the pusher on; each number has a leading axis.
-    displaced : array, shape (n,)
-        1 for the freedoms of column 0 that move with the pusher.
-    force : array, shape (n,)
-        Force on the others per unit of the load.
+    The `layers` lie over contact 0 from the pusher on, along a leading axis; `displaced` is 1 for the freedoms of column 0 that
+    move with the pusher, and `force` that on the others per unit of the load.
     """
     readings, n = layers.reading_left.shape[1:]
     none = jnp.zeros((n, n), force.dtype)
@@ -331,19 +313,9 @@ def attached_edge(edge: Edge, contact: Array) -> Edge:
 
 @in_full
 def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Array, ""] | None = None) -> Guide:
-    """The guide of a slab on contacts; half-infinite, or of `length` slabs with a free end.
+    """The guide of a slab on contacts; half-infinite, or of `length` slabs, two or more, with a free end.
 
-    Parameters
-    ----------
-    edge : Edge
-    slab : Slab
-        Without the spring of its contact, as the edge.
-    contact : array, shape ()
-        k, in K.
-    along : tuple of int
-        Numbers of the freedoms along the guide; the others are across it.
-    length : int, optional
-        At least 2.
+    Edge and slab are without the spring of their contact, k in K. The freedoms that are not `along` the guide are across it.
     """
     at_edge = attached_edge(edge, contact)
     slab = attached(slab, contact)
@@ -409,19 +381,8 @@ def compliance(
 ) -> tuple[Float[Array, "N s r N"], Float[Array, "r N"]]:
     """A and t of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and 0 beyond.
 
-    Parameters
-    ----------
-    guide : Guide
-    sites : int
-    read, sources : int
-        Number of readings wanted, and of those along which forces act.
-
-    Returns
-    -------
-    A : array, shape (sites, sources, read, sites)
-        Reading per force, that of the source first.
-    t : array, shape (read, sites)
-        Reading per load.
+    A, of shape (sites, sources, read, sites), is the reading per force, that of the source first; t the reading per load. With
+    so many of the readings, and of those along which forces act.
     """
     slab, q = guide.slab, readings(guide, sites)[:, :read]
     none = jnp.zeros_like(q[:1])

@@ -70,26 +70,10 @@ _compiling = threading.RLock()
 def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, rank: Rank | None = None) -> list[np.ndarray]:
     """Evaluate ``kernel`` at every lane, in double precision.
 
-    Parameters
-    ----------
-    kernel : Kernel
-        Traced and compiled on first use. Missing axes are the leading ones (``numpy_rank_promotion`` is "allow").
-    lanes : sequence of numpy.ndarray, shape (n,)
-        float64, one array per field.
-    layout : Layout
-    rank : callable, optional
-        Maps lanes to their order; as given by default.
-
-    Returns
-    -------
-    list of numpy.ndarray
-        The kernel's results, lanes last, in the order given. They do not depend on batch, chunk, order or device: each call
-        runs whole on one device, by a program compiled for one.
-
-    Notes
-    -----
-    Large temporary arrays are avoided: the system provides their memory anew at every call, which costs as much as the
-    arithmetic on them.
+    The kernel is traced and compiled on first use; missing axes are the leading ones (``numpy_rank_promotion`` is "allow").
+    Return its results, lanes last, in the order given. They do not depend on batch, chunk, order or device: each call runs
+    whole on one device, by a program compiled for one. Large temporary arrays are avoided: the system provides their memory
+    anew at every call, which costs as much as the arithmetic on them.
     """
     check_process()
     count, fields = len(lanes[0]), len(lanes)

@@ -16,12 +16,9 @@ if hasattr(os, "register_at_fork"):
 
 
 def check_process() -> None:
-    """Check that JAX can compute in this process, in which it would otherwise wait for ever.
+    """Check that this process is no child of ``fork`` of one that had used JAX, in which JAX would wait for ever.
 
-    Raises
-    ------
-    RuntimeError
-        In a child of ``fork`` of a process that had used JAX, whose threads the child has not.
+    A RuntimeError says how to start workers instead.
     """
     if _forked:
         raise RuntimeError(

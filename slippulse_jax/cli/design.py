@@ -48,10 +48,7 @@ class Numbers(click.ParamType):
 @click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
 @click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
 @click.option(
-    "--stiffness",
-    type=Numbers(),
-    metavar="K,…",
-    help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m.",
+    "--stiffness", type=Numbers(), metavar="K,…", help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m."
 )
 @click.option("--log-sd", type=Numbers(), metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
 @click.option("--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they add to the prior.")

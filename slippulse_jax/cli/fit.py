@@ -53,11 +53,7 @@ def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body |
     help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
 )
 @click.option(
-    "--prior",
-    multiple=True,
-    callback=_pairs,
-    metavar="NAME=MEAN,DEVIATION",
-    help="Gaussian prior of a parameter, in SI.",
+    "--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Gaussian prior of a parameter, in SI."
 )
 @click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")

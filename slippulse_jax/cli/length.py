@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 DIMENSIONLESS = ("height", "stiffness")
 SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
+UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amontons", "top": "free"}
+"""What the options of a block are where they are not given."""
 
 
 @click.command()
@@ -60,12 +62,8 @@ def command(
     push_height: float | None,
     push_width: float | None,
     push_control: Any,
-    friction: float | None,
-    normal_stiffness: float | None,
-    contact_law: Any,
-    top: Any,
     as_json: bool,
-    **given: float | None,
+    **given: Any,
 ) -> None:
     """Compute the first precursor of one slider, or of a block that is pushed at a height.
 
@@ -73,6 +71,7 @@ def command(
     """
     import jax
 
+    pressed = {name: given.pop(name) for name in UNPRESSED}
     form = _form(given)
     if push_height is not None:
         ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
@@ -81,12 +80,11 @@ def command(
             raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
         with jax.enable_x64(True):
             push = push_height, push_width, push_control or "displacement"
-            pressed = {"normal_stiffness": normal_stiffness, "friction": friction, "contact_law": contact_law, "top": top}
             result, text = _block_length(form, poisson, push, pressed), _block_text
     else:
         if push_width is not None or push_control is not None:
             raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
-        if friction is not None or normal_stiffness is not None or (contact_law, top) != ("amontons", "free"):
+        if pressed != UNPRESSED:
             raise click.UsageError(
                 "--friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
             )

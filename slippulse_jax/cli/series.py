@@ -35,11 +35,7 @@ BREAKS_AN_EVENT = 50
 @click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")
 @click.option("--recovery", type=float, metavar="U_S", help="Ageing: load over which thresholds recover.")
 @click.option(
-    "--repin-delay",
-    type=click.IntRange(min=0),
-    default=0,
-    metavar="N",
-    help="Breaks while a contact stays detached.",
+    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks while a contact stays detached."
 )
 @click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the friction curve and the space–time map.")

@@ -107,9 +107,8 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output: a map, or a family of lines.")
 @as_json
 def command(
-    outputs: str, points: bool, right: Any, sites: int | None, store: str | None, resume: bool, chunk: int | None,
-    share: tuple[int, int] | None, scheduler: str | None, out: Path | None, figure: Path | None, as_json: bool, **values: Any,
-) -> None:  # fmt: skip
+    outputs: str, store: str | None, scheduler: str | None, out: Path | None, figure: Path | None, as_json: bool, **request: Any
+) -> None:
     """Compute first precursors over ranges of parameters: CSV on stdout, or a store that survives interruption.
 
     --outputs takes length, exact_length, smooth_length, block_precursor_length; contacts_broken, status, exact_status;
@@ -117,37 +116,27 @@ def command(
     length_frozen, length_continuum, length_envelope, length_macroscopic, runaway_prestress) and validity (is_one_domino,
     is_continuous, is_frozen, is_far_from_edge).
     """
-    if store is None and (share or (chunk and not scheduler)):
+    share = request["share"]
+    if store is None and (share or (request["chunk"] and not scheduler)):
         raise click.UsageError("--share and --chunk go with --store")
     if share and scheduler:
         raise click.UsageError("--share is for processes without a scheduler: leave it out with --scheduler")
     if figure is not None:
-        _check_drawable(values, points, store)
-    found = _sweep(
-        store,
-        **values,
-        outputs=outputs.split(","),
-        points=points,
-        right=right,
-        sites=sites,
-        resume=resume,
-        chunk=chunk,
-        share=share,
-        client=scheduler,
-    )
+        _check_drawable(request, store)
+    found = _sweep(store, **request, outputs=outputs.split(","), client=scheduler)
     _hand_over(found, out, figure, as_json, store)
 
 
-def _check_drawable(values: dict[str, Any], points: bool, store: str | None) -> None:
+def _check_drawable(request: dict[str, Any], store: str | None) -> None:
     """Refuse a figure that could not be drawn, before anything is computed."""
     from slippulse_jax.plot.maps import not_drawn
 
-    sizes = {name: one.size for name, one in values.items() if one is not None and not isinstance(one, str) and one.size > 1}
+    sizes = {name: one.size for name, one in request.items() if getattr(one, "size", 1) > 1}
     axes = sorted(sizes, key=lambda name: sizes[name])
-    if points:
+    if request["points"]:
         raise click.UsageError(not_drawn([], "leave out --points"))
     if len(axes) > 2:
-        first = {name: repr(float(values[name][0])) for name in axes[:-2]}
+        first = {name: repr(float(request[name][0])) for name in axes[:-2]}
         chosen = " ".join(f"{option(name)} {value}" for name, value in first.items())
         selected = ", ".join(f"{name}={value}" for name, value in first.items())
         stored = 'write --out FILE.nc and draw sp.plot.sweep(xarray.open_dataset("FILE.nc")'

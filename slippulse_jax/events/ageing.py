@@ -92,19 +92,10 @@ MAX_NEWTON_STEPS = 60
 def next_crossing(
     ageing: Ageing, stress: Array, per_load: Array, threshold: Array, age: Array, velocity: Array | float = 1.0
 ) -> Float[Array, " N"]:
-    """Find the load increase that brings each contact to its threshold.
+    """Find the load increase that brings each contact to its threshold; inf where none does.
 
-    The result is inf where no increase does.
-
-    Parameters
-    ----------
-    ageing : Ageing
-    stress, per_load : array, shape (N,)
-        Stress now, below threshold, and its growth per load, in σ_s and σ_s/u_s.
-    threshold : array, shape (N,)
-        Of contacts that never broke, in σ_s.
-    age : array, shape (N,)
-        In load; inf for a contact that never broke.
+    From its stress now, below threshold, and its growth per load, in σ_s and σ_s/u_s; the threshold of contacts that never
+    broke, in σ_s; and its age in load, inf for a contact that never broke.
     """
     pulled = (per_load > 0) & (threshold < jnp.inf)
     c = jnp.where(pulled, per_load, 1)

@@ -96,10 +96,7 @@ Computed = TypeVar("Computed", bound=Callable)
 def in_double(function: Computed) -> Computed:
     """Compute a function of a block in double precision, whatever the JAX flags; results are in the caller's precision.
 
-    Raises
-    ------
-    ValueError
-        If an argument is traced while JAX is in single precision.
+    A ValueError if an argument is traced while JAX is in single precision.
     """
 
     @functools.wraps(function)
@@ -347,15 +344,8 @@ def stages(
 ) -> tuple[Float[Array, "n N"], Float[Array, "n N"], Float[Array, "n N cells"]]:
     """Stresses after so many breaks of the first precursor, 0 for none; in σ_s.
 
-    Returns
-    -------
-    contact : array, shape (n, sites)
-        On the contacts.
-    threshold : array, shape (n, sites)
-        Theirs, which follows their pressure where there is friction.
-    shear : array, shape (n, sites, cells)
-        σ_xy in the block over each contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the
-        prestress.
+    On the contacts; their thresholds, which follow the pressure where there is friction; and σ_xy in the block over each
+    contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the prestress.
     """
     body = contacts_of(block, interface, sites)
     start = nucleated(body)

@@ -130,17 +130,9 @@ class Event(NamedTuple):
     def length(self, excess: Float[Array, " N"], last: int | Array) -> Float[Array, ""]:
         """ℓ: where a straight line of the excess over the threshold, from the rightmost contact that broke, falls to zero.
 
-        Parameters
-        ----------
-        excess : array, shape (N,)
-            Of the stress over the threshold, when the event is over.
-        last : int
-            Index of the last contact.
-
-        Notes
-        -----
-        The line begins with the overload of that contact as it broke for the *first* time, as the front passed. By that of a
-        later break ℓ would fall where the event becomes larger, because a contact that just breaks again has no overload.
+        The excess is that after the event. The line begins with the overload of that contact as it broke for the *first* time,
+        as the front passed. By that of a later break ℓ would fall where the event becomes larger, because a contact that just
+        breaks again has no overload.
         """
         at, ahead = jnp.maximum(self.rightmost, 0), jnp.minimum(self.rightmost + 1, last)
         return self.line(at.astype(excess.dtype), self.contacts.overload.reshape(-1)[at], excess[ahead])
@@ -176,25 +168,11 @@ def event(
 ) -> Event:
     """Break contacts until none is at its threshold, `limit` have broken, or contact `last` has.
 
-    Parameters
-    ----------
-    response : Response
-    stress, threshold : array, shape (B, M)
-        In σ_s, before the event; the threshold is inf where there is no contact.
-    limit : int
-        Largest number of breaks.
-    renewed : array, shape (B, M), optional
-        Thresholds of contacts that have broken; as before by default.
-    trigger : int
-        Contact that breaks first, whatever its overload; −1 for none.
-    last : int
-        Contact whose break ends the event; −1 for none.
-    delay : int
-        Number of breaks for which a broken contact stays detached. With a delay every break updates all stresses, in O(N).
-    pressure : array, shape (B, M), optional
-        Over the initial one, before the event, where thresholds follow it; without a delay.
-    log : tuple, optional
-        Arrays of length L + 1 for the sites in order of breaking and what each released, and the place of the first break.
+    Thresholds are inf where there is no contact, and `renewed` once it has broken. The contact `trigger` breaks first, whatever
+    its overload; −1, like that of `last`, for none. A broken contact stays detached for `delay` breaks: then every break
+    updates all stresses, in O(N). The pressure, over the initial one, is that before the event, where thresholds follow it;
+    without a delay. `log` is arrays for the sites in order of breaking and what each released, and the place of the first
+    break.
     """
     renewed = threshold if renewed is None else renewed
     none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), stress.dtype)
@@ -262,14 +240,10 @@ def event(
 
 
 def rises(push: Array, threshold: Array, stress: Array, pressure: Array | None = None, relief: Array | None = None) -> Array:
-    """Rise of the load that brings each contact to its threshold; inf where none does.
+    """Rise of the load that brings each contact to its threshold; inf where none does, or there is no contact.
 
-    Parameters
-    ----------
-    push, threshold, stress : array, shape (…, N)
-        Stress per load; threshold, inf where there is no contact, and stress now.
-    pressure, relief : array, shape (…, N), optional
-        Pressure now, where thresholds follow it, and what each contact loses of it per load.
+    `push` is stress per load; `pressure` that now, where thresholds follow it, and `relief` what each contact loses of it per
+    load.
     """
     if pressure is not None and relief is not None:
         weak = jnp.where(jnp.isfinite(threshold), threshold, 0)
@@ -329,16 +303,9 @@ def event_from(
 def slopes_of_length(found: Event, start: Nucleation, threshold: Float[Array, " N"]) -> tuple[Array | None, ...]:
     """Derivatives of ℓ at a fixed order of breaks, in the stress, the transfer, the pressure, its relief and the threshold.
 
-    From the last break back to the first, λ is the derivative in the stress on each contact, and ρ that in its pressure: a
-    break of contact o that released t set the stress on it to zero, added G_oi t to that on contact i, and took Q_oi t of the
-    pressure.
-
-    Parameters
-    ----------
-    found : Event
-        Logged, of a body of one block.
-    start : Nucleation
-    threshold : array, shape (N,)
+    Of a logged event of a body of one block. From the last break back to the first, λ is the derivative in the stress on each
+    contact, and ρ that in its pressure: a break of contact o that released t set the stress on it to zero, added G_oi t to that
+    on contact i, and took Q_oi t of the pressure.
     """
     record, contacts = found.record, jax.tree.map(lambda x: x[0], found.contacts)
     order, each, G = record.order, record.each, start.response.near[0]

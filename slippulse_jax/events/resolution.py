@@ -187,10 +187,7 @@ its status."""
 def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> tuple[Array, Array]:
     """ℓ of one tall block from larger contacts of the same b, and how far it may be off.
 
-    Raises
-    ------
-    ValueError
-        If the event does not stop within what can be followed.
+    A ValueError if the event does not stop within what can be followed.
     """
     one = jax.tree.map(lambda x: x[None], _known((block, interface)))
     height, sites, fine, rough = _views(one, kind)[:, 0]
@@ -342,8 +339,7 @@ def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> 
     """ℓ of many blocks from larger contacts, and how far each may be off; shapes (n,).
 
     Lengths are 0 where no domino starts, inf where the event does not stop within the contacts followed, and NaN where the
-    block lifts off. The error of an
-    infinite length is set to H, for the blocks beside it in a table.
+    block lifts off. The error of an infinite length is set to H, for the blocks beside it in a table.
     """
     height, _, fine, rough = _views((block, interface), kind)
     endless = np.isposinf(fine)

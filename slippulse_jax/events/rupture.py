@@ -224,18 +224,9 @@ def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
 def one_rupture(
     limits: tuple[int, int], resp: Response, beyond: Springs, chain: Chain, state: State, trigger: Array
 ) -> Rupture:
-    """Follow the rupture of one chain.
+    """Follow the `rupture` of one chain, of which `beyond` is the elimination from its right end.
 
-    Parameters
-    ----------
-    limits : tuple of int
-        Largest number of breaks, and the delay.
-    resp : Response
-        Of the chain.
-    beyond : Springs
-        Elimination of the chain from its right end.
-    chain, state, trigger
-        As for `rupture`.
+    The limits are the largest number of breaks, and the delay.
     """
     max_breaks, delay = limits
     valid = all_numbers(chain, state)
@@ -317,12 +308,9 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     fixed and no contact breaks twice; this makes the sweep smooth, and is its approximation. As w → 0 it becomes the hard
     rupture, where that is a single front from left to right.
 
-    Returns
-    -------
-    Rupture
-        As for `rupture`, except: `order` lists the sites in the order of the sweep, `released` the stress each released,
-        `broken` the fraction of each contact that broke, and `length` is ℓ_w, from the left edge to where p has faded.
-        `breaks` and `extent` count the contacts of which more than half broke; RAN_THROUGH if the last one is among them.
+    `order` lists the sites in the order of the sweep, `released` the stress each released, `broken` the fraction of each
+    contact that broke, and `length` is ℓ_w, from the left edge to where p has faded. `breaks` and `extent` count the contacts
+    of which more than half broke; RAN_THROUGH if the last one is among them.
     """
     valid = all_numbers(chain, state)
     safe, state = or_harmless(valid, (chain, state))

@@ -218,14 +218,8 @@ def _first_dip(found: Series, slope: Lanes, wanted: Array, moves: Array) -> tupl
     The excess over the threshold is concave near the edge and convex beyond, so that it lies above its parabola in the one
     part and above its tangent in the other: steps to their zeros approach a crossing and never skip a dip. (Far out, where
     the stress tends to its plateau, they may pass the only crossing there.) A crossing is accepted only if the contact beyond
-    it stays below its threshold.
-
-    Returns
-    -------
-    low, dip : array
-        The last point above the threshold, and the crossing; where the search gave up, the point reached.
-    stopped, passed : array of bool
-        Whether there is such a crossing; whether none can follow as long as the threshold does not rise.
+    it stays below its threshold. Return the last point above the threshold, and the crossing, or the point reached where the
+    search gave up; whether there is such a crossing; and whether none can follow as long as the threshold does not rise.
     """
     tiny = _tiny(slope)
     none = -jnp.ones_like(slope)

@@ -186,10 +186,7 @@ def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
     """Return prestress and threshold slope of an interface, for which the closed form must hold.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If it is a profile or repins with a delay; the message names the function to use instead.
+    A TypeError or ValueError, if it is a profile or repins with a delay, names the function to use instead.
     """
     if interface is None:
         return 0.0, 0.0

@@ -127,21 +127,12 @@ def stress_ahead(front: Front, echo: Any = None) -> Any:
 
 
 def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
-    """Pass the contact ahead, which gives up the stress `released`.
+    """Pass the contact ahead, which gives up the stress `released`: p(t) t of contact s, or a part of it.
 
-    Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶.
-
-    Parameters
-    ----------
-    guide : Modes, or anything with a `gap` 1 − r_m and a `weight` w_m
-    front : Front
-    released : array, shape () or (1,)
-        p(t) t of contact s, or a part of it.
-    echo : array, optional
-        e_m(s), of a finite waveguide.
-    start : array, optional
-        Z_m before contact 0 broke, where `front.stress` holds the change since then: soft interfaces change Z_m by as little
-        as b, of which single precision would lose the digits.
+    Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶. A guide is
+    `Modes`, or anything with a `gap` 1 − r_m and a `weight` w_m; `echo` is e_m(s) of a finite one. `start` is Z_m before
+    contact 0 broke, where `front.stress` holds the change since then: soft interfaces change Z_m by as little as b, of which
+    single precision would lose the digits.
     """
     gap, Q, reach, edge = guide.gap, front.reflected, front.reach, front.edge
     both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
@@ -154,14 +145,9 @@ def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: An
 
 
 def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
-    """ℓ, where the excess over the threshold, linear between contacts `last` and last + 1, falls to zero.
+    """ℓ, where the excess of the stress over the threshold falls to zero.
 
-    Parameters
-    ----------
-    last : array
-        Index of the last contact that broke.
-    behind, ahead : array
-        Excess of the stress over the threshold on contacts last and last + 1.
+    It is linear between the last contact that broke, where it is `behind`, and the next, where it is `ahead`.
     """
     return last + behind / (behind - ahead)
 
@@ -209,26 +195,9 @@ def follow(
 ) -> tuple[Any, tuple[Array, Array], Array, Array]:
     """Follow a front until nothing ahead of it breaks, or the contact `limit` is ahead; differentiable forward.
 
-    Parameters
-    ----------
-    rule : HardBreak or SmoothBreak, or one derived from it
-    start : front
-        After contact 0 has broken as a whole. A front is any state with the `position` of the contact ahead.
-    ahead : callable
-        Of a front: stress and threshold of the contact ahead.
-    release : callable
-        ``release(front, part, stress)``: the front after that part of the contact ahead has broken, under that stress.
-    limit : int
-
-    Returns
-    -------
-    front
-    ahead : tuple of array
-        Stress and threshold of the contact ahead of it.
-    part : array
-        Fraction of that contact that would break.
-    length : array
-        ℓ.
+    It starts after contact 0 has broken as a whole, and is any state with the `position` of the contact ahead, whose stress and
+    threshold are ``ahead(front)``; ``release(front, part, stress)`` is the front after that part of it has broken, under that
+    stress. Return the front, stress and threshold of the contact ahead of it, the fraction of it that would break, and ℓ.
     """
     whole = isinstance(rule, HardBreak)  # then every step but the last adds 1, and no quotient is taken for it
 
@@ -368,19 +337,8 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
         slip(i)   = Σ_j G_ij p_j,
         stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ.
 
-    Parameters
-    ----------
-    slider : Slider
-        One slider.
-    prestress : array, shape ()
-        φ, in σ_s.
-    position : array, shape ()
-        Contacts broken, at most `count`. Of the last a part may be: f²(3 − 2f) of it for a fraction f, so that fields change
-        smoothly from one whole number to the next.
-    count : int
-        Contact i lies at x = i λc.
-    ends : Ends
-        Right end and drive; beyond a free end the fields have no meaning.
+    `position` is at most `count`; of the last contact a part f may be broken, f²(3 − 2f) of it, so that fields change smoothly
+    from one whole number to the next. Contact i lies at x = i λc; beyond a free end the fields have no meaning.
     """
     modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
     part = jnp.clip(position - site, 0, 1)

@@ -95,16 +95,9 @@ _computed: dict[Key, float] = {}
 
 
 class BlockLengths:
-    """Lengths of whole events of blocks like the ones measured.
+    """Lengths of whole events of blocks like m measured ones: their `geometry_of`, lengths over H, and H/λc.
 
-    Parameters
-    ----------
-    geometry : array, shape (m, g)
-        What they are like (`geometry_of`).
-    ratio : array, shape (m,)
-        Their lengths over H.
-    height : float or array, shape (m,)
-        Their H/λc: none is followed on smaller contacts than its own.
+    None is followed on smaller contacts than its own.
     """
 
     def __init__(

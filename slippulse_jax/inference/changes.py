@@ -21,14 +21,7 @@ from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.parameters import (
-    HEIGHTS,
-    MODEL_ERROR,
-    STIFFNESSES,
-    Parameter,
-    ParameterSet,
-    parameter_set,
-)
+from slippulse_jax.inference.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.search import between_contacts, ordered, search
 from slippulse_jax.shown import format_number, plural
 from slippulse_jax.status import NotConverged
@@ -185,7 +178,7 @@ def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], 
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(names, ())
     several = []
     for m in every:
-        theta, roots = None, []
+        theta, fits = None, 0
         try:
             changed = parameter_set(m, **model)
             problem = make_problem(m, changed, fitted.problem.loss, _sigma(fitted, m) if fitted.scaled else m.stated_sigma)
@@ -199,22 +192,13 @@ def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], 
             room = np.minimum(first.theta - changed.low, changed.high - first.theta) > AT_END * (changed.high - changed.low)
             if problem.accepts(first.theta, first.deviance) and room[[one in moves for one in changed.names]].all():
                 theta = dict(zip(changed.names, first.theta.tolist(), strict=True))
+            fits = sum(root.deviance <= first.deviance + fitted.rise(LEVELS[-1]) for root in roots)
         except (ValueError, NotConverged):  # nothing starts, or nothing stops, in the range that was asked for
             pass
         for one in moves:
             moves[one] += (math.nan if theta is None else theta[one] - float(fitted.theta[q.index(one)]),)
-        fits = sum(root.deviance <= first.deviance + fitted.rise(LEVELS[-1]) for root in roots)
         several.append(fits > 1 and not fitted.points)
     return Change(name, what, moves, several=tuple(several))
-
-
-def _least(
-    fitted: Fitted, m: Measurements, q: ParameterSet, sigma: np.ndarray, starts: np.ndarray, **options: Any
-) -> tuple[np.ndarray, float]:
-    """θ of least deviance from some starts, for other measurements or parameters, and that deviance."""
-    found = minimise(make_problem(m, q, fitted.problem.loss, sigma), starts, q.low, q.high, **options)
-    best = int(np.argmin(found.value))
-    return found.theta[best], 2 * float(found.value[best])
 
 
 def _starts(fitted: Fitted, q: ParameterSet, count: int = STARTS) -> np.ndarray:
@@ -242,15 +226,10 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
     changed = {name: getattr(m, name) * factor}
     if name == "correlation_length":
-        changed |= _in_larger_units(m, factor)
+        changed |= {one: getattr(m, one) / factor for one in IN_LC if getattr(m, one) is not None}
     for column in {"length", "length_sigma"} & {*changed}:
         changed[column] = np.where(counted, getattr(m, column), changed[column])
     return dataclasses.replace(m, **changed)
-
-
-def _in_larger_units(m: Measurements, factor: float) -> dict[str, np.ndarray]:
-    """Columns in λc, for a λc `factor` times as large."""
-    return {name: getattr(m, name) / factor for name in IN_LC if getattr(m, name) is not None}
 
 
 # --- ends, pushes and bodies ----------------------------------------------------------------------------------------------
@@ -472,8 +451,9 @@ def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance of a fit of these parameters, and how many more they are."""
     m, front = fitted.measurements, fitted.parameters.front
     q = parameter_set(m, wanted, front.event, front.body, front=front)
-    _, deviance = _least(fitted, m, q, fitted.sigma, _starts(fitted, q), max_steps=MOST_STEPS)
-    return deviance, len(q.free) - fitted.problem.p
+    problem = make_problem(m, q, fitted.problem.loss, fitted.sigma)
+    value = minimise(problem, _starts(fitted, q), q.low, q.high, max_steps=MOST_STEPS).value
+    return 2 * float(value.min()), problem.p - fitted.problem.p
 
 
 def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:

@@ -312,20 +312,11 @@ def fit(
     MeasurementWarning
         Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
+    given = locals().copy()
     measurements = measurements_of(measurements)
     wanted = wanted_parameters(free, bounds, fixed)
     _warn_of_mistakes(measurements, wanted)
-    request = {
-        "free": wanted,
-        "loss": loss,
-        "sigma": sigma,
-        "method": method,
-        "max_steps": max_steps,
-        "seed": seed,
-        "intervals": intervals,
-        "event": event,
-        "body": body,
-    }
+    request = {"free": wanted} | {name: x for name, x in given.items() if name in record.SETTINGS}
     choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
     for name, (value, known) in choices.items():
         check_choice(name, value, known)

@@ -86,13 +86,7 @@ class Front:
     uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Refuse columns and parameters that have no meaning for this model.
-
-        Raises
-        ------
-        ValueError
-            Naming them.
-        """
+        """Refuse columns and parameters that have no meaning for this model; a ValueError names them."""
         if "friction" in names:
             raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
 
@@ -101,13 +95,7 @@ class Front:
         return {}
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Lengths in λc; 0 where no domino starts, inf where nothing stops.
-
-        Raises
-        ------
-        NotConverged
-            If a length was not found; the message gives the inputs.
-        """
+        """Lengths in λc; 0 where no domino starts, inf where nothing stops. NotConverged names inputs where none was found."""
         raise NotImplementedError
 
     def status(self, inputs: Inputs) -> np.ndarray:
@@ -202,7 +190,8 @@ class FirstFront(Front):
         count, own = len(NEARBY), inputs.without(*ENDED)
         around = own.map(lambda x: np.broadcast_to(x, (count, x.size)))
         around = around._replace(log_stiffness=own.log_stiffness + NEARBY[:, None]).ravel()
-        exact = _endless(self).lengths(around)
+        endless = FirstFront() if isinstance(self, EndedFront) else self  # as the exact solution is
+        exact = endless.lengths(around)
         stops, off = np.isfinite(exact), np.zeros(len(exact))
         off[stops] = straight_lengths(around.take(stops), self.event) - exact[stops]
         off = np.where(np.isfinite(off), off, 0).reshape(count, -1)
@@ -462,15 +451,10 @@ FRONTS: dict[tuple[Body, MeasuredEvent], Front] = {
 
 
 def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | None = None) -> Front:
-    """Choose the model of the measured lengths.
+    """Choose the model of the measured lengths; a ValueError if there is none for this event and body.
 
     By default a block and its whole event where every measurement states how its side is pushed, unless the event is one of
     sliders only; else a slider and its first front.
-
-    Raises
-    ------
-    ValueError
-        If there is none for this event and body.
     """
     if event is not None:
         check_choice("event", event, MeasuredEvent)
@@ -583,11 +567,6 @@ def ends_of(inputs: Inputs, exp: Any = np.exp) -> Ends:
 
 def _interface(inputs: Inputs, relaxed: bool) -> Interface | None:
     return None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
-
-
-def _endless(front: FirstFront) -> FirstFront:
-    """The same model of blocks without end, as the exact solution is."""
-    return FirstFront() if isinstance(front, EndedFront) else front
 
 
 def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:

@@ -97,12 +97,8 @@ class ProfileProblem(NamedTuple):
 def profile_problem(m: Measurements, kind: ProfileKind, stiffness: ArrayLike) -> ProfileProblem:
     """Set up the problem of these measurements, with k/K of shape () or (n,).
 
-    Their prestress and threshold slope are known parts of the interface.
-
-    Raises
-    ------
-    MeasurementError
-        If one is neither a length nor a count, a standard error is missing, or they are not of one interface under sliders.
+    Their prestress and threshold slope are known parts of the interface. A MeasurementError if one is neither a length nor a
+    count, a standard error is missing, or they are not of one interface under sliders.
     """
     measured, sigma = _lengths(m)
     sites = 64 * int(np.ceil((1.3 * (measured + 4 * sigma).max() + 16) / 64))
@@ -148,19 +144,9 @@ def followed(
 ) -> tuple[Float[np.ndarray, "*batch"], Int[np.ndarray, "*batch"]]:
     """Follow events from the load at which the first contact breaks.
 
-    Parameters
-    ----------
-    height, stiffness, poisson : array_like
-        H/λc, k/K and ν, which broadcast with the batch of profiles.
-    theta, phi : array, shape (..., sites)
-        Threshold and prestress of every contact, in σ_s.
-    next_break : {"neighbour", "most overloaded"}
-        Whether contacts break one after another from the edge on, or each time the most overloaded.
-
-    Returns
-    -------
-    length, start : array, shape (...)
-        ℓ of each event in λc, NaN where it does not stop within the sites; and the contact that breaks first.
+    H/λc, k/K and ν broadcast with the batch of profiles, threshold and prestress of every contact in σ_s. Contacts break one
+    after another from the edge on, or each time the most overloaded. Return ℓ of each event in λc, NaN where it does not stop
+    within the sites, and the contact that breaks first.
     """
     shape, sites = theta.shape[:-1], theta.shape[-1]
     numbers = [np.broadcast_to(x, shape).ravel() for x in (height, stiffness, poisson)]

@@ -29,12 +29,7 @@ SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
 class Grid:
     """Values, m numbers each, between nodes at whole multiples of a spacing along d axes.
 
-    Parameters
-    ----------
-    spacing : sequence of float
-        Along each axis.
-    compute : callable
-        Values at places (n, d), shape (n, m).
+    ``compute`` gives those at places (n, d), of shape (n, m).
     """
 
     def __init__(self, spacing: list[float], compute: Callable[[Float[np.ndarray, "n d"]], Float[np.ndarray, "n m"]]) -> None:

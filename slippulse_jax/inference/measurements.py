@@ -160,49 +160,25 @@ class Gauges:
 class Measurements:
     """Measured first precursors, one entry per measurement.
 
+    Its fields are the columns of a table; docs/reference/columns.md ("Columns of a table") says what each means. NaN and None
+    are blank cells.
+
     Parameters
     ----------
     height, poisson, length : array_like, shape (n,)
         H/λc, ν, and the measured length over λc, also where `correlation_length` is given (`from_si` takes metres).
-    length_sigma : array_like, shape (n,), optional
-        Standard error of the length, in λc; may be 0 for counts and fronts without arrest, and is where there is nothing else.
-        Without it the errors are taken as equal and their size from the scatter.
-    correlation_length, young : array_like, shape (n,), optional
+    length_sigma, block_length, push_height, push_width, height_sigma, push_height_sigma : array_like, shape (n,), optional
+        In λc. Without `length_sigma` the errors are taken as equal and their size from the scatter.
+    correlation_length, young, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
         λc in m, given for data in SI, and E in Pa; both turn k/K into an areal stiffness k/λc² in Pa/m.
-    kind : sequence of str, optional
-        "length" (by default), "whole" (a count of whole contacts: the length lies within one below it), or "at_least" (the
-        front ran past this length without arrest).
-    prestress, threshold_slope : array_like, shape (n,), optional
-        Known conditions: φ = σ_0/σ_s in (−1, 1), and the relative rise of the threshold per contact.
-    block_length : array_like, shape (n,), optional
-        L/λc, length of the block from its pushed edge to its free end; NaN, like None, for a block without end. A front that
-        ran through all of it has that length and the kind "at_least".
-    push_height, push_width : array_like, shape (n,), optional
-        Height of the middle of the pusher on a block over the interface, and its own height, in λc; without a width, NaN or
-        None, the height of its lower end: it then covers everything above.
-    push_control : sequence of str, optional
-        What is held while an event runs, "displacement" (by default) or "force".
-    friction, normal_stiffness : array_like, shape (n,), optional
-        μ, by which the thresholds of a block follow the pressure, which the push tilts; k_n/k of its contacts, 1.2 where
-        `friction` is given, else without limit, as of `Block`.
-    contact_law, top : sequence of str, optional
-        What follows the pressure, "amontons" (by default) or "multicontact"; whether the top of a block may tilt, "free" (by
-        default) or "held"; as of `Block`.
+    prestress, threshold_slope, friction, normal_stiffness, poisson_sigma, friction_sigma : array_like, shape (n,), optional
+        Numbers without unit.
     machine_stiffness : array_like, shape (n,), optional
-        Stiffness of the machine, from its own frame to the edge, over the width of the block, in Pa, or in E where `young` is
-        not given; NaN, like None, for an edge that is held while the front runs.
-    height_sigma, poisson_sigma, correlation_length_sigma, young_sigma, push_height_sigma, friction_sigma : array_like, optional
-        Of shape (n,): standard errors of the inputs, in their units (of the heights in λc). 0 means exactly known. Measurements
-        of one specimen with the same value and error share one true value.
+        Over the width of the block, in Pa, or in E where `young` is not given.
     displacement, displacement_sigma, force, force_sigma : array_like, shape (n,), optional
-        Displacement of the pushed edge at nucleation, in m, and driving force per width of the block, in N/m; NaN where not
-        measured. They need `young`.
-    specimen : sequence of str, optional
-        Any name, to which ``each="specimen"`` of a parameter refers.
-    provenance : sequence of str, optional
-        "measured", "printed", "digitised", "synthetic" or "".
-    label : sequence of str, optional
-        Name of each precursor, by which tables of further observations refer to it.
+        Displacement of the pushed edge at nucleation, in m, and driving force per width, in N/m. They need `young`.
+    kind, push_control, contact_law, top, specimen, provenance, label : sequence of str, optional
+        Texts of the columns of these names.
     gauges : Gauges, optional
         Readings of slip and stress along the interface after arrest; need `correlation_length` and `young`.
     lines, rows : sequence, optional

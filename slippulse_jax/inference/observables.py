@@ -147,19 +147,10 @@ PREDICTED: dict[str, Callable[[Front, Inputs, Collection[str]], Prediction]] = {
 
 
 def traced(front: Front, observable: str, inputs: Inputs, *, relaxed: bool, sites: int = 0) -> Array:
-    """Prediction for one lane as a JAX function; forward mode only for gauges.
+    """Prediction of one of `PREDICTED` for one lane as a JAX function; forward mode only for gauges.
 
-    Parameters
-    ----------
-    front : Front
-    observable : str
-        One of `PREDICTED`.
-    inputs : Inputs
-        Scalars.
-    relaxed : bool
-        Whether prestress and threshold slope are zero for certain, which halves the program.
-    sites : int
-        Contacts whose fields are computed, for gauges; inf where the front runs farther.
+    Where it is `relaxed`, prestress and threshold slope are zero for certain, which halves the program. For gauges the fields
+    of so many `sites` are computed; inf where the front runs farther.
     """
     if observable == "length":
         return front.traced(inputs, relaxed)

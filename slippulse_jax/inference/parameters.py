@@ -159,13 +159,7 @@ class ParameterSet:
         return [one.label for one in self.free]
 
     def index(self, name: str) -> int:
-        """Index of the θ called `name`.
-
-        Raises
-        ------
-        ValueError
-            If there is none, naming those there are.
-        """
+        """Index of the θ called `name`; a ValueError names those there are."""
         if name not in self.names:
             raise ValueError(f"{name!r} is not fitted here: one of {', '.join(self.names)}")
         return self.names.index(name)
@@ -262,22 +256,10 @@ def parameter_set(
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model for these measurements.
 
-    Parameters
-    ----------
-    m : Measurements
-    wanted : sequence of str or Parameter
-        Parameters fitted or held; everything else is as stated with the measurements. "stiffness" stands for whichever
-        stiffness the measurements determine.
-    event, body : str, optional
-        What a length is that of, and what carries the contacts; as for `front_of`.
-    front : Front, optional
-        The model of a length instead, that of measurements which are much like these.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
-        domain of the model.
+    Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
+    they determine. `event` and `body` are as for `front_of`; or `front` is the model of a length, that of measurements much
+    like these. A ValueError if a parameter is given twice, has no meaning for these measurements, is needed and missing, or its
+    limits leave the domain of the model.
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front_of(m, event, body) if front is None else front, _validated(m, wanted)

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 2
 """Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
+SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body")
+"""Arguments of a fit that a request holds beside its parameters."""
 LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
 LONGEST, DEEPEST = 2000, 64
@@ -55,16 +57,8 @@ def encode(x: Any) -> Any:
 def decode(hint: Any, x: Any, missing: float = np.inf, **given: Any) -> Any:
     """Restore what `encode` made of a value of this type.
 
-    Parameters
-    ----------
-    hint : type
-        A class with annotated fields, an enumeration, or a type of numbers, texts, arrays and collections of these.
-    x : object
-        Plain values.
-    missing : float
-        What None means among numbers; NaN in tables of measurements.
-    **given
-        Fields that are not written, for every record that has them.
+    Of a class with annotated fields, an enumeration, or a type of numbers, texts, arrays and collections of these. None among
+    numbers means `missing`; in tables of measurements NaN. Fields in `given` are not written, for every record that has them.
     """
     if isinstance(hint, types.UnionType):
         return None if x is None else decode(next(one for one in get_args(hint) if one is not type(None)), x, missing, **given)
@@ -85,7 +79,7 @@ def decode(hint: Any, x: Any, missing: float = np.inf, **given: Any) -> Any:
         absent = {name: given[name] for name in hints if name in given and name not in names}
         return hint(**{name: None for name in names - {*fields} if type(None) in get_args(hints[name])}, **fields, **absent)
     if hint is np.ndarray:
-        found = np.array(x) if _all_bools(x) else np.array(x, dtype=float)
+        found = np.array(x) if x and all(isinstance(one, bool) for one in x) else np.array(x, dtype=float)
         return found if found.dtype == bool else np.where(np.isnan(found), missing, found)
     return missing if x is None and hint is float else x
 
@@ -95,10 +89,6 @@ def _written(hint: type) -> tuple[str, ...]:
     if dataclasses.is_dataclass(hint):
         return tuple(one.name for one in dataclasses.fields(hint) if one.metadata.get("written", True))
     return hint._fields  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _all_bools(x: Any) -> bool:
-    return bool(x) and all(isinstance(one, bool) for one in x)
 
 
 # --- a fit ------------------------------------------------------------------------------------------------------------------
@@ -153,10 +143,7 @@ def to_dict(fitted: Fitted, changes: list[Change], next_steps: list[str], **more
 def of_dict(content: dict[str, Any]) -> tuple[Fitted, list[Change] | None, list[str] | None]:
     """Restore a fit from what `to_dict` made of it, and what else would move it, as far as it is there.
 
-    Raises
-    ------
-    ValueError
-        If it was a fit of this package that this version has no model for.
+    A ValueError if this version has no model for it.
     """
     if content["schema"] == 1:
         content = _of_version_1(content)
@@ -210,15 +197,7 @@ def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read the JSON of a fit.
-
-    Raises
-    ------
-    OSError
-        If there is no such file, or it cannot be opened.
-    ValueError
-        If it is no such record, or was written by a version whose record is another.
-    """
+    """Read the JSON of a fit; a ValueError if it is none, or of another schema, an OSError if it cannot be opened."""
     name, content = os.fspath(path), read_request_file(path)
     if not isinstance(content, dict) or content.get("schema") not in (1, SCHEMA):
         raise ValueError(
@@ -286,16 +265,10 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Convert a request to the arguments of `fit`.
-
-    Raises
-    ------
-    ValueError
-        Naming what is not understood.
-    """
+    """Convert a request to the arguments of `fit`; a ValueError names what is not understood."""
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
-    unknown = set(request) - {"loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body"}
+    unknown = set(request) - {*SETTINGS}
     if unknown:
         raise ValueError(shortened(f"request: {', '.join(sorted(unknown))} not understood"))
     free = []
@@ -316,12 +289,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
 def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a request from a TOML file, or from the JSON that an earlier fit printed.
 
-    Raises
-    ------
-    OSError
-        If there is no such file, or it cannot be opened.
-    ValueError
-        If it is neither.
+    A ValueError if it is neither, an OSError if it cannot be opened.
     """
     content = read_request_file(path)
     content = content.get("request", content)
@@ -332,13 +300,7 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML or JSON file.
-
-    Raises
-    ------
-    ValueError
-        If it is neither, or larger than `LARGEST`.
-    """
+    """Read a TOML or JSON file; a ValueError if it is neither, or larger than `LARGEST`."""
     name = os.fspath(path)
     try:
         text = read_whole(path, LARGEST).decode("utf-8-sig")

@@ -1,29 +1,4 @@
-"""Read tables of measurements and of gauges from CSV files.
-
-One first precursor per line. The columns are arguments of `Measurements`, where they are described, in one of two forms:
-
-SI, with the unit at the end of the name
-    ``height_mm``, ``poisson``, ``length_mm``, ``correlation_length_um``; optionally ``length_sigma_mm``, ``young_GPa``,
-    ``block_length_mm``, ``push_height_mm``, ``push_width_mm``, ``machine_stiffness_N_per_m`` with ``block_width_mm``; errors of
-    the inputs ``height_sigma_mm``, ``correlation_length_sigma_um``, ``young_sigma_GPa``, ``push_height_sigma_mm``; and with
-    their errors ``displacement_um``, ``displacement_sigma_um``, ``force_N_per_mm``, ``force_sigma_N_per_mm``. Lengths may be in
-    ``m``, ``cm``, ``mm``, ``um`` or ``nm``, and Young's modulus in ``Pa``, ``kPa``, ``MPa`` or ``GPa``.
-lengths in λc
-    ``height``, ``poisson``, ``length``; optionally ``length_sigma``, ``block_length``, ``push_height``, ``push_width``,
-    ``machine_stiffness`` over the width of the block and E, ``height_sigma``, ``push_height_sigma``
-optional in both
-    ``prestress``, ``threshold_slope``, ``poisson_sigma``, ``friction``, ``friction_sigma``, ``normal_stiffness``,
-    ``contact_law``, ``top``, ``kind``, ``push_control``, ``specimen``, ``provenance``, ``label``
-
-A cell is blank where NaN is described, and in a column of σ beside a kind other than ``length``; so are ``NA``, ``nan`` and a
-dash. Other columns are kept and named in the report, and have no effect; but one that seems to mean a quantity that the table
-lacks, by a symbol, an English word or a typing error, is refused. Units may stand in a row below the names instead.
-
-Columns are separated by commas, semicolons or tabs; between the latter two all numbers of a table may have decimal commas. The
-header is the first line that names columns, or else a comment that does, as of ``numpy.savetxt``; titles may stand above it.
-Below it a line that starts with ``#``, ``%``, ``!``, ``;`` or ``//`` is a comment only if it has another number of cells than
-the header, or none but the first. The report says which lines were skipped. An error names file, line and column.
-"""
+"""Read tables of measurements and of gauges from CSV files; docs/reference/columns.md has their columns and form."""
 
 import csv
 import math
@@ -72,7 +47,7 @@ class Table(NamedTuple):
 def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
     """Read a CSV file of measured first precursors.
 
-    Its columns are described in the documentation of this module.
+    The page "Columns of a table" of the documentation (docs/reference/columns.md) lists its columns.
 
     Parameters
     ----------

@@ -80,13 +80,7 @@ CLAIMS: dict[str, Claim] = {}
 
 
 def examine(numbers: list[str] | None = None) -> Iterator[Result]:
-    """Measure the claims one by one, in double precision; all by default.
-
-    Raises
-    ------
-    ValueError
-        If a number is not that of a claim.
-    """
+    """Measure the claims one by one, in double precision; all by default. A ValueError if a number is not that of a claim."""
     for number in numbers or []:
         if number not in CLAIMS:
             raise ValueError(f"no claim {number!r}: must be one of {', '.join(CLAIMS)}")
@@ -157,10 +151,7 @@ def displacements() -> Finding:
     return Finding(text, judge(bool(each.all()), bool(each[layer.argmax()])))
 
 
-@claim(
-    "C3",
-    holds="the largest stress is on the first contact that did not break, and behind it stress falls from the edge on",
-)
+@claim("C3", holds="the largest stress is on the first contact that did not break, and behind it stress falls from the edge on")
 def stress() -> Finding:
     """The stress peaks at the front, and behind it grows with the distance from it."""
     found = first_precursor(FIG2)
@@ -217,10 +208,7 @@ def stiffness() -> Finding:
     return Finding(text, verdict)
 
 
-@claim(
-    "C6",
-    holds="ℓ differs by less than 1e-9 λc",
-)
+@claim("C6", holds="ℓ differs by less than 1e-9 λc")
 def threshold() -> Finding:
     """Λ does not depend on σ_s, and therefore not on a uniform normal load."""
     at = [float(first_precursor(FIG2, interface=Profile(np.full(1, t))).length) for t in (0.1, 1.0, 10.0)]
@@ -496,10 +484,7 @@ def simulation() -> Finding:
     return Finding(text, judge(apart < 1e-9 and near, apart < 1e-9))
 
 
-@claim(
-    "C16",
-    holds="contact 1 stays below σ_s when contact 0 breaks",
-)
+@claim("C16", holds="contact 1 stays below σ_s when contact 0 breaks")
 def no_upper_layer() -> Finding:
     """With no upper slider and the left edge of the layer displaced, no front propagates."""
     # u_0 = U imposed: when contact 0 repins, u_0 does not move, and nothing changes for its neighbours
@@ -510,11 +495,7 @@ def no_upper_layer() -> Finding:
     return Finding(text, judge(bool(push[0] < 1)))
 
 
-@claim(
-    "C17",
-    holds="within 2% over H/λc = 10–1e5, k/K = 1e-4–0.1",
-    limits=f"within {CLOSE:.0%}",
-)
+@claim("C17", holds="within 2% over H/λc = 10–1e5, k/K = 1e-4–0.1", limits=f"within {CLOSE:.0%}")
 def long_length() -> Finding:
     """(λc κ_2)^-1 ≈ √(2(1+ν) + h/q)/h, with h = λc/H, q = k/K (label cra44)."""
     heights, q = np.geomspace(10, 1e5, 41)[None, :], np.geomspace(1e-4, 0.1, 31)[:, None]

@@ -92,22 +92,7 @@ def draw_figures(
 ) -> list[Path]:
     """Draw the figures into `directory`, with their numbers as CSV; each file appears whole or not at all.
 
-    Parameters
-    ----------
-    directory : path
-        Created if missing.
-    formats : iterable of {"png", "pdf", "svg"}
-    names : iterable of {"fig2", "fig3"}
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    ValueError
-        For an unknown format or name.
+    The directory is created if missing. Return the files written; a ValueError for an unknown format or name.
     """
     formats, names = list(formats), list(names)
     for value, known in ((formats, FIGURE_FORMATS), (names, tuple(_FIGURES))):

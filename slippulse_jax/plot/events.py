@@ -1,7 +1,8 @@
 """Pictures of events: fields, order of breaks, sensitivities of one; friction curve, precursors, space–time map of a series."""
 
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -160,20 +161,19 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     load = np.repeat(np.append(0.0, events["load"]), 2)[1:]
     force = np.append(0.0, np.stack([events["force_before"], events["force_after"]], axis=1).ravel())
     ax.plot(load, force, color=c.ink, lw=1)
-    for kind in (EventClass.EDGE, EventClass.SPANNING):
-        chosen = events["kind"] == kind
-        if chosen.any():
-            ax.plot(
-                events["load"][chosen],
-                events["force_before"][chosen],
-                ".",
-                color=getattr(c, COLOURS[kind]),
-                label=NAMES.get(kind, kind.name.lower()),
-            )
+    _points(ax, events["load"], events["force_before"], events["kind"], (EventClass.EDGE, EventClass.SPANNING))
     ax.set(xlabel=axis_label("load", "u_s"), ylabel="force on the left edge, $F/(K u_s)$")
     ax.margins(x=0.02)
     ax.legend(**ABOVE, ncols=2, title="event", alignment="left")
     return ax
+
+
+def _points(ax: "Axes", x: np.ndarray, y: np.ndarray, kinds: np.ndarray, shown: Iterable[EventClass], **look: Any) -> None:
+    """Draw the points of some classes of events, each in its colour."""
+    for kind in shown:
+        chosen, name = kinds == kind, NAMES.get(kind, kind.name.lower())
+        if chosen.any():
+            ax.plot(x[chosen], y[chosen], ".", color=getattr(colours(ax), COLOURS[kind]), label=name, **look)
 
 
 @drawn
@@ -256,7 +256,6 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     Its colour is the class of its event. Missing breaks give a warning.
     """
     ax = axes(ax)
-    c = colours(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)
     recorded = event >= 0
     if not recorded.any():
@@ -267,10 +266,7 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
         warnings.warn(f"{missing}: make the series with recorded_breaks={breaks}", RuntimeWarning, stacklevel=3)
     site, event = site[recorded], event[recorded]
     load, kinds = np.asarray(catalogue.load)[event], np.asarray(catalogue.kind)[event]
-    for kind, colour in COLOURS.items():
-        chosen = kinds == kind
-        if chosen.any():
-            ax.plot(site[chosen], load[chosen], ".", ms=3, color=getattr(c, colour), label=NAMES.get(kind, kind.name.lower()))
+    _points(ax, site, load, kinds, COLOURS, ms=3)
     ax.set(xlabel=DISTANCE, ylabel=axis_label("load", "u_s"))
     ax.legend(**ABOVE, ncols=2, title="event", alignment="left", markerscale=3)
     return ax

@@ -105,75 +105,52 @@ def explore(*, dark: bool = False) -> Any:
         If ipywidgets is not installed.
     """
     try:
-        import ipywidgets  # noqa: F401
+        import ipywidgets as widgets
     except ImportError as error:
         raise ImportError("explore needs ipywidgets: pip install 'slippulse_jax[explore]'") from error
-    return _explorer_class()(dark=dark)
+    wide = {"style": {"description_width": "9em"}, "layout": widgets.Layout(width="24em")}
+    number = functools.partial(widgets.FloatSlider, **wide)
+    ratio = widgets.FloatLogSlider(value=0.03, min=LOW, max=LOW + 2.5, step=0.02, description="stiffness k/K", **wide)
+    parameters = {
+        "height": number(value=25, min=5, max=60, step=0.5, description="height H/λc"),
+        "stiffness": ratio,
+        "poisson": number(value=0.3, min=0, max=0.5, step=0.01, description="Poisson ν"),
+        "prestress": number(value=0, min=0, max=0.7, step=0.01, description="prestress φ"),
+        "slope": number(value=0, min=-0.005, max=0.01, step=0.0005, description="slope ε", readout_format=".4f"),
+    }
+    position = widgets.IntSlider(value=26, min=0, max=26, description="contacts broken", **wide)
+    play = widgets.Play(value=0, min=0, max=26, interval=120)
+    numbers, picture = widgets.HTML(), widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
+    drawing = Drawing(dark)
 
+    def show(at: int) -> View:
+        theta = np.array([control.value for control in parameters.values()])
+        with jax.enable_x64(True):
+            seen = jax.tree.map(np.asarray, view(jnp.asarray(theta), jnp.asarray(at)))
+        numbers.value, picture.value = describe(seen), drawing(seen, theta)
+        return seen
 
-@functools.cache
-def _explorer_class() -> Any:
-    """Define the widget on first use, because ipywidgets is optional."""
-    import ipywidgets as widgets
+    def move(_: Any) -> None:
+        show(position.value)
 
-    class Explorer(widgets.VBox):
-        """Controls, the picture that follows them, and a line of numbers."""
+    def restart(_: Any = None) -> None:
+        broken = int(show(-1).contacts_broken)
+        position.unobserve(move, "value")
+        position.max = play.max = min(broken, SITES) if broken > 0 else SITES
+        position.value = position.max
+        position.observe(move, "value")
 
-        def __init__(self, *, dark: bool) -> None:
-            wide = {"style": {"description_width": "9em"}, "layout": widgets.Layout(width="24em")}
-            self.height = widgets.FloatSlider(value=25, min=5, max=60, step=0.5, description="height H/λc", **wide)
-            self.stiffness = widgets.FloatLogSlider(
-                value=0.03, min=LOW, max=LOW + 2.5, step=0.02, description="stiffness k/K", **wide
-            )
-            self.poisson = widgets.FloatSlider(value=0.3, min=0, max=0.5, step=0.01, description="Poisson ν", **wide)
-            self.prestress = widgets.FloatSlider(value=0, min=0, max=0.7, step=0.01, description="prestress φ", **wide)
-            self.slope = widgets.FloatSlider(
-                value=0, min=-0.005, max=0.01, step=0.0005, description="slope ε", readout_format=".4f", **wide
-            )
-            self.position = widgets.IntSlider(value=26, min=0, max=26, description="contacts broken", **wide)
-            self.play = widgets.Play(value=0, min=0, max=26, interval=120)
-            self.numbers = widgets.HTML()
-            self.picture = widgets.Image(format="png", layout=widgets.Layout(max_width="100%"))
-            self._follows, self._moving = True, False
-            self._drawing = Drawing(dark)
-            self._parameters = (self.height, self.stiffness, self.poisson, self.prestress, self.slope)
-            for control in self._parameters:
-                control.observe(self._parameters_moved, "value")
-            self.position.observe(self._position_moved, "value")
-            widgets.jslink((self.play, "value"), (self.position, "value"))
-            controls = [*self._parameters, self.position, self.play]
-            # side by side, so that the picture stays in sight while a slider is moved
-            row = widgets.HBox(controls, layout=widgets.Layout(flex_flow="row wrap"))
-            super().__init__([self.numbers, row, self.picture])
-            self._parameters_moved()
-
-        @property
-        def theta(self) -> np.ndarray:
-            """(H/λc, k/K, ν, φ, ε) as set by the sliders."""
-            return np.array([control.value for control in self._parameters])
-
-        def _parameters_moved(self, change: Any = None) -> None:
-            """Show the new slider, with its front where it stops."""
-            seen = self._show(-1)
-            last = min(int(seen.contacts_broken), SITES) if int(seen.contacts_broken) > 0 else SITES
-            self._moving = True
-            with self.hold_trait_notifications():
-                self.position.max = self.play.max = last
-                self.position.value = last
-            self._moving = False
-
-        def _position_moved(self, change: Any) -> None:
-            if not self._moving:
-                self._show(self.position.value)
-
-        def _show(self, position: int) -> View:
-            with jax.enable_x64(True):
-                seen = jax.tree.map(np.asarray, view(jnp.asarray(self.theta), jnp.asarray(position)))
-            self.numbers.value = describe(seen)
-            self.picture.value = self._drawing(seen, self.theta)
-            return seen
-
-    return Explorer
+    for control in parameters.values():
+        control.observe(restart, "value")
+    position.observe(move, "value")
+    widgets.jslink((play, "value"), (position, "value"))
+    # side by side, so that the picture stays in sight while a slider is moved
+    row = widgets.HBox([*parameters.values(), position, play], layout=widgets.Layout(flex_flow="row wrap"))
+    restart()
+    shown = widgets.VBox([numbers, row, picture])
+    for name, part in {**parameters, "position": position, "play": play, "numbers": numbers, "picture": picture}.items():
+        setattr(shown, name, part)
+    return shown
 
 
 def describe(seen: View) -> str:

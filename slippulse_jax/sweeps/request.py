@@ -64,18 +64,8 @@ DOMAINS = {
 class Request(NamedTuple):
     """A sweep whose parameters have been checked.
 
-    Attributes
-    ----------
-    axes : xarray.Dataset
-        The parameters given, as coordinates: numbers, and axes, each along a dimension of its own; or all of them along
-        ``point``, to be taken together.
-    outputs : tuple of str
-    right, sites, max_contacts
-        As for `slippulse_jax.precursor_length`.
-    push_control
-        As for `slippulse_jax.Push`.
-    contact_law, top
-        As for `slippulse_jax.Block`.
+    `axes` has them as coordinates: numbers, and axes, each along a dimension of its own; or all of them along ``point``, to be
+    taken together. The rest is as for `slippulse_jax.precursor_length`, `slippulse_jax.Push` and `slippulse_jax.Block`.
     """
 
     axes: xr.Dataset

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, fit, read_measurements
-from slippulse_jax.inference import columns, tables
+from slippulse_jax.inference import columns
 from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning
 from slippulse_jax.inference.tables import from_dataframe, measurements_of
 
@@ -202,7 +203,8 @@ def test_the_table_of_columns_is_that_of_the_fields_and_of_the_documentation():
         held = [field.name for field in dataclasses.fields(record) if "converter" in field.metadata]
         assert [name for name in held if name not in (*more, "lines", "rows")] == [*of_table]
         assert set(more) <= set(held)
-    documented = set(re.findall(r"``(\w+)``", tables.__doc__))
+    page = Path(__file__).parents[2] / "docs" / "reference" / "columns.md"
+    documented = set(re.findall(r"`(\w+)`", page.read_text(encoding="utf-8")))
     assert {one.name(in_si) for one in columns.COLUMNS.values() for in_si in (True, False) if one.names(in_si)} <= documented
     assert set(re.findall(r"\w+", " ".join(one.needs for one in columns.COLUMNS.values()))) <= set(columns.COLUMNS)
 

@@ -170,7 +170,7 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
 
     for module in ("changes", "search", "intervals", "samples"):
         monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
-    for name in ("_refitted", "_least"):
+    for name in ("_refitted", "_again", "_with"):
         monkeypatch.setattr(f"slippulse_jax.inference.changes.{name}", refuse)
     monkeypatch.setattr("slippulse_jax.inference.fit.fit", refuse)
     loaded = sp.load_fit(tmp_path / "fit.json")
