@@ -169,7 +169,8 @@ def simulate_inertial(
     if state is None:
         state, found = nucleate(chain)
         first = found if trigger is None else trigger
-    return _undifferentiated(chain, state, jax.tree.map(lambda _: of_rule, rule), numbers, jnp.asarray(first, jnp.int32))
+    with jax.debug_infs(False):  # a block that never moved has first moved at inf
+        return _undifferentiated(chain, state, jax.tree.map(lambda _: of_rule, rule), numbers, jnp.asarray(first, jnp.int32))
 
 
 def _simulate(

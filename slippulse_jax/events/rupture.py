@@ -147,7 +147,8 @@ def rupture(
             raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
         return smooth_rupture(chain, state, rule, first)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
-    return _undifferentiated((max_breaks, repin_delay), chain, state, first)
+    with jax.debug_infs(False):  # the length of an event that runs through is inf
+        return _undifferentiated((max_breaks, repin_delay), chain, state, first)
 
 
 def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array, ""]]:

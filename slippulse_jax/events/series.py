@@ -18,6 +18,7 @@ from types import NoneType
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -173,7 +174,8 @@ def series(
         _check_friction(body, protocol, ageing, repin_delay)
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
-    return run_series(shape, body, interface, loading)
+    with jax.debug_infs(False):  # the extent of an event that spans is inf
+        return run_series(shape, body, interface, loading)
 
 
 def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
