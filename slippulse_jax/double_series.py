@@ -124,12 +124,7 @@ class Series(NamedTuple):
 
 
 def system_of(
-    gap: Array,
-    coupling: Array,
-    reflected: Array,
-    start: Array,
-    prestress: Array | None = None,
-    runaway: Array | None = None,
+    gap: Array, coupling: Array, reflected: Array, start: Array, prestress: Array | None = None, runaway: Array | None = None
 ) -> System:
     """Roots ρ_j of A, their distances, and the first step of the front.
 

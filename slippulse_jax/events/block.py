@@ -168,11 +168,7 @@ def contacts_of(
 @partial(jax.jit, static_argnames=("sites", "kind"))
 @in_full
 def record(
-    block: Block,
-    interface: Interface | Profile | None,
-    sites: int,
-    kind: EventKind,
-    bare: tuple[Edge, Slab] | None = None,
+    block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
     body = contacts_of(block, interface, sites, bare)

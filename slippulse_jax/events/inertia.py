@@ -214,12 +214,7 @@ def _simulate(
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
         work, broken, damped, rubbed = now.books
-        books = (
-            work + (push(now) + push(after)) / 2 * velocity * dt,
-            broken,
-            damped,
-            rubbed + k * friction * moved.sum(),
-        )
+        books = (work + (push(now) + push(after)) / 2 * velocity * dt, broken, damped, rubbed + k * friction * moved.sum())
         return after._replace(books=books)
 
     def break_those(now: MotionState, those: Array) -> MotionState:

@@ -24,13 +24,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, eliminate
-from slippulse_jax.bodies.equilibrium import (
-    Equilibrium,
-    all_numbers,
-    equilibrium,
-    in_balance,
-    or_harmless,
-)
+from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
 from slippulse_jax.bodies.response import Response, into_blocks, propagators, shared_response
 from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative

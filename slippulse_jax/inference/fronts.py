@@ -243,11 +243,7 @@ class EndedFront(FirstFront):
     def traced(self, inputs: Inputs, relaxed: bool) -> Array:
         """ℓ of one lane where the block ends or the machine gives way, else ℓ*."""
         straight = quantity(
-            "length",
-            sliders(inputs, jnp.exp),
-            _interface(inputs, relaxed),
-            ends_of(inputs, jnp.exp),
-            DEFAULT_MAX_CONTACTS,
+            "length", sliders(inputs, jnp.exp), _interface(inputs, relaxed), ends_of(inputs, jnp.exp), DEFAULT_MAX_CONTACTS
         )
         ended = jnp.isfinite(jnp.stack([inputs.get(name) for name in ENDED if name in inputs.more])).any()
         return jnp.where(ended, straight, super().traced(inputs, relaxed))

@@ -247,13 +247,7 @@ def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
 
 
 def posterior(
-    result: Fitted,
-    *,
-    samples: int = 1000,
-    warmup: int = 500,
-    chains: int = 4,
-    seed: int = 0,
-    progress: bool | None = None,
+    result: Fitted, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
 ) -> Samples:
     """Sample the posterior of a fit.
 

@@ -94,13 +94,7 @@ def draw_block(ax: "Axes", frames: Frames, number: int) -> Any:
     c, block, n = colours(ax), frames.found.block, frames.shown
     height = float(block.height)
     mesh = ax.pcolormesh(
-        np.arange(n + 1),
-        frames.y,
-        frames.shear[number, :n].T,
-        cmap="PuOr_r",
-        vmin=-REACH,
-        vmax=REACH,
-        rasterized=True,
+        np.arange(n + 1), frames.y, frames.shear[number, :n].T, cmap="PuOr_r", vmin=-REACH, vmax=REACH, rasterized=True
     )
     low, high = (float(part) * height for part in block.push.reach)
     ax.plot([0, n], [height, height], color=c.ink, lw=0.8)

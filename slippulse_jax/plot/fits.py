@@ -500,13 +500,7 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
 
 @drawn
 def confidence_region(
-    result: "FitResult",
-    horizontal: str,
-    vertical: str,
-    samples: Any = None,
-    *,
-    nodes: int = 61,
-    ax: "Axes | None" = None,
+    result: "FitResult", horizontal: str, vertical: str, samples: Any = None, *, nodes: int = 61, ax: "Axes | None" = None
 ) -> "Axes":
     """Draw the 68 % and 95 % confidence regions of two parameters.
 

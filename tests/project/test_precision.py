@@ -112,7 +112,10 @@ def test_pages_pasted_into_a_new_process(page, tmp_path):
         ),
         (partial(jax.debug_infs, True), lambda: sp.rupture(sp.chain(default_precision.SLIDER, sites=8))),
         (partial(jax.debug_infs, True), lambda: sp.series(sp.chain(default_precision.SLIDER, sites=8), events=4)),
-        (partial(jax.debug_infs, True), lambda: sp.simulate_inertial(sp.chain(default_precision.SLIDER, sites=8), duration=2.0)),
+        (
+            partial(jax.debug_infs, True),
+            lambda: sp.simulate_inertial(sp.chain(default_precision.SLIDER, sites=8), duration=2.0),
+        ),
     ],
 )
 def test_the_checks_that_jax_offers_stop_nothing(flag, call, float32):
