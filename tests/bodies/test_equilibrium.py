@@ -277,7 +277,7 @@ def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     assert all(np.all(np.any(g.reshape(200, -1) != 0, axis=1)) for g in jax.tree.leaves(gradient))
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_second_derivatives(law):
     rng = np.random.default_rng(1)

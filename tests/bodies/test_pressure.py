@@ -72,8 +72,8 @@ def test_pressure_balances_the_torque_of_the_push(push):
 # --- limits ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("ended", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("ended", [True, False])
 def test_without_friction_it_is_the_block_of_the_same_normal_stiffness(ended):
     """At μ = 0, and in the limit; both laws."""
     push, length = sp.Push(0.25, 0.1), 96 if ended else None

@@ -147,7 +147,7 @@ def ax():
     plt.close(figure)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_precursors_against_force(ax):
     """Of a chain and of a block: the force over that of all thresholds, and how far events got."""
     chain = sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=30)

@@ -244,8 +244,8 @@ PARTITIONED = """
 """
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("further", ["", pytest.param(PARTITIONED, marks=pytest.mark.slow)], ids=["dealt", "partitioned"])
+@pytest.mark.slow
+@pytest.mark.parametrize("further", ["", PARTITIONED], ids=["dealt", "partitioned"])
 def test_lanes_do_not_depend_on_the_number_of_devices(further):
     """Lanes dealt out to two devices have the bits of one; partitioned by XLA itself, the same breaks (see docs/model/chain.md)."""
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
@@ -402,7 +402,7 @@ def test_a_chain_takes_an_interface():
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("double", [True, False])
+@pytest.mark.parametrize("double", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_the_usual_call_breaks_the_first_contact(double):
     """Without a state it nucleates; of a nucleated state, rounding does not matter. These were found among random chains."""
     with jax.enable_x64(double):

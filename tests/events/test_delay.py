@@ -88,7 +88,8 @@ print(*(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), sp.Interface(repin_dela
 """
 
 
-@pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("cores", [1, 2])
 def test_long_delays_in_bulk_come_to_an_end(cores):
     """Delays from 10 on waited for ever on two cores: eliminations of a batch waited for each other's threads."""
     pinned = f"os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:{cores}])" if hasattr(os, "sched_setaffinity") else ""

@@ -202,7 +202,7 @@ def test_an_event_spans_whatever_pulls_the_edge(stop):
     np.testing.assert_allclose(pulled.length, direct.length, rtol=1e-6)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
     def run(height):
         return sp.series(sp.chain(sp.Slider(height, 0.03, 0.3), sites=40), events=6, stop_when_spanning=False)

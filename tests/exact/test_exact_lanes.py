@@ -151,8 +151,8 @@ def test_gradient_against_differences():
     assert np.max(error[:4, arrested]) < 1e-7
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("numbers", [3, pytest.param(5, marks=pytest.mark.slow)])  # which takes a minute to compile
+@pytest.mark.slow
+@pytest.mark.parametrize("numbers", [3, 5])  # which takes a minute to compile
 def test_hessian_against_differences_of_the_gradient(numbers):
     """In the numbers of the slider alone, or in those of the interface too."""
     lanes = random_lanes(24, 65)[:numbers]

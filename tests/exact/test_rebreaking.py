@@ -61,7 +61,7 @@ def test_onsets_of_the_documentation():
         sp.rebreaking_onset(0.5, 0.3)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [100.0, 1000.0, 10_000.0, 100_000.0])
 def test_recursion_and_closed_form_have_one_onset(height):
     onset = sp.rebreaking_onset(height, 0.3)

@@ -310,8 +310,8 @@ def test_quantiles_of_a_mixture():
     np.testing.assert_allclose(quantile(0.975, mean[:1], stderr[:1], np.ones(1)), mean[0] + norm.ppf(0.975) * stderr[0])
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("kind", ["threshold", pytest.param("prestress", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["threshold", "prestress"])
 def test_coverage(kind):
     """A sample of benchmarks/recover_coverage.py: data of ruptures that start anywhere."""
     found = recover_coverage.coverage(30, kind, seed=5)

@@ -454,7 +454,7 @@ def no_legend_lies_on_data(figure):
             assert not any(legend.overlaps(other.get_tightbbox()) for other in figure.axes if other is not ax)
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(5, marks=pytest.mark.ci)])
+@pytest.mark.parametrize("count", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_figure_has_the_profile_of_each_parameter(count):
     """Up to four, legibly; of more it says how to draw all."""
     heights, names = np.array([20.0, 50.0]), "VWXYZ"[:count]

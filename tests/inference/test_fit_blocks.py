@@ -226,7 +226,7 @@ def test_a_fit_of_lengths_where_no_event_stops():
     assert (BlockEvent().status(inputs) == Outcome.RUN_AWAY).all()
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_an_event_that_runs_through_a_block_is_not_one_that_never_stops():
     inputs = inputs_of([30.0, 30.0], [2.0, 2.0], 0.4)
     found = BlockEvent().status(inputs.given(log_sites=np.log([30.0, np.inf])))
@@ -582,7 +582,7 @@ def test_friction_with_an_error_is_fitted_beside(with_friction):
     assert low < 0.25 < high
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_lengths_over_friction_have_no_jump_and_are_those_of_the_blocks():
     """At every b, also where events are of another kind than the measured one; between blocks that are followed to 0.5 %."""
     log_b = np.linspace(np.log(0.02), np.log(200), 40)

@@ -86,7 +86,7 @@ def test_observables_at_nucleation_and_gauges():
     np.testing.assert_allclose(stresses(EndedFront(), read).value, chain.stress()[at], atol=1e-7)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_the_traced_density_is_that_of_the_fit():
     """With an end and a drive in some rows, value and slope."""
     end, machine = np.array([np.nan, 64.0, 80.0]), np.array([np.nan, np.nan, MACHINE])

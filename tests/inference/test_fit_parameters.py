@@ -436,8 +436,8 @@ def test_errors_from_the_scatter_keep_those_of_inputs(young_sigma):
         assert np.mean((result.residuals) ** 2) * 8 / 7 == pytest.approx(1, rel=1e-6)
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("loss", ["normal", pytest.param("student", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", ["normal", "student"])
 def test_scatter_of_many_lengths_is_that_of_their_errors(loss):
     """The size is right for errors as the loss supposes: of 6000 lengths to within two and a half standard errors."""
     rng, count = np.random.default_rng(11), 6000

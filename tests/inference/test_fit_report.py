@@ -381,8 +381,13 @@ def test_of_many_roots_the_best_are_listed():
 # --- what the report uses is what it shows ----------------------------------------------------------------------------------
 
 
+TABLES = sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv"))
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/lengths.csv")))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "pressed_block" else ()) for name in TABLES]
+)
 def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
     result = worked(name)

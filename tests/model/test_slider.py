@@ -178,7 +178,7 @@ def test_wrong_objects_are_named(bad):
 # --- as JAX takes trees -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_trees_of_axes():
     """What `jax.vmap` needs where not every field has an axis; and any other leaves."""
     heights = jnp.array([10.0, 25.0, 50.0])

@@ -10,7 +10,9 @@ SAMPLE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", attack.CAMPAIGNS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "blocks" else ()) for name in attack.CAMPAIGNS]
+)
 def test_nothing_falls(name):
     found = attack.run(name, SAMPLE[name], seed=21)
     assert not found.fell

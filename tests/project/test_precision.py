@@ -74,6 +74,7 @@ def test_precision_of_blocks(float32):
         assert sp.precursor_length(sp.Block(jnp.float32(10.0), 0.05, 0.3)).dtype == jnp.float64
 
 
+@pytest.mark.slow
 def test_a_block_that_a_program_in_single_precision_holds(float32):
     """JAX 0.10 remembers an array in single precision while a program holds that, and takes it for the array in double too."""
     block = sp.Block(10.0, 0.05, 0.3)

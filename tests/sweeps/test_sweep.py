@@ -49,7 +49,7 @@ def test_gradients_are_those_of_the_length():
         )
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_interface_parameters_are_axes_too():
     phi, delay = np.array([0.0, 0.3, 0.54]), np.array([0, 2])
     found = sp.sweep(

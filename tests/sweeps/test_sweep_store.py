@@ -516,7 +516,7 @@ def test_shares_together_are_the_whole(reference, tmp_path):
     assert contents(tmp_path / "s") == contents(reference)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_two_writers_of_one_store(reference, tmp_path):
     """They share the work without knowing of each other, and seldom compute the same chunk."""
     store = tmp_path / "s"

@@ -99,7 +99,7 @@ def levels(x):
     return frozen, continuum, theory.frozen_stress(slider, at), theory.continuum_stress(slider, at)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("x", SLIDERS)
 def test_continuum_at_both_levels(x):
     frozen, continuum, frozen_stress, continuum_stress = levels(jnp.asarray(x))
