@@ -366,8 +366,8 @@ class BlockEvent(Front):
         "displacement": "from lengths alone: leave it out",
         "force": "from lengths alone: leave it out",
         "gauges": "from lengths alone: leave it out",
-        "machine_stiffness": "whose pusher is held: fit the table without machine_stiffness, as a block; then without columns "
-        "of the push, as a slider, with machine_stiffness and without, which shows the factor by which a machine moves it",
+        "machine_stiffness": "whose pusher is held: leave it out. The stiffness is then too large, as a machine takes part of "
+        "the load; by about what factor, the row of machines in the report of a table without the columns of the push says",
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 

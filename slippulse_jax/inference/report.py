@@ -329,8 +329,10 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
         if change.name == "block":
             none = ", or none fits" * (len(factors) < len(moves))
             first = "the first value" if result.points else "this"
-            needs = f"needs {ends(factors)} times {first}{none}, depending on where its side is pushed"
-            yield f"a real block {needs if factors else 'gives these lengths at no stiffness, wherever its side is pushed'}"
+            would = "gives these lengths at no stiffness, wherever its side is pushed"
+            if factors:
+                would = f"needs {ends(factors)} times {first}{none}, depending on where its side is pushed"
+            yield f"a real block {would}"
         elif change.name == "push_width":
             suffix = f"_{unit}" * m.in_si
             would = f"the stiffness is about {ends(factors)} times as large" if factors else "no stiffness fits these lengths"

@@ -459,13 +459,13 @@ def test_one_block_pushed_at_several_heights_is_drawn_against_them():
 
 
 def test_a_machine_beside_a_push_is_refused_by_the_names_of_its_columns():
-    """No other body is recommended: the slider would give another stiffness."""
+    """It says what to do: no other body is recommended, since the slider would give another stiffness."""
     table = pd.read_csv(ROOT / "fit_examples/pmma_block/lengths.csv")
     table = table.assign(machine_stiffness_N_per_m=1e9, block_width_mm=10.0, push_height_mm=5.0)
     with pytest.raises(ValueError, match="machine_stiffness_N_per_m beside push_height_mm") as refused:
         sp.fit(table)
     assert "slider" not in str(refused.value)
-    assert "leave it out" in str(refused.value)
+    assert "leave it out. The stiffness is then too large" in str(refused.value)
 
 
 # --- progress -----------------------------------------------------------------------------------------------------------
@@ -474,6 +474,7 @@ def test_a_machine_beside_a_push_is_refused_by_the_names_of_its_columns():
 def test_events_are_announced_at_once_and_counted_one_by_one(capsys, monkeypatch):
     """By one line on a stderr that is no terminal, by a bar on one; and nothing more of the next events."""
     monkeypatch.setattr(block_lengths, "workers", lambda: 1)
+    monkeypatch.setattr(block_lengths, "FEW", 2)
     monkeypatch.setattr(block_lengths, "_computed", {})
     monkeypatch.setattr(block_lengths, "_known", {"a place": {}})
     parts = block_lengths._announced([1, 2, 3])
