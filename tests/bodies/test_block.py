@@ -216,7 +216,7 @@ def test_derivative_in_the_normal_stiffness():
 # --- a block that ends --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", [5, 30])
 def test_a_free_end_of_the_slider(contacts):
     """Against its modes, which a mirror reflects."""
@@ -227,8 +227,8 @@ def test_a_free_end_of_the_slider(contacts):
     np.testing.assert_allclose(found.push[0][:contacts], driven, rtol=0, atol=1e-14)
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("push", EACH)
+@pytest.mark.slow
+@pytest.mark.parametrize("push", PUSHES, ids=NAMES)
 def test_a_block_with_a_free_end(push):
     """Two contacts, and 2.5 and 6 heights; the sequence of breaks too, to the end where it runs through."""
     for contacts in (2, 10, 24):

@@ -116,7 +116,7 @@ def test_a_single_contact_jumps_below_the_critical_width_and_slides_above():
             assert (np.diff(pulled_by) > 0).all() == bool(law.steepest_fall > -spring)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_critical_width_of_the_papers_slider():
     """Below it the contact at the edge is unstable in its surroundings, above it not; the surroundings from dense solves."""
     own = responses(25, 0.03, 0.3, 300, "semi-infinite", 1)[1]

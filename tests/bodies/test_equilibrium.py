@@ -248,7 +248,7 @@ def random_parameters(rng):
     }
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_derivatives_forward_reverse_and_second_order_at_200_points(law):
     rng = np.random.default_rng(0)

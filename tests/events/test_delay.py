@@ -66,7 +66,8 @@ def test_rupture_against_dense_program(delay):
     assert got.drift < 1e-12
 
 
-@pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [1, 3])
 def test_first_precursor_is_that_of_the_recursion(delay):
     expected = sp.first_precursor(FIG2, interface=sp.Interface(repin_delay=delay))
     chain = sp.chain(FIG2, sites=150)

@@ -99,7 +99,7 @@ def test_the_cascade_has_the_same_onset(height, sites):
     assert above.length >= arrests(slider_of(onset * (1 + CLOSE), height)).length - 1e-6
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_statuses_and_edge_stress_of_random_sliders():
     """On relaxed and prestressed interfaces; a front that breaks contact 0 alone arrests in the one record, is none in the other."""
     rng = np.random.default_rng(5)

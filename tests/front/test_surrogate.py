@@ -267,7 +267,7 @@ def test_any_interface_approaches_the_hard_length(contacts, ends):
     assert error[1] < 1e-9 < error[0]
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_front_that_reaches_the_end_runs_through():
     """As the sweep of a chain has it: where more than half of the last contact breaks."""
     rule, last = SmoothBreak(width=0.02), []

@@ -104,8 +104,11 @@ def check_rows(text, rows=None, **options):
     return [change.name for change in result.changes]
 
 
+QUICK = ("pmma_block", "prestressed_slider")
+
+
 @pytest.mark.ci
-@pytest.mark.parametrize("name", SLIDERS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SLIDERS])
 def test_each_row_of_a_slider_is_a_fit_of_the_changed_table(name):
     """Of each bundled table of lengths, a real block included, with the verdict "none fits"."""
     text = (EXAMPLES / name / "lengths.csv").read_text(encoding="utf-8")
@@ -122,7 +125,7 @@ def test_each_row_of_a_block_is_a_fit_of_the_changed_table(name):
     assert {"pressure", "slider", "push_height"} <= {*rows}
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 @pytest.mark.parametrize("each", [False, True])
 def test_a_pressure_that_tilts_is_fitted_to_the_whole_table(each):
     """Of two specimens, each with its own rows: not the factor of one length, given to all."""

@@ -374,7 +374,7 @@ def test_pictures():
     assert "bits" in left.get_xlabel()
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_at_what_height_to_push_a_block():
     """Information where ℓ is linear in ln k, from cascades of their own; and the report, the picture and the command."""
     height, middle, sd, sigma = 400.0, 8e-4, 0.05, 6.0

@@ -86,7 +86,7 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
     assert found.high - exact.values["areal_stiffness"] > 1.3 * (exact.values["areal_stiffness"] - found.low)
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_the_total_of_a_block_is_an_interval_too(worked):
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
     result = worked("pushed_block")

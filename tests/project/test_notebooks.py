@@ -6,7 +6,7 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(path.name for path in FOLDER.glob("*.ipynb"))
-QUICK = ("01_the_model_from_scratch.ipynb", "02_scanning.ipynb", "03_gradients.ipynb")
+QUICK = ("01_the_model_from_scratch.ipynb", "02_scanning.ipynb")
 """Those that CI runs; every night runs the others."""
 
 AS_NEW = "%reset -f\nimport jax, matplotlib\njax.config.update('jax_enable_x64', False)\nmatplotlib.rcdefaults()\n%reset -f"

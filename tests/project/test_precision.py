@@ -88,9 +88,10 @@ def test_a_block_that_a_program_in_single_precision_holds(float32):
     assert "f32" in str(program)
 
 
-PROGRAMS = ["README.md", pytest.param("docs/fit/own_observable.md", marks=pytest.mark.slow)]
+PROGRAMS = ["README.md", "docs/fit/own_observable.md"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PROGRAMS)
 def test_pages_pasted_into_a_new_process(page, tmp_path):
     """All programs of a page, one after another; `test_docs.py` runs every page with JAX's defaults, but after others."""

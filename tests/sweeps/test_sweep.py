@@ -296,8 +296,8 @@ def test_an_interface_that_does_not_fit_is_refused(given, error, message):
         sp.sweep(height=10.0, stiffness=0.03, poisson=0.3, **given)
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("pushes", [[0.25, 0.7], pytest.param([0.3, 0.5], marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("pushes", [[0.25, 0.7], [0.3, 0.5]])
 def test_blocks_over_the_height_of_the_push(pushes):
     """Short blocks contact by contact, tall ones from coarser contacts, one whose event passes the first contacts looked at."""
     heights = [60.0, 250.0, 900.0]
