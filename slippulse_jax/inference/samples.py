@@ -303,7 +303,7 @@ def posterior(
             num_samples=samples,
             num_chains=chains,
             chain_method="vectorized",
-            progress_bar=sys.stderr.isatty() if progress is None else progress,
+            progress_bar=bool(sys.stderr and sys.stderr.isatty()) if progress is None else progress,
         )
         run.run(jax.random.key(seed), init_params=jnp.asarray(unbounded), extra_fields=("diverging",))
         drawn = np.asarray(run.get_samples(group_by_chain=True))
