@@ -79,13 +79,7 @@ class Slider(eqx.Module):
 
     @classmethod
     def from_material(
-        cls,
-        *,
-        height: Real,
-        correlation_length: Real,
-        areal_stiffness: Real,
-        poisson: Real,
-        young: Real,
+        cls, *, height: Real, correlation_length: Real, areal_stiffness: Real, poisson: Real, young: Real
     ) -> "Slider":
         """Slider from material constants in SI units.
 

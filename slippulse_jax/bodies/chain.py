@@ -222,9 +222,7 @@ def endless(bonds: Springs, contact: Array) -> Springs:
     # row sums: (M − κ_2²)(1, 1) = (−κ_2², q − κ_2²), and q − κ_2² = q (κ_1² − κ_T²)/κ_1²
     beyond_upper = (b + q - kT2 + splitting) / 2
     return Springs(
-        upper=K_L * (g_2 - slope * smaller),
-        layer=K * (g_2 + slope * q * beyond_upper / larger),
-        across=K_L * slope * kT2,
+        upper=K_L * (g_2 - slope * smaller), layer=K * (g_2 + slope * q * beyond_upper / larger), across=K_L * slope * kT2
     )
 
 

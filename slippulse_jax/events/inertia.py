@@ -142,7 +142,8 @@ def simulate_inertial(
     check_linear(chain, "the inertial chain")
     if not isinstance(rule, SelfHealing | CrackLike):
         raise TypeError(f"rule = {rule!r}: must be SelfHealing(break_time) or CrackLike(friction)")
-    least = jnp.where(chain.contact > 0, chain.threshold, jnp.inf).min()
+    with jax.debug_infs(False):
+        least = jnp.where(chain.contact > 0, chain.threshold, jnp.inf).min()
 
     def given(name: str, value: Any, inside: Callable[[Any], Any], requirement: str) -> Array:
         """Check a number; one that is traced and lies outside its domain becomes NaN."""

@@ -163,18 +163,14 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
-    loading = Loading(
-        protocol,
-        ageing,
-        jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype),
-        jnp.asarray(stop_when_spanning),
-        jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32),
-    )
     if isinstance(body, Block) and body.friction is not None:
         _check_friction(body, protocol, ageing, repin_delay)
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
-    with jax.debug_infs(False):  # the extent of an event that spans is inf
+    with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
+        until = jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype)
+        most = jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32)
+        loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most)
         return run_series(shape, body, interface, loading)
 
 

@@ -43,6 +43,8 @@ SCATTERING = (0.6, 0.8)
 """Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
 STARTS, MOST_STEPS = 9, 25
 """Starts over the range of the stiffness of a fit with one freedom more, and steps of every start."""
+MOST_CONTACTS = 5e4
+"""Contacts of the longest front, above which ends and machines, which are followed break by break, are not tried."""
 TRIED = 65
 """Points over the range of the stiffness, from the valleys between which a fit starts where lengths are smooth."""
 AT_END = 1e-6
@@ -238,11 +240,11 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
 def _of_ends(fitted: Fitted) -> Iterator[Change]:
     """An end of the block, a machine that gives way and a model factor, as far as the table states none.
 
-    Ends and machines for lengths of first fronts only: gauges take long to compute again, and whole events are for blocks
-    without end.
+    Ends and machines for lengths of first fronts only: gauges take long to compute again, as do fronts of very many contacts,
+    and whole events are for blocks without end.
     """
     m, at, q = fitted.measurements, fitted.regime, fitted.parameters
-    if q.front.event == "domino" and m.gauges is None:
+    if q.front.event == "domino" and m.gauges is None and fitted.fitted.max() < MOST_CONTACTS:
         if m.block_length is None:
             ended = dataclasses.replace(m, block_length=END * np.maximum(at.slow_decay_length, m.length / 4))
             yield _again(fitted, "block_length", "a block that ends at 4/κ₂", [ended], fitted.moved)

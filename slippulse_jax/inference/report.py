@@ -15,6 +15,7 @@ from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.changes import (
     END,
     MANY,
+    MOST_CONTACTS,
     NARROW_PUSHER,
     NORMAL,
     Change,
@@ -735,6 +736,8 @@ def _of_attainable(result: Fitted) -> Iterator[str]:
 def _of_model(result: Fitted) -> Iterator[str]:
     """Say where the search, the definition of a length, the edge contact or the end of a block leave a result uncertain."""
     m, front = result.measurements, result.parameters.front
+    if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
+        yield f"an end of the block and a machine were not tried: fronts of more than {MOST_CONTACTS:g} contacts take long"
     if front.body == "block":
         force = ", a pusher of which the force is held" * (not m.push_control)
         yield f"not tried: {'an end of the block, ' * (m.block_length is None)}a machine that gives way{force}"

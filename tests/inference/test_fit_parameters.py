@@ -604,7 +604,7 @@ def test_bounds_are_refused_where_no_domino_starts_and_only_there(monkeypatch):
     def searched(*_, **__):
         raise AssertionError("searched")
 
-    for name in ("_explore", "_between_contacts"):
+    for name in ("_explore", "between_contacts"):
         monkeypatch.setattr(f"slippulse_jax.inference.fit.{name}", searched)
     m = Measurements([15.0, 25.0], 0.3, [9.0, 25.0], 0.5)
     exact = model(m.height, 6e-6)
