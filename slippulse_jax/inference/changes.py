@@ -323,7 +323,7 @@ def total_interval(fitted: Fitted, name: str, moved: Sequence[Change]) -> Interv
     In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
     """
     pieces, one = fitted.intervals.get(name, {}).get(LEVELS[0], []), fitted.parameters.named(name)
-    moves, value = np.array([one.both(name) for one in of_inputs(moved)]), fitted.values[name]
+    moves, value = np.array([one.both(name) for one in of_inputs(moved)]).reshape(-1, 2), fitted.values[name]
     by = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1)
     if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value).all():
         return None

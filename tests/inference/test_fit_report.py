@@ -86,6 +86,22 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
     assert found.high - exact.values["areal_stiffness"] > 1.3 * (exact.values["areal_stiffness"] - found.low)
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_errors_to_publish_have_two_sides_wherever_there_is_a_value(known):
+    """As the box prints them, also beside inputs that all have errors of their own."""
+    errors = {"height_sigma": 0.2, "poisson_sigma": 0.01, "provenance": ("measured",) * 3} if known else {}
+    m = sp.Measurements([20.0, 30.0, 50.0], 0.3, [11.6, 19.0, 35.1], 0.5, **errors)
+    result = sp.fit(m, intervals="profile")
+    below, above = result.errors_with_inputs["stiffness"]
+    (piece,) = result.intervals["stiffness"][LEVELS[0]]
+    value = result.values["stiffness"]
+    assert below >= 0.999 * (value - piece.low)
+    assert above >= 0.999 * (piece.high - value)
+    assert (len(of_inputs(result.changes)) == 0) == known
+    assert 0.5 * (below + above) == pytest.approx(result.stderrs_with_inputs["stiffness"], rel=0.1)
+    assert sp.fit(dataclasses.replace(m, length=[23.0, 34.5, 57.5])).errors_with_inputs == {"stiffness": None}
+
+
 @pytest.mark.slow
 def test_the_total_of_a_block_is_an_interval_too(worked):
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
