@@ -86,6 +86,7 @@ def test_total_interval_is_that_of_a_fit_with_the_error_stated():
     assert found.high - exact.values["areal_stiffness"] > 1.3 * (exact.values["areal_stiffness"] - found.low)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("known", [False, True])
 def test_errors_to_publish_have_two_sides_wherever_there_is_a_value(known):
     """As the box prints them, also beside inputs that all have errors of their own."""
@@ -99,7 +100,8 @@ def test_errors_to_publish_have_two_sides_wherever_there_is_a_value(known):
     assert above >= 0.999 * (piece.high - value)
     assert (len(of_inputs(result.changes)) == 0) == known
     assert 0.5 * (below + above) == pytest.approx(result.stderrs_with_inputs["stiffness"], rel=0.1)
-    assert sp.fit(dataclasses.replace(m, length=[23.0, 34.5, 57.5])).errors_with_inputs == {"stiffness": None}
+    beyond = sp.fit(dataclasses.replace(m, length=[23.0, 34.5, 57.5]))  # any length, where a model factor is fitted
+    assert (beyond.errors_with_inputs["stiffness"] is None) == (not known)
 
 
 @pytest.mark.slow
