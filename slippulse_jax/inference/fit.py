@@ -513,7 +513,7 @@ def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
     moved = np.array([one.name in STIFFNESSES for one in q.free])
     below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
     found = search(problem, extra=np.where(moved, below, stiff.theta), **options).roots if moved.any() else []
-    return [root for root in found if not root.rebreaks and problem.accepts(root.theta, root.deviance)]
+    return [root for root in found if not root.rebreaks and problem.accepts(root.theta, root.deviance, stiff.deviance + SLACK)]
 
 
 def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:

@@ -286,10 +286,10 @@ class Problem:
         dof = self.testable(theta)
         return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
 
-    def accepts(self, theta: np.ndarray, deviance: float) -> bool:
-        """Whether the data fit at a minimum: not so badly that model and σ do not describe them."""
+    def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
+        """Whether the data fit at a minimum: by p, or where none is known by a deviance of `most` at the most."""
         p = self.p_value(theta, deviance) if np.isfinite(deviance) else 0.0
-        return p is None or p >= IMPROBABLE
+        return deviance <= most if p is None else p >= IMPROBABLE
 
     @property
     def perfect(self) -> float:

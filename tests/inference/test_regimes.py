@@ -231,6 +231,17 @@ def test_a_random_table_is_fitted_in_time(kind):
     assert fitted_in_time(table).converged
 
 
+@pytest.mark.ci
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+@pytest.mark.parametrize("seed", [372, 405])
+def test_a_valley_between_the_edges_of_counts_is_followed_to_its_end(seed):
+    """These did not converge in the steps of a start; of the first, no stiffness of a huge deviance is preferred to it."""
+    table = random_tables.draw(seed)
+    result = sp.fit(table.measurements, list(table.free), **table.options)
+    assert result.converged
+    assert result.deviance < 10
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
 def test_random_tables():
