@@ -281,7 +281,7 @@ def fit(
     method : {"lm", "lbfgs", "adam"}
         Levenberg and Marquardt's; or optax's L-BFGS or Adam.
     max_steps : int
-        Steps allowed per start.
+        Steps allowed per start; five times as many beside counts and limits without an error.
     seed : int
         Seed of the starts where several parameters are fitted, and of simulations.
     intervals : {"auto", "profile", "calibrated"}

@@ -25,6 +25,7 @@ KINK = 1e-2
 give a gradient that vanishes next to the minimum, not at it."""
 HALVINGS = 30  # of an optax step that does not lower the value
 ADAM_STEPS = 20  # of optax.adam for each one allowed
+PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
 BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
 """Blurs, in λc, through which the edges of counts are sharpened, and the Newton decrement at which each is left."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
@@ -102,11 +103,17 @@ def minimise(
 
 def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
     """Minimise a deviance, of several parameters through ever sharper counts and limits, whose edges no step follows."""
-    for blur in BLURS if problem.p > 1 else ():
-        if (blurred := problem.blurred(blur)) is not problem:
-            first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
-            start = minimise(blurred, start, low, high, **first).theta
-    return minimise(problem, start, low, high, **options)
+    sharp = problem.p > 1 and problem.blurred(BLURS[0]) is not problem
+    for blur in BLURS if sharp else ():
+        first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
+        start = minimise(problem.blurred(blur), start, low, high, **first).theta
+    ends = minimise(problem, start, low, high, **options)
+    left = (ends.convergence == Convergence.NOT_CONVERGED) & (ends.value <= ends.value.min(initial=np.inf) + PROMISING)
+    if sharp and left.any() and options["method"] == "lm":  # valleys between edges are followed by small steps
+        again = minimise(problem, ends.theta[left], low, high, max_steps=PATIENCE * options["max_steps"])
+        for mine, theirs in zip(ends, again, strict=True):
+            mine[left] = theirs
+    return ends
 
 
 def _levenberg_marquardt(

@@ -58,8 +58,7 @@ TURNS, SETTLED = 100, 1e-10
 """Largest number of alternations between fit and scale, and the relative change of the scale at which they end."""
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
-STARTS, PATIENCE = 32, 5
-"""Starts, and how many times the steps allowed the promising ones get that have not converged."""
+STARTS = 32
 BETWEEN = 0.5
 """Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
 CROWDED = 24
@@ -176,11 +175,6 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
             # a cell at the peak of a length is so narrow that its predictions are constant
             starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
     ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
-    left = (ends.convergence == Convergence.NOT_CONVERGED) & (2 * ends.value <= 2 * ends.value.min(initial=np.inf) + SLACK)
-    if left.any() and method == "lm":  # valleys between the edges of counts are followed by small steps
-        again = minimise(problem, ends.theta[left], low, high, max_steps=PATIENCE * max_steps)
-        for mine, theirs in zip(ends, again, strict=True):
-            mine[left] = theirs
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
     minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
@@ -210,9 +204,8 @@ def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
         near = 1e-6 * max(1.0, abs(least))
         return sorted(some, key=lambda root: (max(root.deviance - least - near, 0.0), root.theta.sum()))
 
-    sound, most = [root for root in roots if len(roots) > 1 and not root.rebreaks], np.inf
-    if sound:
-        most = min(root.deviance for root in roots) + SLACK
+    sound = [root for root in roots if len(roots) > 1 and not root.rebreaks]
+    most = min((root.deviance for root in roots), default=0.0) + SLACK
     if not any(problem.accepts(root.theta, root.deviance, most) for root in sound):
         return by_deviance(list(roots))
     return by_deviance(sound) + by_deviance([root for root in roots if root not in sound])
