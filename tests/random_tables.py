@@ -57,7 +57,7 @@ def kind_of(seed: int) -> str:
 
 
 def draw(seed: int, kind: str | None = None) -> Table:
-    """One table, with other complications at random beside that of its kind."""
+    """Draw one table of a kind, with other complications at random."""
     for attempt in range(1000):
         found = _drawn(np.random.default_rng([seed, attempt]), kind or kind_of(seed))
         if found is not None:
