@@ -134,29 +134,40 @@ def lengths(
     check_at_once(interface, rule)
     smooth = isinstance(rule, SmoothBreak)
     columns, shape, kind = _columns(slider, interface, rule, ends)
-    simple = _is_simple(interface, ends)
-    if smooth or (derivatives and not simple) or (interface is not None and interface.repin_delay):
-        kernel, layout = general_kernel(kind, max_contacts, derivatives), ANY
-    elif not simple:
-        columns = _seven(slider, interface, ends)
-        right = "free" if ends.right == "semi-infinite" else ends.right  # a chain without end has a free one at `NO_END`
-        kernel, layout = lanes.length_kernel(max_contacts, right), ENDED
+    general, own = general_kernel(kind, max_contacts, derivatives), columns
+    if smooth or (derivatives and not _is_simple(interface, ends)) or (interface is not None and interface.repin_delay):
+        (found,) = over_lanes(general, columns, ANY, length_rank)
     elif derivatives:
-        kernel, layout = lanes.gradient_kernel(max_contacts), WITH_MORE
+        (found,) = _by_loop(lanes.gradient_kernel(max_contacts), WITH_MORE, columns, general, columns)
     else:
         kernel, layout = lanes.length_kernel(max_contacts), LENGTHS
+        if not _is_simple(interface, ends):
+            own = _seven(slider, interface, ends)
+            right = "free" if ends.right == "semi-infinite" else ends.right  # a chain without end has a free one at `NO_END`
+            kernel, layout = lanes.length_kernel(max_contacts, right), ENDED
         long = exact_lanes.which_are_long(columns) if len(columns) == 3 and max_contacts > exact_lanes.LONG else ()
+        rest, found = slice(None), np.full(len(columns[0]), np.nan)
         if len(long):  # relaxed fronts of which some are expected to be long: those by the series, where it settles
-            found = np.full(len(columns[0]), np.nan)
             found[long] = exact_lanes.long_lengths([x[long] for x in columns], max_contacts)
             rest = np.isnan(found)
-            (found[rest],) = over_lanes(kernel, [x[rest] for x in columns], layout, length_rank)
-            return found.reshape(shape)
-    (found,) = over_lanes(kernel, columns, layout, length_rank)
+        (found[rest],) = _by_loop(kernel, layout, [x[rest] for x in own], general, [x[rest] for x in columns])
     if not derivatives:
         return found.reshape(shape)
     length, *slopes = (column.reshape(shape) for column in found)
     return LengthDerivatives(length, *jax.tree.unflatten(kind, slopes))
+
+
+def _by_loop(kernel: Kernel, layout: Layout, columns: Lanes, general: Kernel, given: Lanes) -> list[np.ndarray]:
+    """Results of a loop over lanes; of the general recursion where contacts are so stiff that it cannot be run back."""
+    if not np.max(given[1], initial=0) > lanes.STIFFEST:
+        return over_lanes(kernel, columns, layout, length_rank)
+    stiff, found = given[1] > lanes.STIFFEST, []
+    for where, program, numbers, how in ((~stiff, kernel, columns, layout), (stiff, general, given, ANY)):
+        some = over_lanes(program, [x[where] for x in numbers], how, length_rank)
+        found = found or [np.empty((*x.shape[:-1], stiff.size), x.dtype) for x in some]
+        for row, x in zip(found, some, strict=True):
+            row[..., where] = x
+    return found
 
 
 def _whole(
@@ -189,9 +200,12 @@ def arrests(
     """
     check_max_contacts(max_contacts)
     columns, shape, kind = _columns(slider, interface, HARD, ends)
-    simple = _is_simple(interface, ends)
-    kernel = lanes.arrest_kernel(max_contacts) if simple else general_arrest_kernel(kind, max_contacts)
-    return Arrest(*(x.reshape(shape) for x in over_lanes(kernel, columns, WITH_MORE if simple else ANY, length_rank)))
+    general = general_arrest_kernel(kind, max_contacts)
+    if _is_simple(interface, ends):
+        found = _by_loop(lanes.arrest_kernel(max_contacts), WITH_MORE, columns, general, columns)
+    else:
+        found = over_lanes(general, columns, ANY, length_rank)
+    return Arrest(*(x.reshape(shape) for x in found))
 
 
 # --- whole events, in which contacts break again -----------------------------------------------------------------------

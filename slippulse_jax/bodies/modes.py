@@ -124,20 +124,20 @@ def mode_numbers(
 
         r_m = 1/p_m²,    1/α_1 = −a/X,    1/α_2 = X/c,    w_1 = q X/(S · 2κ_1 h_1),    w_2 = q a c/(X S · 2κ_2 h_2).
 
-    Quotients and roots take longest. Each is taken once, and `_root` and `_inverse` keep their derivatives to products.
+    Quotients and roots take longest. Each is taken once, and `_root` and `inverse` keep their derivatives to products.
     """
     q, double = stiffness, 2 * (1 + poisson)
-    c = _inverse(double * height)
+    c = inverse(double * height)
     over_height = c * double
     a = c * over_height
     split, over_split = _root((c + q - a) ** 2 + 4 * a * c)
     X = (c + q - a + split) / 2
-    over_X, mu1 = _inverse(X), a + X
-    mu2 = a * q * _inverse(mu1)  # the difference of squares would cancel
+    over_X, mu1 = inverse(X), a + X
+    mu2 = a * q * inverse(mu1)  # the difference of squares would cancel
     (k1, over_k1), (k2, over_k2) = _root(mu1), _root(mu2)
     (h1, over_h1), (h2, over_h2) = _root(1 + mu1 / 4), _root(1 + mu2 / 4)
     p1, p2 = h1 + k1 / 2, h2 + k2 / 2
-    over_p1, over_p2 = _inverse(p1), _inverse(p2)
+    over_p1, over_p2 = inverse(p1), inverse(p2)
     r1, r2, g1, g2 = over_p1 * over_p1, over_p2 * over_p2, k1 * over_p1, k2 * over_p2
     w1 = q * X * over_split * (over_k1 * over_h1 / 2)
     w2 = q * a * c * over_X * over_split * (over_k2 * over_h2 / 2)
@@ -164,9 +164,9 @@ def mode_numbers(
     determinant, at_edge = e1 * U1 * s2 - e2 * U2 * s1, e1 * s2 - e2 * s1
     back1, back2 = U1 * s2 + g1 * e2 * U2, g2 * e1 * U1 + U2 * s1
     if machine is not None:
-        give = height * _inverse(machine) * (U2 - U1)
+        give = height * inverse(machine) * (U2 - U1)
         determinant, back1, back2 = determinant - give * s1 * s2, back1 + give * g1 * s2, back2 - give * g2 * s1
-    over_determinant, over_edge = _inverse(determinant), _inverse(at_edge)
+    over_determinant, over_edge = inverse(determinant), inverse(at_edge)
     between = -w2 * U2 * both * over_determinant
     of_end = {} if end is None else {"echo": (r1, r2) if end[0] == "free" else (-r1 * r1, -r2 * r2), "last": end[1] - 1}
     return of_end | {
@@ -181,14 +181,15 @@ def mode_numbers(
 
 
 @jax.custom_jvp
-def _inverse(x: Number) -> Number:
+def inverse(x: Number) -> Number:
+    """1/x, whose derivatives take no further quotient."""
     return 1 / x
 
 
-@_inverse.defjvp
+@inverse.defjvp
 def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Number, Number]:  # pyright: ignore[reportUnusedFunction]
-    inverse = _inverse(*primals)
-    return inverse, -inverse * inverse * tangents[0]
+    over = inverse(*primals)
+    return over, -over * over * tangents[0]
 
 
 @jax.custom_jvp

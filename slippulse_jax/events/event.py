@@ -30,7 +30,7 @@ from jaxtyping import Array, Bool, Float, Int
 from slippulse_jax.bodies.pressed import Pressed, balance, frozen
 from slippulse_jax.bodies.response import Response, carried, within
 from slippulse_jax.bulk.compiler import solve_without_pivots
-from slippulse_jax.front.front import EventKind, straight_line
+from slippulse_jax.front.front import REACHED, EventKind, end_of_front
 
 SLACK_DIGITS = 4096
 """Units in the last place by which a bound is raised: more than the rounding of thousands of positive terms."""
@@ -54,6 +54,7 @@ class Relaxed(NamedTuple):
     valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
     driver: int = 0  # sites before those of the body: the driver's
     pressed: Pressed | None = None  # where stiffness and threshold follow the pressure; stresses are then stretches, in u_s
+    alike: bool = False  # whether neighbouring contacts are, so that the length of a first event ends on a curve
 
 
 class Contacts(NamedTuple):
@@ -127,21 +128,33 @@ class Event(NamedTuple):
     def _sites(self) -> Int[Array, "B M"]:
         return jnp.arange(self.contacts.times.size, dtype=jnp.int32).reshape(self.contacts.times.shape)
 
-    def length(self, excess: Float[Array, " N"], last: int | Array) -> Float[Array, ""]:
-        """ℓ: where a straight line of the excess over the threshold, from the rightmost contact that broke, falls to zero.
+    def length(self, excess: Float[Array, " N"], last: int | Array, first: int | Array | None = None) -> Float[Array, ""]:
+        """ℓ: where a curve of the excess over the threshold, through the last contacts that broke, falls to zero.
 
-        The excess is that after the event. The line begins with the overload of that contact as it broke for the *first* time,
-        as the front passed. By that of a later break ℓ would fall where the event becomes larger, because a contact that just
-        breaks again has no overload.
+        The excess is that after the event. Of those contacts it is the overload as they broke for the *first* time, as the
+        front passed. By that of a later break ℓ would fall where the event becomes larger, because a contact that just breaks
+        again has no overload. `first` is the contact that broke first, where all contacts are alike: the curve reaches back to
+        it. Else, and where contacts broke again, it is a straight line.
         """
-        at, ahead = jnp.maximum(self.rightmost, 0), jnp.minimum(self.rightmost + 1, last)
-        return self.line(at.astype(excess.dtype), self.contacts.overload.reshape(-1)[at], excess[ahead])
+        at, over, degree = self.front_of(first)
+        return self.end(at, over, excess[jnp.minimum(at + 1, last)], degree)
+
+    def front_of(self, first: int | Array | None) -> tuple[Array, Float[Array, " R"], Array]:
+        """Rightmost contact that broke, overloads of those before it, the nearest first, and the degree of the curve."""
+        at, times = jnp.maximum(self.rightmost, 0), self.contacts.times.reshape(-1)
+        reached = jnp.maximum(at - jnp.arange(REACHED - 1, dtype=at.dtype), 0)
+        over = self.contacts.overload.reshape(-1)[reached]
+        if first is None:
+            return at, over, jnp.ones_like(at)
+        in_turn = jnp.cumprod((times[reached] > 0) & (at - first >= jnp.arange(REACHED - 1))).sum()
+        return at, over, jnp.where(times.max() > 1, 1, jnp.maximum(in_turn, 1))
 
     @staticmethod
-    def line(at: Array, over: Array, excess: Array) -> Float[Array, ""]:
-        """ℓ from the overload of contact `at` as it broke, and the excess on the next one."""
+    def end(at: Array, over: Float[Array, " R"], excess: Array, degree: Array) -> Float[Array, ""]:
+        """ℓ from the overloads of contact `at` and those before it as they broke, and the excess on the next one."""
         # rounding may leave a contact that was made to break just below its threshold
-        return straight_line(at, jnp.maximum(over, 0), jnp.minimum(excess, 0))
+        excess, nearest = jnp.minimum(excess, 0), jnp.maximum(over[0], 0)
+        return end_of_front((at + 1).astype(over.dtype), (excess, nearest, *over[1:]), degree)
 
 
 class Turn(NamedTuple):
@@ -300,10 +313,12 @@ def event_from(
     )
 
 
-def slopes_of_length(found: Event, start: Nucleation, threshold: Float[Array, " N"]) -> tuple[Array | None, ...]:
+def slopes_of_length(
+    found: Event, start: Nucleation, threshold: Float[Array, " N"], first: Array | None
+) -> tuple[Array | None, ...]:
     """Derivatives of ℓ at a fixed order of breaks, in the stress, the transfer, the pressure, its relief and the threshold.
 
-    Of a logged event of a body of one block. From the last break back to the first, λ is the derivative in the stress on each
+    Of a logged event of a body of one block; `first` as for its length. From the last break back to the first, λ is the derivative in the stress on each
     contact, and ρ that in its pressure: a break of contact o that released t set the stress on it to zero, added G_oi t to that
     on contact i, and took Q_oi t of the pressure.
     """
@@ -312,26 +327,29 @@ def slopes_of_length(found: Event, start: Nucleation, threshold: Float[Array, " 
     assert order is not None
     assert each is not None
     Q = None if contacts.pressure is None or start.response.relief is None else start.response.relief[0]
-    at, ahead = jnp.maximum(found.rightmost, 0), jnp.minimum(found.rightmost + 1, threshold.size - 1)
-    over, none = contacts.overload[at], jnp.zeros_like(threshold)
-    of_over, of_short = jax.grad(found.line, (1, 2))(at.astype(over.dtype), over, contacts.excess[ahead])
-    weak = threshold[at], threshold[ahead]  # both can break
-    passed = jnp.argmax(order == at).astype(jnp.int32)  # when the front did
-    of_threshold = none.at[at].add(-of_over * (each[passed] - over) / weak[0])
+    at, over, degree = found.front_of(first)
+    ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
+    of_over, of_short = jax.grad(found.end, (1, 2))(at, over, contacts.excess[ahead], degree)
+    # of every contact that broke: what its overload as the front passed is to ℓ, and when that was
+    reached = at - jnp.arange(over.size, dtype=at.dtype)
+    of_over, reached = jnp.where(reached >= 0, of_over, 0), jnp.maximum(reached, 0)
+    passed = jnp.argmax(order[None] == reached[:, None], axis=1).astype(jnp.int32)
+    weak, short = threshold[reached], threshold[ahead]  # all can break
+    of_threshold = none.at[reached].add(-of_over * (each[passed] - over) / weak)
     of_threshold = of_threshold.at[ahead].add(-of_short * (1 if contacts.pressure is None else contacts.pressure[ahead]))
 
     def back(state: tuple) -> tuple:
         number, of_stress, of_transfer, of_pressure, of_relief = state
-        site, t, front = order[number], each[number], (number == passed).astype(each.dtype)
-        of_t = G[site] @ of_stress + front * of_over
+        site, t, front = order[number], each[number], jnp.where(number == passed, of_over, 0)
+        of_t = G[site] @ of_stress + front.sum()
         of_transfer = of_transfer.at[site].add(of_stress * t)
         if Q is not None:
             of_t = of_t - Q[site] @ of_pressure
             of_relief = of_relief.at[site].add(-of_pressure * t)
-            of_pressure = of_pressure.at[site].add(-front * of_over * weak[0])
+            of_pressure = of_pressure.at[site].add(-(front * weak).sum())
         return number - 1, of_stress.at[site].set(of_t), of_transfer, of_pressure, of_relief
 
-    pressed = (None, None) if Q is None else (none.at[ahead].add(-of_short * weak[1]), jnp.zeros_like(Q))
+    pressed = (None, None) if Q is None else (none.at[ahead].add(-of_short * short), jnp.zeros_like(Q))
     begin = record.breaks - 1, none.at[ahead].add(of_short), jnp.zeros_like(G), *pressed
     slopes = lax.while_loop(lambda state: state[0] >= 0, back, begin)[1:]
     return *slopes, of_threshold

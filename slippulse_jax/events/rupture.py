@@ -259,6 +259,7 @@ def one_rupture(
     )
     assert record.order is not None
     assert record.each is not None
+    first = jnp.where(_alike(safe, state), record.order[0], n)
     return Rupture(
         state=after_state,
         before=before,
@@ -271,10 +272,20 @@ def one_rupture(
         stress_drop=before.stress - after.stress,
         energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
         extent=found.rightmost + 1,
-        length=length_or_reason(status, found.length(stress - threshold, n - 1)),
+        length=length_or_reason(status, found.length(stress - threshold, n - 1, first)),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )
+
+
+def _alike(chain: Chain, state: State) -> Array:
+    """Whether nothing changes along a chain but thresholds and prestress, at an even rate, and no contact broke before."""
+
+    def even(x: Array, order: int) -> Array:
+        return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
+
+    bonds = [even(x, 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, state.pinning)]
+    return jnp.stack([*bonds, even(chain.threshold, 2), even(chain.prestress, 2)]).all()
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:

@@ -3,8 +3,7 @@
 NumPy in and out, double precision, every lane by itself.
 
 **Long fronts.** The recursion costs a nanosecond or two per lane and contact; the series (`slippulse_jax.double_series`), a
-microsecond or a few per lane. ℓ joins the stresses at whole contacts by a straight line, so it follows from the series at the
-two contacts around ℓ*. Where a front crosses so far from the edge that only one family and one column of the series matter, a
+microsecond or a few per lane. There ℓ is ℓ* to rounding. Where a front crosses so far from the edge that only one family and one column of the series matter, a
 step of Newton's method costs next to nothing, and a lane little more than its table.
 
 **Breaking again.** Contact 0 repins as the front starts, and every later break adds to the stress that it carries. Beyond an
@@ -27,7 +26,7 @@ from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
 from slippulse_jax.double_series import Table
 from slippulse_jax.exact.crossing import excess, expected_length, first_crossing, series_of
 from slippulse_jax.exact.front import uniform
-from slippulse_jax.front.front import LengthDerivatives, straight_line
+from slippulse_jax.front.front import LengthDerivatives
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -260,14 +259,12 @@ def long_lengths(lanes: Lanes, max_contacts: int) -> Float[np.ndarray, " n"]:
 
 @functools.cache
 def _long(table: Table, max_contacts: int) -> Kernel:
-    """ℓ from ℓ* and the stresses on the contacts around it."""
+    """ℓ*, from which the curve of ℓ departs by less than rounding."""
 
     def lengths(theta: Float[Array, "3 lanes"]) -> tuple[Array]:
-        found = series_of(theta, table)
-        exact, status = first_crossing(found, theta)
-        last = jnp.floor(exact)  # the last contact that breaks
-        length = straight_line(last, double_series.rise(found, last)[0], double_series.rise(found, last + 1)[0])
-        return (jnp.where((status == Outcome.ARRESTED) & (length < max_contacts), length, jnp.nan),)
+        length, status = first_crossing(series_of(theta, table), theta)
+        long = (length > LONG / 2) & (length < max_contacts)  # on stiff contacts it may be short after all
+        return (jnp.where((status == Outcome.ARRESTED) & long, length, jnp.nan),)
 
     return lengths
 

@@ -40,7 +40,7 @@ def arrest(
     end, contacts = front.never_stops_after(modes, interface, rule), ends.contacts
     limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
     before_last = limit if contacts is None else jnp.minimum(limit, contacts - 1)
-    at, (stress, threshold), part, length = front.follow(rule, *over, before_last)
+    at, (stress, threshold), part, length = front.follow(rule, *over, before_last, front.degree_of(interface))
 
     through = last = jnp.zeros((), bool)
     if contacts is not None:

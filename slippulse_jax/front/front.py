@@ -12,15 +12,16 @@ S_m = Σ_{j<s} r_m^{s−j} t(j) and T_n = Σ_{j<s} e_n(j) r_n^j t(j). Only the n
 
     Z_m → r_m [Z_m + v_m t],    v_m = w_m + Σ_n Q_mn e_n(s),    Q_mn = r_m^s R_mn r_n^s → r_m r_n Q_mn.
 
-A rule (`slippulse_jax.rules`) says which fraction p(t) of a contact breaks when the front reaches it; the contact then gives up
-p(t) t. Contact 0 always breaks as a whole. With t linear between contacts, the length of the front is
+Under the paper's rule the front goes on while t(s) ≥ θ_s, and Λ = s0 λc, where s0 is the first s with t(s) < θ_s. ℓ, the length
+without steps, ends where a polynomial through the overloads t − θ of the last contacts reached falls to zero (`end_of_front`).
 
-    ℓ = p(t(1)) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,
+A smooth rule (`slippulse_jax.rules`) says which fraction p(t) of a contact breaks when the front reaches it; the contact then
+gives up p(t) t. Contact 0 always breaks as a whole. The front does not stop at a contact but fades. With t linear between
+contacts its length is
 
-where the first term is the step from contact 0 to its neighbour. Under the paper's rule p = 1 where t ≥ θ, and 0 elsewhere. The
-front goes on while t(s) ≥ θ_s, Λ = s0 λc, where s0 is the first s with t(s) < θ_s, and ℓ ends where the straight line falls to
-the threshold. Under a smooth rule the front does not stop at a contact but fades; as its width goes to zero every integral
-becomes the length over which t ≥ θ.
+    ℓ_w = p(t(1)) + Σ_{s ≥ 1} ∫_s^{s+1} p(t(x)) dx,
+
+where the first term is the step from contact 0 to its neighbour.
 
 Run-away. Far from the edge every contact behind the front gave up the same stress t, and t = φ + t Σ_{j≥1} G_0j with
 Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
@@ -38,8 +39,9 @@ of single numbers of the loop over lanes (`slippulse_jax.front.lanes`). Q is car
 costs two products per number.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -49,7 +51,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields, lattice_modes
+from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
@@ -72,6 +74,12 @@ APPROACH = 45.0
 FADED = 1e-9
 """Largest fraction of the contact ahead that still breaks where a front has stopped. On an endless chain that is what the
 prestress alone may break; what lies ahead would then add less to ℓ than can be measured."""
+
+REACHED = 6
+"""Contacts through whose overloads the curve passes on which ℓ ends."""
+
+NEWTON_STEPS = 4
+"""Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more."""
 
 AnyArray = Array | np.ndarray
 Contacts = Interface | Profile | None
@@ -117,7 +125,6 @@ class Front(NamedTuple):
     reflected: Any  # Q_mn
     reach: Any  # (w_n + Σ_m e_m(0) R_mn) r_n^s, what the next break adds to the stress on contact 0; None where not wanted
     position: Any  # s
-    behind: Any = None  # excess over the threshold on contact s − 1 as it broke; None where not wanted
     edge: Any = None  # stress on contact 0; None where not wanted
 
 
@@ -141,15 +148,96 @@ def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: An
         edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True) * released
         reach = reach - gap * reach
     lost = gap * (stress if start is None else start + stress)
-    return Front(stress - lost, Q - both * Q, reach, front.position + 1, front.behind, edge)
+    return Front(stress - lost, Q - both * Q, reach, front.position + 1, edge)
 
 
-def straight_line(last: Any, behind: Any, ahead: Any) -> Any:
-    """ℓ, where the excess of the stress over the threshold falls to zero.
+def taken_back(
+    guide: Any, front: Front, prestress: Any, echo: Callable[[Any], Any], inverse: Callable[[Any], Any]
+) -> tuple[Front, Any]:
+    """Undo `advance`: the front before the last contact broke, and the stress under which that broke as a whole.
 
-    It is linear between the last contact that broke, where it is `behind`, and the next, where it is `ahead`.
+    A guide is anything with a `weight` and a `growth` 1/r_m; `echo` gives e_m at a position, and `inverse` 1/x of an array.
+    Each step back loses the digits of r_m.
     """
-    return last + behind / (behind - ahead)
+    position = front.position - 1
+    growth, e = guide.growth, echo(position)
+    Q, before = growth[:, None] * growth[None] * front.reflected, growth * front.stress
+    given = guide.weight + (Q if e is None else Q * e[None]).sum(1)
+    seen, own = (x if e is None else e * x for x in (before, given))
+    released = (prestress + seen.sum(0, keepdims=True)) * inverse(1 + own.sum(0, keepdims=True))
+    return Front(before - given * released, Q, None, position), released
+
+
+# --- where a front ends ------------------------------------------------------------------------------------------------
+
+
+def degree_of(contacts: "Contacts") -> int:
+    """Degree of the curve on which ℓ ends: a straight line where neighbours differ, or repin after a delay.
+
+    Elsewhere the overload is an analytic function of the position, and the curve all but coincides with it.
+    """
+    return 1 if isinstance(contacts, Profile) or contacts is not None and contacts.repin_delay else REACHED - 1
+
+
+def end_of_front(position: Any, over: Sequence[Any], degree: Any = REACHED - 1) -> Any:
+    """ℓ, where the polynomial through the overloads of the last contacts reached falls to zero.
+
+    Parameters
+    ----------
+    position : array
+        s0, the first contact that holds.
+    over : sequence of array
+        Overload, the stress less the threshold, of contact s0; and of those before it as they broke, the nearest first. Those
+        before contact 0 may be any finite numbers.
+    degree : int or array
+        Highest degree; s0 where that is less.
+    """
+    row, coefficients = list(over), [jnp.zeros_like(over[0])] * len(over)
+    for order in range(len(over)):
+        difference = jnp.where((order <= position) & (order <= degree), row[0], 0)
+        for power in range(order > 0, order + 1):
+            coefficients[power] = coefficients[power] + float(BACKWARD[order, power]) * difference
+        row = [near - far for near, far in pairwise(row)]
+    return position + _last_zero(*coefficients)
+
+
+def _backward() -> np.ndarray:
+    rows, basis = np.zeros((REACHED, REACHED)), np.ones(1)
+    for order in range(REACHED):
+        rows[order, : order + 1] = basis
+        basis = np.polynomial.polynomial.polymul(basis, [order / (order + 1), 1 / (order + 1)])
+    return rows
+
+
+BACKWARD = _backward()
+"""Newton's basis x (x + 1) … (x + j − 1)/j! of the differences of order j, in powers of x."""
+
+
+@jax.custom_jvp
+def _last_zero(*coefficients: Array) -> Array:
+    """Zero in [−1, 0] of a polynomial, by ascending powers, that is not negative at −1 and negative at 0."""
+    first, behind = coefficients[0], _with_slope(coefficients, -1)[0]
+    x, low, high = first / (behind - first), jnp.full_like(first, -1), jnp.zeros_like(first)
+    for _ in range(NEWTON_STEPS):
+        value, slope = _with_slope(coefficients, x)
+        low, high = jnp.where(value >= 0, x, low), jnp.where(value >= 0, high, x)
+        after = x - value / slope
+        x = jnp.where((after >= low) & (after <= high), after, (low + high) / 2)
+    return x
+
+
+@_last_zero.defjvp
+def _(coefficients: tuple[Array, ...], changes: tuple[Array, ...]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
+    x = _last_zero(*coefficients)
+    return x, -_with_slope(changes, x)[0] * inverse(_with_slope(coefficients, x)[1])
+
+
+def _with_slope(coefficients: Sequence[Any], x: Any) -> tuple[Any, Any]:
+    """Value of a polynomial by ascending powers, and its slope."""
+    value, slope = coefficients[-1], 0
+    for one in reversed(coefficients[:-1]):
+        value, slope = one + x * value, value + x * slope
+    return value, slope
 
 
 def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
@@ -179,7 +267,7 @@ def length_or_reason(status: Array, length: Array) -> Array:
     infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
     # 0 where the length itself is taken too: reverse mode multiplies what is not taken by zero, and NaN stays NaN
     instead = jnp.where(stopped | none, 0, jnp.where(infinite, jnp.inf, jnp.nan))
-    # where nothing is left to break, the straight line may have no end
+    # where nothing is left to break, the curve may have no end
     return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 0, jnp.abs(length))))
 
 
@@ -192,33 +280,38 @@ def follow(
     ahead: Callable[[Any], tuple[Array, Array]],
     release: Callable[[Any, Array, Array], Any],
     limit: int | Array,
+    degree: int = REACHED - 1,
 ) -> tuple[Any, tuple[Array, Array], Array, Array]:
     """Follow a front until nothing ahead of it breaks, or the contact `limit` is ahead; differentiable forward.
 
     It starts after contact 0 has broken as a whole, and is any state with the `position` of the contact ahead, whose stress and
     threshold are ``ahead(front)``; ``release(front, part, stress)`` is the front after that part of it has broken, under that
-    stress. Return the front, stress and threshold of the contact ahead of it, the fraction of it that would break, and ℓ.
+    stress. Return the front, stress and threshold of the contact ahead of it, the fraction of it that would break, and ℓ, which
+    ends on a curve of that `degree` under the hard rule.
     """
-    whole = isinstance(rule, HardBreak)  # then every step but the last adds 1, and no quotient is taken for it
+    whole = isinstance(rule, HardBreak)
 
-    def way(here: tuple[Array, Array], after: tuple[Array, Array]) -> Array:
-        return rule.overloaded_length(here[0], after[0], here[1], after[1])
+    def passed(way: tuple[Array, ...], here: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[Array, ...]:
+        """Overloads of the contacts behind, the nearest first; under a smooth rule the length so far."""
+        if whole:
+            return (here[0] - here[1], *way[:-1])
+        return (way[0] + rule.overloaded_length(here[0], after[0], here[1], after[1]),)
 
     def step(now: tuple) -> tuple:
-        front, here, part, length, _ = now
+        front, here, part, way = now
         front = release(front, part, here[0])
         after = ahead(front)
-        return front, after, rule.broken(*after), length + (1 if whole else way(here, after)), here
+        return front, after, rule.broken(*after), passed(way, here, after)
 
     first = ahead(start)
     part = rule.broken(*first)
+    way = (jnp.zeros_like(part),) * (REACHED - 1) if whole else (part,)  # contact 0 breaks at its threshold exactly
     # the neglected remainder is at most this fraction times the sum of a decay no slower than ρ_2 < 1
     nothing = rounding(part)
-    end, last, part, length, behind = lax.while_loop(
-        lambda now: (now[2] > nothing) & (now[0].position < limit), step, (start, first, part, part, first)
+    end, last, part, way = lax.while_loop(
+        lambda now: (now[2] > nothing) & (now[0].position < limit), step, (start, first, part, way)
     )
-    if whole:
-        length = jnp.where(end.position > start.position, length - 1 + way(behind, last), length)
+    length = end_of_front(end.position, (last[0] - last[1], *way), degree) if whole else way[0]
     return end, last, part, length
 
 
@@ -230,7 +323,7 @@ def rounding(part: Array) -> float:
 def nucleate(modes: Modes, drive: Any = 1) -> Front:
     """The front before contact 0 breaks; `drive` is the stress by which it is loaded."""
     reach = modes.weight + (modes.echo_factor(0 * modes.load)[:, None] * modes.reflection).sum(0)
-    return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), None, 0 * reach[:1])
+    return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), 0 * reach[:1])
 
 
 def echo_at(modes: Modes, site: Array) -> Array | None:
@@ -319,7 +412,7 @@ def sweep(
 
 
 def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ, as of `follow`, from the stresses of a sweep; and whether the front has arrested, or faded, within n contacts."""
+    """ℓ on a straight line, as of a `Profile`, from the stresses of a sweep; and whether the front has ended within n contacts."""
     site, part = jnp.arange(stress.size), jax.vmap(rule.broken)(stress, threshold)
     ends = (part <= rounding(part)) & (site > 0)
     s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)

@@ -7,7 +7,8 @@ modes as its leading axis. What else a loop over lanes costs was read off the co
 - A look at the lanes, and handing them on, cost as much as some breaks: `BREAKS_PER_TURN` are taken in a turn and two turns
   between two looks, the second writing where the first has read.
 - R is symmetric (a pinning point at i moves site j as one at j moves site i), so half of it is handed on.
-- A front that has arrested stays as it is: nothing has to be recorded elsewhere.
+- A front that has arrested stays as it is: nothing has to be recorded elsewhere. The overloads on whose curve ℓ ends are found
+  by running the recursion back from there, which with the end of the curve costs as much as some twenty breaks.
 - Nothing but sums, products, quotients and square roots, and exponentials where a chain ends: the same bits whatever the lane's
   place in the chunk.
 
@@ -27,10 +28,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from slippulse_jax.bodies.modes import Number, RightEnd, lattice_modes, mode_numbers
+from slippulse_jax.bodies.modes import Number, RightEnd, inverse, lattice_modes, mode_numbers
 from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
-from slippulse_jax.front.front import Front, advance, never_stops_after, outcome, straight_line, stress_ahead
+from slippulse_jax.front.front import (
+    REACHED,
+    Front,
+    advance,
+    end_of_front,
+    never_stops_after,
+    outcome,
+    stress_ahead,
+    taken_back,
+)
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 
@@ -39,6 +49,9 @@ BREAKS_PER_TURN = 6
 
 FAR_END = 1e9
 """Sites from which on a chain counts as one without end."""
+
+STIFFEST = 8.0
+"""k/K up to which the recursion is run back, which loses digits as r_1 shrinks: ℓ stays right to 1e-11 λc."""
 
 
 class Lane(NamedTuple):
@@ -53,6 +66,7 @@ class Lane(NamedTuple):
     echo: Any = None  # η_m of the right end; None for a semi-infinite chain
     rate: Any = None  # 2 ln r_m
     last: Any = None  # N − 1
+    growth: Any = None  # 1/r_m, for the way back
 
 
 class LaneState(NamedTuple):
@@ -84,7 +98,7 @@ def arrest_kernel(max_contacts: int) -> Kernel:
         state, _ = _until_all_arrest(parameters, max_contacts, with_edge=True)
         length, opened = _length(state, max_contacts), _opened(state)
         (broken,), (edge,) = state.front.position, state.front.edge
-        (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
+        (ahead,) = _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1]
         status = outcome(broken, ahead >= 0, edge - 1, valid=jnp.isfinite(ahead), endless=jnp.isposinf(length))
         return broken.astype(jnp.int32), length, status, edge
 
@@ -97,10 +111,11 @@ def gradient_kernel(max_contacts: int) -> Kernel:
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         state, rates = _until_all_arrest(parameters, max_contacts, with_rates=True)
-        length = _length(state, max_contacts)
+        crossing, slope = _used(in_one_loop(_with_slopes, state))
+        length = _length(state, max_contacts, crossing)
         # ℓ = 0 is flat, and what is no number has no derivative
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
-        slopes = [_tangent(_crossing, state, rate) for rate in rates]
+        slopes = [sum(way * along for way, along in _pairs(rate, slope)) for rate in rates]
         return (jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, flat) for x in slopes)]),)
 
     return lengths
@@ -118,7 +133,7 @@ def _until_all_arrest(
 
     def some_go(now: WithRates) -> Bool[Array, ""]:
         state = _opened(now[0])
-        (goes,) = _goes(state, _stress_and_excess(state, _echo(state))[1])
+        (goes,) = _goes(state, _stress_and_excess(state, _echo(state.lane, state.front.position))[1])
         return jnp.any(goes & (now[0].front.position[0] < max_contacts))
 
     begun = in_one_loop(nucleate, *parameters, *ends)
@@ -145,7 +160,7 @@ PAIRS = np.array([[0, 1], [1, 2]])
 
 _where = np.frompyfunc(lax.select, 3, 1)
 _less = np.frompyfunc(operator.lt, 2, 1)
-_exp = np.frompyfunc(lax.exp, 1, 1)
+_exp, _inverse = np.frompyfunc(lax.exp, 1, 1), np.frompyfunc(inverse, 1, 1)
 
 
 def _array(numbers: Any) -> Any:
@@ -188,9 +203,9 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         if prestress is not None:
             drive = drive * _array([1 - prestress[0]])
         reach = None if most is None else _array(modes["weight"]) + half[PAIRS].sum(0)
-        before = Front(drive, half[PAIRS], reach, _array([none]), _array([none]), None if most is None else _array([none]))
+        before = Front(drive, half[PAIRS], reach, _array([none]), None if most is None else _array([none]))
         guide = lane._replace(gap=_array(modes["gap"]), weight=_array(modes["weight"]))
-        echo = _echo(LaneState(before, Lane(*map(_array, lane))))
+        echo = _echo(Lane(*map(_array, lane)), before.position)
         return LaneState(_closed(advance(guide, before, _array([one]), echo)), lane)
 
     state = begun(*numbers)
@@ -201,26 +216,27 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         if which < 3:  # prestress and slope enter by the contacts alone
             moves = front._replace(position=None)
             return LaneState(moves, still._replace(gap=lane.gap, weight=lane.weight))
-        moves = Front(front.stress, None, None, None, front.behind, None)
+        moves = Front(front.stress, None, None, None)
         return LaneState(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
 
     return state, tuple(along(which) for which in range(len(numbers))) if with_rates else ()
 
 
-def _echo(state: LaneState) -> Any:
-    """Factor e_m at the contact ahead, of a chain with a right end; of arrays."""
-    front, lane = state
-    return None if lane.last is None else 1 + lane.echo * _exp((lane.last - front.position) * lane.rate)
+def _echo(lane: Lane, position: Any) -> Any:
+    """Factor e_m at a contact, of a chain with a right end; of arrays."""
+    return None if lane.last is None else 1 + lane.echo * _exp((lane.last - position) * lane.rate)
+
+
+def _threshold(lane: Lane, position: Any) -> Any:
+    return 1 if lane.slope is None else 1 + lane.slope * position
 
 
 def _stress_and_excess(state: LaneState, echo: Any) -> tuple[Any, Any]:
     """On the contact ahead, and of the former over its threshold; of arrays."""
     front, lane = state
     t = stress_ahead(front, echo)
-    if lane.prestress is None:
-        return t, t - 1
-    t = lane.prestress + t
-    return t, t - (1 + lane.slope * front.position)
+    t = t if lane.prestress is None else lane.prestress + t
+    return t, t - _threshold(lane, front.position)
 
 
 def _goes(state: LaneState, excess: Any) -> Any:
@@ -242,11 +258,11 @@ def _turn(state: LaneState, rates: tuple[LaneState, ...]) -> WithRates:
 def _break(state: LaneState) -> Front:
     """Break the contact ahead, where it breaks."""
     front, lane = state = _opened(state)
-    echo = _echo(state)
+    echo = _echo(lane, front.position)
     t, excess = _stress_and_excess(state, echo)
-    goes, after = _goes(state, excess), advance(lane, front, t, echo)._replace(behind=excess)
+    goes, after = _goes(state, excess), advance(lane, front, t, echo)
     kept = (None if new is None else _where(goes, new, old) for new, old in zip(after, front, strict=True))
-    return _closed(Front(*kept)._replace(reflected=after.reflected, reach=after.reach))  # no use where it has arrested
+    return _closed(Front(*kept)._replace(reach=after.reach))  # no use where it has arrested
 
 
 def _tangent(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState) -> Any:
@@ -268,19 +284,43 @@ def _tangent(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState) -
 
 def _crossing(state: LaneState) -> Float[Array, " lanes"]:
     """ℓ, of a front that has arrested."""
-    opened = _opened(state)
-    _, ahead = _stress_and_excess(opened, _echo(opened))
-    (length,) = straight_line(opened.front.position - 1, opened.front.behind, ahead)
-    return length
+    now = _opened(state)
+    front, lane = now
+    lane = lane._replace(growth=_inverse(1 - lane.gap))
+    prestress = 0 if lane.prestress is None else lane.prestress
+    over = [_stress_and_excess(now, _echo(lane, front.position))[1][0]]
+    for _ in range(REACHED - 1):
+        front, released = taken_back(lane, front, prestress, functools.partial(_echo, lane), _inverse)
+        excess = (released - _threshold(lane, front.position))[0]
+        over.append(jnp.where(front.position[0] > 0, excess, 0))  # contact 0 breaks at its threshold exactly
+    return end_of_front(now.front.position[0], over)
 
 
-def _length(state: LaneState, max_contacts: int) -> Float[Array, " lanes"]:
+def _with_slopes(state: LaneState) -> tuple[Any, LaneState]:
+    """ℓ, and its derivatives in the state in which the front has arrested."""
+    length, back = jax.vjp(_crossing, state)
+    return length, back(jnp.ones_like(length))[0]
+
+
+def _pairs(rate: LaneState, slope: LaneState) -> list[tuple[Any, Any]]:
+    """Rates of what moves, each with the derivative in it."""
+    fields = zip((*rate.front, *rate.lane), (*slope.front, *slope.lane), strict=True)
+    return [pair for ways, along in fields if ways is not None for pair in zip(ways, along, strict=True)]
+
+
+def _used(results: Any) -> Any:
+    """Keep XLA from looking for unused ones, see `in_one_loop`."""
+    return lax.optimization_barrier(results)
+
+
+def _length(state: LaneState, max_contacts: int, crossing: Array | None = None) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
     broken, opened = state.front.position[0], _opened(state)
-    (ahead,) = _stress_and_excess(opened, _echo(opened))[1]
+    (ahead,) = _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1]
     endless = jnp.nan if state.lane.end is None else jnp.where(broken >= state.lane.end[0], jnp.inf, jnp.nan)
     going = ahead >= 0
     if state.lane.last is not None and state.lane.end is not None:
         going = going | (broken >= state.lane.end[0])  # nothing is ahead of the last contact
-    length = jnp.where(going, endless, _crossing(state))
-    return jnp.where(broken <= max_contacts, length, jnp.nan)
+    if crossing is None:
+        crossing = _used(in_one_loop(lambda now: (_crossing(now), now), state))[0]
+    return jnp.where(broken <= max_contacts, jnp.where(going, endless, crossing), jnp.nan)

@@ -28,7 +28,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bodies.response import of_slider
 from slippulse_jax.events.event import Relaxed, first_event, rises
-from slippulse_jax.front.front import straight_line, sweep
+from slippulse_jax.front.front import end_of_front, sweep
 from slippulse_jax.inference.measurements import MeasurementError, Measurements
 from slippulse_jax.slider import Slider
 
@@ -168,7 +168,7 @@ def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: A
     holds = (excess < 0) & (site > first)  # contacts up to the one that breaks first have broken by then
     s0 = jnp.argmax(holds)
     behind = jnp.where(s0 == 1, 0.0, excess[s0 - 1])  # contact 0 breaks at its threshold exactly
-    length = straight_line((s0 - 1).astype(excess.dtype), behind, excess[s0])
+    length = end_of_front(s0, (excess[s0], behind))  # neighbours differ: a straight line
     return jnp.where(holds.any(), length, jnp.nan), first, stress
 
 

@@ -386,16 +386,17 @@ def test_ceiling_of_the_length_is_the_whole_count():
         assert counted(m, *x[3:]) == n, (x, length)
 
 
-@pytest.mark.ci
-def test_real_crossing_beside_the_straight_lines_of_the_recursion():
-    sliders = random_sliders(2000, 60)
-    sliders[:, 0] = 2 * (sliders[:, 0] / 2) ** 0.5  # up to 450: the recursion takes as long as the front
-    slider = sp.Slider(*sliders.T)
-    exact, kinked = np.asarray(exact_length(slider)), np.asarray(sp.precursor_lengths(slider))
-    moving = exact > 1
-    np.testing.assert_array_equal(np.ceil(exact[moving]), np.ceil(kinked[moving]))
-    assert np.max(np.abs(exact - kinked)[moving]) < 0.2
-    assert np.all(kinked[~moving] == 0)
+@pytest.mark.parametrize(("low", "high", "most"), [(6, 10, 2e-3), (10, 30, 1e-4), (30, 100, 1e-6), (100, np.inf, 1e-8)])
+def test_closed_form_beside_the_curve_of_the_recursion(low, high, most):
+    rng = np.random.default_rng(60)
+    height, poisson, b = 8 * 400 ** rng.uniform(size=2000), rng.uniform(0.1, 0.45, 2000), 0.03 * 1000 ** rng.uniform(size=2000)
+    slider = sp.Slider(height, b / (2 * (1 + poisson) * height), poisson)
+    exact, length = sp.exact_lengths(slider), sp.precursor_lengths(slider)
+    np.testing.assert_array_equal(np.ceil(exact[exact > 1]), np.ceil(length[exact > 1]))
+    assert np.all(length[exact <= 1] == 0)
+    here = (exact > low) & (exact < high)
+    assert here.sum() > 100
+    assert np.abs(exact - length)[here].max() < most
 
 
 def test_no_domino_is_length_zero():

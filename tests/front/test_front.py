@@ -15,7 +15,16 @@ from slippulse_jax import Slider, first_precursor, precursor, precursor_length, 
 from slippulse_jax.bodies.modes import Ends, lattice_modes
 from slippulse_jax.exact.front import exact_front_stress, exact_length
 from slippulse_jax.front.arrest import FrontNotArrested, arrest
-from slippulse_jax.front.front import Front, advance, front_stress, slowest_approach, straight_line, stress_ahead
+from slippulse_jax.front.front import (
+    REACHED,
+    Front,
+    advance,
+    end_of_front,
+    front_stress,
+    slowest_approach,
+    stress_ahead,
+    taken_back,
+)
 from slippulse_jax.lengths import arrests
 from slippulse_jax.status import Outcome
 
@@ -221,6 +230,7 @@ def test_float32_on_soft_interfaces(float32):
 class Guide(NamedTuple):
     gap: Any
     weight: Any
+    growth: Any = None
 
 
 @pytest.mark.ci
@@ -248,12 +258,44 @@ def test_step_against_the_sum_over_all_earlier_breaks(dtype):
                 front = advance(guide, front, ahead)
 
 
-def test_straight_line_between_the_recorded_stresses():
-    """ℓ of a front from its stresses, as the record has them."""
-    record = first_precursor(Slider(25, 0.03, 0.3))
+@pytest.mark.parametrize("slider", [(25, 0.03, 0.3), (5, 0.02, 0.3), (2.0, 0.2, 0.3)])
+def test_length_ends_on_the_polynomial_through_the_recorded_stresses(slider):
+    """Of the last six contacts, or of all where fewer were reached; as NumPy has it."""
+    record = first_precursor(Slider(*slider))
     s0 = int(record.contacts_broken)
-    behind, ahead = (np.asarray(record.front_stress)[s0 - 1 : s0 + 1] - 1).tolist()
-    assert abs(straight_line(s0 - 1, behind, ahead) - float(record.length)) < 1e-12
+    over = np.asarray(record.front_stress)[: s0 + 1][-REACHED:] - 1
+    zeros = np.roots(np.polyfit(np.arange(1 - len(over), 1), over, len(over) - 1))
+    (end,) = zeros.real[(zeros.imag == 0) & (zeros.real >= -1) & (zeros.real <= 0)]
+    assert abs(s0 + end - float(record.length)) < 1e-10
+
+
+def test_curves_of_every_degree_and_their_ends():
+    """The zero of a polynomial of that degree is met, one at either end of the last step too."""
+    x = -np.arange(REACHED)  # of the contacts, the nearest first
+    for degree in range(1, REACHED):
+        for zero in (-1.0, -0.5, -1e-3, -1e-300):
+            over = (zero - x) * (1 + 0.1 * x) ** (degree - 1)
+            assert abs(end_of_front(7, list(map(jnp.asarray, over)), degree) - (7 + zero)) < 1e-13
+    line = end_of_front(2, [jnp.asarray(-1.0), jnp.asarray(3.0)])
+    assert abs(line - 1.75) < 1e-15
+    # before contact 0 there is none, whatever stands there
+    few = [end_of_front(2, list(map(jnp.asarray, [-1.0, 3.0, 0.0, *rest]))) for rest in ([0.0, 0.0, 0.0], [5.0, -9.0, 1e3])]
+    assert few[0] == few[1]
+
+
+def test_the_recursion_run_back():
+    """The front before the last break, and the stress released by it."""
+    modes = lattice_modes(Slider(*PAPER.slider))
+    guide = Guide(modes.gap, modes.weight, 1 / (1 - modes.gap))
+    fronts, stresses = [Front(modes.drive, modes.reflection, None, jnp.int32(0))], []
+    for _ in range(8):
+        stresses.append(stress_ahead(fronts[-1])[0] if stresses else jnp.ones(()))
+        fronts.append(advance(guide, fronts[-1], stresses[-1]))
+    now = fronts.pop()
+    while fronts:
+        now, released = taken_back(guide, now, 0.0, lambda _: None, lambda x: 1 / x)
+        assert abs(released[0] - stresses.pop()) < 1e-14
+        np.testing.assert_allclose(now.stress, fronts.pop().stress, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(("slider", "sites"), [(PAPER.slider, 1500), ((2.0, 2.0, 0.1), 60)])

@@ -30,7 +30,8 @@ X = np.arange(SITES)
 
 def dense_lengths(theta, phi, heights=HEIGHTS):
     """From the program that solves the whole matrix anew after every break."""
-    return np.array([dense_chain.crossing(dense_chain.front(h, STIFFNESS, POISSON, theta, phi, 0, SITES)[1]) for h in heights])
+    events = [dense_chain.front(h, STIFFNESS, POISSON, theta, phi, 0, SITES) for h in heights]
+    return np.array([dense_chain.crossing(excess, degree=1) for _, excess, *_ in events])
 
 
 def wave(amplitude=0.04):

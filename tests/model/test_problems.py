@@ -40,15 +40,18 @@ def test_lengths_and_load_in_sixty_digits(name):
     if s0 < 1000:
         t = chain.recursion(s0 + 1, x.prestress)
         assert all(y >= 1 for y in t[1:s0])
-        before, after = t[s0 - 1], t[s0]
+        last = t[max(s0 - 5, 0) : s0 + 1]
     else:
-        before, after = series(s0 - 1), series(s0)
-    assert before >= 1 > after
+        last = [series(s) for s in range(s0 - 5, s0 + 1)]
+    assert last[-2] >= 1 > last[-1] or s0 == 1
     assert mp.almosteq(chain.load * (1 - mp.mpf(x.prestress)), x.load, 1e-11)
     if s0 == 1:
         assert (x.length, x.exact_length) == (0, 0)
         return
-    assert mp.almosteq(s0 - 1 + (before - 1) / (before - after), x.length, 1e-12)
+    degree = len(last) - 1
+    weights = mp.lu_solve(mp.matrix([[mp.mpf(i - degree) ** j for j in range(degree + 1)] for i in range(degree + 1)]), last)
+    end = mp.findroot(lambda y: sum(w * y**j for j, w in enumerate(weights)) - 1, (mp.mpf(-1), mp.mpf(0)), solver="illinois")
+    assert mp.almosteq(s0 + end, x.length, 1e-12)
     found = mp.findroot(lambda s: series(s) - 1, (mp.mpf(s0) - 1, mp.mpf(s0)), solver="illinois")
     assert mp.almosteq(found, x.exact_length, 1e-12)
 

@@ -101,10 +101,20 @@ def front_stress(load, pinning, count, prestress=0.0):
     return stress
 
 
-def crossing(excess):
-    """ℓ where the straight line through the last two of `excess`, the stresses over threshold as the front came, is zero."""
+def crossing(excess, degree=5):
+    """ℓ where the polynomial through the last of `excess`, the stresses over threshold as the front came, is zero.
+
+    Of that degree, or through all that there are; complex numbers pass through.
+    """
     s0 = len(excess) - 1
-    return s0 - 1 + excess[s0 - 1] / (excess[s0 - 1] - excess[s0])
+    place = np.arange(-min(degree, s0), 1.0)
+    polynomial = np.linalg.solve(np.vander(place), excess[-len(place) :])
+    zeros = np.roots(polynomial.real)
+    zeros = zeros.real[(abs(zeros.imag) < 1e-9) & (zeros.real > -1 - 1e-9) & (zeros.real < 1e-9)]
+    x = zeros.max()
+    for _ in range(3):
+        x = x - np.polyval(polynomial, x) / np.polyval(np.polyder(polynomial), x)
+    return s0 + x
 
 
 def first_precursor(height, stiffness, poisson, sites=400, right="semi-infinite", machine=None):
