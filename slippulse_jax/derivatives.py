@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -23,9 +24,13 @@ def with_jacobian(f: Function) -> Function:
     """`f`, and its derivatives in all numbers of its arguments, along a new last axis; by one forward pass."""
 
     def value_and_jacobian(*arguments: Array) -> Float[Array, "... numbers"]:
-        every = tuple(range(len(arguments)))
-        jacobians, value = jax.jacfwd(lambda *x: (f(*x),) * 2, argnums=every, has_aux=True)(*arguments)
-        return jnp.concatenate([value[..., None], *(x.reshape(*value.shape, -1) for x in jacobians)], axis=-1)
+        ends = np.cumsum([0, *(x.size for x in arguments)])
+        axes = [
+            jnp.eye(ends[-1], dtype=x.dtype)[:, start:stop].reshape(-1, *x.shape)
+            for x, start, stop in zip(arguments, ends[:-1], ends[1:], strict=True)
+        ]
+        values, slopes = jax.vmap(lambda *way: jax.jvp(f, arguments, way))(*axes)
+        return jnp.concatenate([values[0][..., None], jnp.moveaxis(slopes, 0, -1)], axis=-1)
 
     return value_and_jacobian
 

@@ -30,7 +30,8 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
 
-LENGTHS, WITH_MORE, ENDED, ANY = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504), Layout(chunk=256)
+LENGTHS, WITH_MORE, ENDED = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504)
+ANY = Layout(chunk=256, fusion_emitters=False)
 """Layouts: of the loops of `lanes` for the length alone, with more results, and with ends; of the general recursion."""
 
 ROOM = 1.25

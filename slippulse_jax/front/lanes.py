@@ -121,6 +121,102 @@ def gradient_kernel(max_contacts: int) -> Kernel:
     return lengths
 
 
+class Jet(NamedTuple):
+    """A front on its lane that moves along a line of parameters: state, rate and bend, the first and second derivative."""
+
+    state: LaneState
+    rate: LaneState
+    bend: LaneState
+
+
+@functools.cache
+def jet_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
+    """ℓ of lanes, and its first and second derivative along a line.
+
+    A lane is the logarithms of H/λc and k/K, and ν[, φ, ε[, and the logarithms of N and M/K]]; then the direction of the line,
+    in as many numbers. NaN where a front is given up; derivatives are 0 where there is none.
+    """
+
+    def jets(given: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
+        at, along = jnp.split(given, 2)
+        parameters = _plain(at)
+        ends = () if len(at) == 3 else (_end(parameters),)
+
+        def some_go(now: Jet) -> Bool[Array, ""]:
+            return _some_go(now.state, max_contacts)
+
+        begun = in_one_loop(functools.partial(_nucleated_jet, right=right), *at, *along, *ends)
+        now = lax.while_loop(some_go, lambda now: in_one_loop(_jet_turn, *in_one_loop(_jet_turn, *now)), begun)
+        crossing, *slopes = _used(in_one_loop(_jet_end, *now))[0]
+        length = _length(now.state, max_contacts, crossing)
+        return (jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, 0) for x in slopes)]),)
+
+    return jets
+
+
+def _plain(numbers: Any) -> Any:
+    """Lane parameters from those whose positive ones are logarithms."""
+    return jnp.stack([x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(numbers)])
+
+
+def _nucleated_jet(*fields: Number, right: RightEnd) -> Jet:
+    count, end = len(fields) // 2, fields[-1] if len(fields) % 2 else None
+    at, along = fields[:count], fields[count : 2 * count]
+
+    def begun(t: Number) -> LaneState:
+        moved = [x + t * way for x, way in zip(at, along, strict=True)]
+        numbers = [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(moved)]
+        return _nucleate(*numbers, *(() if end is None else (end,)), with_rates=False, most=None, right=right)[0]
+
+    def rate(t: Number) -> LaneState:
+        return jax.jvp(begun, (t,), (jnp.ones_like(t),))[1]
+
+    zero = jnp.zeros_like(fields[0])
+    first, second = jax.jvp(rate, (zero,), (jnp.ones_like(zero),))
+    return Jet(begun(zero), _what_moves(first), _what_moves(second, bends=True))
+
+
+def _what_moves(way: LaneState, bends: bool = False) -> LaneState:
+    """A rate or bend without what stands still; prestress and slope move evenly."""
+    contacts = {"prestress": None, "slope": None} if bends else {}
+    return LaneState(way.front._replace(position=None), way.lane._replace(end=None, **contacts))
+
+
+def _jet_turn(state: LaneState, rate: LaneState, bend: LaneState) -> Jet:
+    """`BREAKS_PER_TURN` breaks."""
+    for _ in range(BREAKS_PER_TURN):
+        front, first, second = _jet(_break, state, rate, bend)
+        state, rate, bend = LaneState(front, state.lane), LaneState(first, rate.lane), LaneState(second, bend.lane)
+    return Jet(state, rate, bend)
+
+
+def _jet_end(state: LaneState, rate: LaneState, bend: LaneState) -> tuple[tuple[Any, Any, Any], Jet]:
+    return _jet(_crossing, state, rate, bend), Jet(state, rate, bend)
+
+
+def _jet(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState, bend: LaneState) -> tuple[Any, Any, Any]:
+    """``f(state)``, its rate and its bend; of a front, in the fields in which it moves."""
+    values, ways, bends = (*state.front, *state.lane), (*rate.front, *rate.lane), (*bend.front, *bend.lane)
+    moving = [i for i, way in enumerate(ways) if way is not None]
+    still = [list(map(jnp.zeros_like, ways[i])) for i in moving]
+
+    def of_moving(*moved: Any) -> Any:
+        everything = list(values)
+        for i, x in zip(moving, moved, strict=True):
+            everything[i] = x
+        found = f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
+        if not isinstance(found, Front):
+            return found
+        return Front(*(None if way is None else x for x, way in zip(found, rate.front, strict=True)))
+
+    def slope(moved: tuple, ways: tuple) -> Any:
+        return jax.jvp(of_moving, moved, ways)[1]
+
+    moved, first = tuple(values[i] for i in moving), tuple(ways[i] for i in moving)
+    second = tuple(zero if bends[i] is None else bends[i] for i, zero in zip(moving, still, strict=True))
+    return f(state), *jax.jvp(slope, (moved, first), (first, second))
+
+
 def _until_all_arrest(
     parameters: Float[Array, "fields lanes"],
     max_contacts: int,
@@ -131,13 +227,16 @@ def _until_all_arrest(
     nucleate = functools.partial(_nucleate, with_rates=with_rates, most=max_contacts if with_edge else None, right=right)
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
 
-    def some_go(now: WithRates) -> Bool[Array, ""]:
-        state = _opened(now[0])
-        (goes,) = _goes(state, _stress_and_excess(state, _echo(state.lane, state.front.position))[1])
-        return jnp.any(goes & (now[0].front.position[0] < max_contacts))
-
     begun = in_one_loop(nucleate, *parameters, *ends)
-    return lax.while_loop(some_go, lambda now: in_one_loop(_turn, *in_one_loop(_turn, *now)), begun)
+    return lax.while_loop(
+        lambda now: _some_go(now[0], max_contacts), lambda now: in_one_loop(_turn, *in_one_loop(_turn, *now)), begun
+    )
+
+
+def _some_go(state: LaneState, max_contacts: int) -> Bool[Array, ""]:
+    opened = _opened(state)
+    (goes,) = _goes(opened, _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1])
+    return jnp.any(goes & (state.front.position[0] < max_contacts))
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:

@@ -34,14 +34,8 @@ from slippulse_jax.inference.intervals import (
 )
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.parameters import (
-    STIFFNESSES,
-    Parameter,
-    attainable,
-    mistaken_priors,
-    parameter_set,
-    with_errors_of_measuring,
-)
+from slippulse_jax.inference.objective import problem_of
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, attainable, mistaken_priors, wanted_parameters
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.search import (
     SLACK,
@@ -323,16 +317,14 @@ def fit(
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
-    every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
-    parameters = parameter_set(measurements, every, event, body)
-    errors = measurements.stated_sigma
-    problem = make_problem(measurements, parameters, loss, errors)
+    problem = problem_of(measurements, wanted, loss, size_known=not scaled, event=event, body=body)
+    parameters = problem.parameters
     _check_scaled(measurements, problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not parameters.front.interpolated else None
     between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
-        problem = make_problem(measurements, parameters, loss, np.hypot(errors, between))
+        problem = make_problem(measurements, parameters, loss, np.hypot(measurements.stated_sigma, between))
     held, at_odds = counts or ([], None)
     if held:
         found = _of_counts(problem, held)
@@ -413,22 +405,6 @@ def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) 
         factor = ratio / q.free[moves].value(best[moves])
         result["stiffness"] = converted(result[q.names[moves]], lambda x: x * factor)
     return result
-
-
-def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
-    """Collect the parameters, fitted or held, that the arguments of `fit` name."""
-    free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
-    if not free:
-        raise ValueError("free = (): nothing to fit")
-    wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
-    if bounds is not None:
-        bounded = ["stiffness" in one.name and one.value is None for one in wanted]
-        if not any(bounded):
-            raise ValueError(f"bounds = {bounds}: these are bounds of the stiffness, which is not fitted")
-        wanted = [dataclasses.replace(one, bounds=bounds) if own else one for one, own in zip(wanted, bounded, strict=True)]
-    if not isinstance(fixed, Mapping | None):
-        raise TypeError(f"fixed is {type(fixed).__name__}: must be a dict of parameters and values, as {{'poisson': 0.3}}")
-    return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
 
 
 def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:

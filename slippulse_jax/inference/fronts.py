@@ -1,10 +1,14 @@
 """Models of a measured length, one class each: what it takes, its lengths, its range, its status, its words.
 
-`FirstFront` has a closed form ℓ* without kinks, which starts continuously where the domino starts and costs microseconds per
-lane. A new model is a new class here, which `front_of` chooses.
+A model is `length`, a JAX function of the inputs of one measurement. From it come lengths and derivatives of many lanes at once
+(`evaluate`), which a compiled kernel may compute. Whole events and
+blocks are tables that were computed before, whose derivatives are those of the interpolation. A new model is a new class here,
+which `front_of` chooses.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+import functools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -13,21 +17,24 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
-from slippulse_jax.bodies.modes import NO_END, Ends
-from slippulse_jax.bulk.chunks import Layout, distinct_rows, over_lanes
+from slippulse_jax.bodies.modes import NO_END, Ends, RightEnd
+from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, distinct_rows, over_lanes
+from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import FRICTION, check_choice
 from slippulse_jax.exact import crack
-from slippulse_jax.exact.bulk import exact_fronts
-from slippulse_jax.exact.front import exact_length
-from slippulse_jax.front.arrest import quantity
+from slippulse_jax.exact.bulk import NEVER
+from slippulse_jax.exact.crossing import expected_length
+from slippulse_jax.front.arrest import arrest
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
+from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
+from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.block_lengths import FLAGS, BlockLengths, geometry_of
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.interpolation import whole_over_front
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.interface import Interface
-from slippulse_jax.lengths import arrests
+from slippulse_jax.lengths import arrests, length_rank
 from slippulse_jax.lengths import lengths as bulk_lengths
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged, Outcome
@@ -42,8 +49,14 @@ BLOCK_FROM, BLOCK_TO = 3e-3, 1000.0
 """Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino."""
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
-CRACKS = Layout(chunk=250)
-"""Layout of crack-like fronts."""
+LANES = Layout(chunk=256, fusion_emitters=False)
+"""Layout of lanes of models without a kernel of their own."""
+LOOP = Layout(chunk=120)
+"""Layout of the loop over lanes."""
+FEW_LANES = 50_000
+"""Lanes up to which lengths alone are taken from the program that has their slopes too, which is then the only one."""
+LONGEST = 2e4
+"""Expected length, in λc, up to which that program is as fast as three lengths in closed form."""
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
@@ -51,10 +64,15 @@ NEARBY = np.linspace(-0.15, 0.15, 13)
 
 
 class Prediction(NamedTuple):
-    """Values for L lanes, and derivatives by the name of the input; 0 where there is no finite value."""
+    """Values for L lanes, and their first and second derivative along a line in the inputs; 0 where a value is not finite."""
 
     value: Float[np.ndarray, " L"]
-    slopes: dict[str, Float[np.ndarray, " L"]]
+    slope: Float[np.ndarray, " L"] | None = None
+    bend: Float[np.ndarray, " L"] | None = None
+
+
+Along = Float[np.ndarray, "L inputs"] | None
+"""Direction of each lane's line, in as many inputs as there are; None for values alone."""
 
 
 class Regime(NamedTuple):
@@ -71,19 +89,18 @@ class Front:
     event: ClassVar[MeasuredEvent] = "domino"
     body: ClassVar[Body] = "slider"
     inputs: ClassVar[Mapping[str, Input]] = {}  # beside those of every model
-    traceable: ClassVar[bool] = True  # whether JAX can trace its length
     interpolated: ClassVar[bool] = False  # whether its lengths are interpolated, so that no count holds or fails for certain
-    most_off: ClassVar[float] = 1.0  # largest `uncertainty` of a length, in λc: ℓ and ℓ* lie between the same two contacts
+    most_off: ClassVar[float] = 0.0  # largest `uncertainty` of a length, in λc
 
     # in words
     name: ClassVar[str] = "first self-healing precursor"
     carrier: ClassVar[str] = "the paper's slider"
     body_modelled: str = "semi-infinite slider"
-    length_modelled: ClassVar[str] = "exact length"
+    length_modelled: ClassVar[str] = "continuous length"
     lengths_are_of: ClassVar[str] = ""  # where that is not the first front
     held: str = "the edge"  # does not move during the event
     thresholds: str = "uniform thresholds"
-    uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
+    uncertain_as: ClassVar[str] = ""
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse columns and parameters that have no meaning for this model; a ValueError names them."""
@@ -94,14 +111,30 @@ class Front:
         """Values of its own inputs that the measurements state, each of shape (n,)."""
         return {}
 
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Lengths in λc; 0 where no domino starts, inf where nothing stops. NotConverged names inputs where none was found."""
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """Length of one lane in λc, a JAX function: 0 where no domino starts, inf where nothing stops.
+
+        It has derivatives in forward mode; `relaxed` says that prestress and slope are zero for certain.
+        """
         raise NotImplementedError
+
+    def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
+        """`length` of every row; `highest` is the largest ln H/λc of each."""
+        return jax.vmap(lambda one: self.length(one, relaxed))(inputs)
+
+    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
+        """Lengths of many lanes, in λc. NotConverged names inputs where none was found."""
+        return self.evaluate(inputs).value
+
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+        """Lengths of many lanes, and their derivatives along a line."""
+        return by_jax(type(self).length, self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
         distinct, own = distinct_rows(inputs.table())
-        slider, interface, ends = recursion_inputs(Inputs.from_table(inputs.names, distinct))
+        at = Inputs.from_table(inputs.names, distinct)
+        slider, interface, ends = recursion_inputs(at, is_relaxed(at))
         return np.asarray(arrests(slider, interface, ends=ends).status)[own]
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
@@ -120,12 +153,6 @@ class Front:
         """Largest k/K of each measurement searched by default."""
         return np.full(len(m), STIFFEST)
 
-    def traced(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one lane as a JAX function; `relaxed` says that prestress and slope are zero for certain."""
-        raise ValueError(
-            f"event = {self.event!r}: the length of a whole event cannot be traced; −problem(theta) has the density"
-        )
-
     def fields(self, inputs: Inputs, stopped: Array, count: int) -> tuple[Array, Array]:
         """Slip and stress of the first `count` contacts when `stopped` have broken, traced; each of shape (count,)."""
         return readings(sliders(inputs, jnp.exp), inputs.prestress, stopped, count, ends_of(inputs, jnp.exp))
@@ -134,14 +161,6 @@ class Front:
         """Find b and 1/κ_2 of each row of the inputs."""
         with jax.enable_x64(True):
             return Regime(*map(np.asarray, _regime(sliders(inputs))))
-
-    def predict(self, inputs: Inputs, wanted: Collection[str] = ()) -> Prediction:
-        """Lengths and their derivatives in the `wanted` inputs.
-
-        By central differences, good to 1e-8 of the larger of derivative and length except next to run-away and where the domino
-        just starts. Two more lengths per derivative cost some 25 µs per lane, exact derivatives 1100 µs.
-        """
-        return by_differences(self.lengths, inputs, wanted, self.inputs)
 
     def longest(self, inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the maximum of the length over ln k/K from `low` to `high`, by a scan and closer scans around its top.
@@ -163,61 +182,17 @@ class Front:
         return best, where
 
 
-class FirstFront(Front):
-    """The first front of a slider without end, by the exact solution."""
-
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """ℓ* in λc."""
-        lanes = _lanes(inputs)
-        found, status = exact_fronts(lanes, one_program=True)
-        lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.RUN_AWAY))
-        if lost.any():
-            where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(lost)])
-            why = Outcome(int(status[lost][0])).message
-            raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
-        return found
-
-    def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Whether the edge contact is back at its threshold before the front stops."""
-        return self.status(inputs) == Outcome.REBREAK
-
-    def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """Root mean square of ℓ − ℓ* at stiffnesses nearby.
-
-        ℓ is where the straight line between the stresses on two contacts falls to the threshold, ℓ* where the analytic
-        continuation does. A length is measured to neither convention.
-        """
-        count, own = len(NEARBY), inputs.without(*ENDED)
-        around = own.map(lambda x: np.broadcast_to(x, (count, x.size)))
-        around = around._replace(log_stiffness=own.log_stiffness + NEARBY[:, None]).ravel()
-        endless = FirstFront() if isinstance(self, EndedFront) else self  # as the exact solution is
-        exact = endless.lengths(around)
-        stops, off = np.isfinite(exact), np.zeros(len(exact))
-        off[stops] = straight_lengths(around.take(stops), self.event) - exact[stops]
-        off = np.where(np.isfinite(off), off, 0).reshape(count, -1)
-        return np.sqrt(np.mean(off**2, axis=0))
-
-    def traced(self, inputs: Inputs, relaxed: bool) -> Array:
-        """ℓ* of one lane as a JAX function."""
-        return exact_length(sliders(inputs, jnp.exp), _interface(inputs, relaxed))
-
-
 ENDED = ("log_sites", "log_machine")
 """Inputs of a slider that ends, or is pushed by a machine that gives way; inf in rows without."""
 
 
-class EndedFront(FirstFront):
-    """The first front of a slider that ends or is pushed through a spring: ℓ by the recursion.
-
-    It has a kink at every whole contact: the slope jumps there by about the curvature of the front's stress. Rows of blocks
-    without end whose edge is held are those of `FirstFront`.
-    """
+class FirstFront(Front):
+    """The first front of a slider, which may end, or be pushed through a spring, by the recursion."""
 
     inputs = {
         "log_sites": Input("L/λc", np.log(2.0), np.inf, "must be at least 2"),
         "log_machine": Input("M/K", np.log(1e-30), np.inf, "must be positive"),
     }
-    length_modelled = "length by the recursion"
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
         """Logarithms of L/λc and M/K where stated; inf in rows without one."""
@@ -228,33 +203,75 @@ class EndedFront(FirstFront):
             found["log_machine"] = np.log(machine_ratio(m.machine_stiffness, 1.0 if m.young is None else m.young))
         return {name: np.where(np.isnan(x), np.inf, x) for name, x in found.items() if not np.isnan(x).all()}
 
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """ℓ by the recursion where a block ends or a machine gives way, else ℓ*."""
-        ended = np.isfinite([inputs.get(name) for name in ENDED if name in inputs.more]).any(axis=0)
-        found = np.empty(ended.shape)
-        found[~ended] = super().lengths(inputs.take(~ended)) if not ended.all() else 0
-        if (ended & (inputs.prestress > 0)).any():  # what never stops by itself does not stop under an end or a machine either
-            found[ended] = super().lengths(inputs.take(ended).without(*ENDED))
-            ended &= np.isfinite(found)
-        if ended.any():
-            found[ended] = _within_reach(inputs.take(ended))
-        return found
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """ℓ of one lane."""
+        slider, ends = sliders(inputs, jnp.exp), ends_of(inputs, jnp.exp)
+        return arrest(slider, _interface(inputs, relaxed), ends).length
 
-    def traced(self, inputs: Inputs, relaxed: bool) -> Array:
-        """ℓ of one lane where the block ends or the machine gives way, else ℓ*."""
-        straight = quantity(
-            "length", sliders(inputs, jnp.exp), _interface(inputs, relaxed), ends_of(inputs, jnp.exp), DEFAULT_MAX_CONTACTS
-        )
-        ended = jnp.isfinite(jnp.stack([inputs.get(name) for name in ENDED if name in inputs.more])).any()
-        return jnp.where(ended, straight, super().traced(inputs, relaxed))
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+        """ℓ by the loop over lanes; of tall sliders and stiff contacts derivatives are differences.
+
+        inf where a front under an end or a machine runs farther than `FARTHEST`, which a soft machine and a prestress may let
+        it do for ever. What never stops by itself does not stop under them either.
+        """
+        expected = expected_length(np.exp(inputs.log_height), inputs.ratio, inputs.poisson)
+        loop = (expected < LONGEST) & (inputs.ratio <= STIFFEST_RUN_BACK)
+        if not loop.any() or along is None and loop.size > FEW_LANES:
+            return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
+        if not loop.all():
+            parts = [self.evaluate(inputs.take(here), None if along is None else along[here]) for here in (loop, ~loop)]
+            return Prediction(*(_joined(loop, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None))
+        names, table = inputs.names, inputs.table()
+        rows, own = distinct_rows(np.concatenate([table, 0 * table if along is None else along], axis=1))
+        at, way = rows[:, : len(names)], rows[:, len(names) :]
+        (most, right), here = self.most(rows[:, 0], names), Inputs.from_table(names, at)
+        fields = lane_fields(here, Inputs.from_table(names, way), is_relaxed(here, way), np)
+        (found,) = over_lanes(jet_kernel(most, right), np.concatenate(fields), LOOP, _rank)
+        value = self.within_reach(here, found[0], most)
+        return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in found[1:]))
+
+    def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
+        """ℓ by the same loop, with first and second derivatives in forward mode."""
+        most, right = self.most(highest, inputs.names)
+        at, _ = lane_fields(inputs, inputs, relaxed, jnp)
+        value = _by_loop(most, right, at)
+        return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
+
+    def values(self, inputs: Inputs) -> np.ndarray:
+        """Lengths alone, by the bulk functions."""
+        slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
+        most = self.most(inputs.log_height, inputs.names)[0]
+        return self.within_reach(inputs, bulk_lengths(slider, interface, ends=ends, max_contacts=most), most)
+
+    @staticmethod
+    def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
+        """Contacts after which a front counts as one that never stops, in few steps, and the right end."""
+        if not set(ENDED) & set(names):
+            return DEFAULT_MAX_CONTACTS, "semi-infinite"
+        return int(2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(log_height), AT_LEAST))).max()), "free"
+
+    def within_reach(self, inputs: Inputs, value: np.ndarray, most: int) -> np.ndarray:
+        """Lengths, inf where a front runs too far."""
+        value = np.where(np.isnan(value), np.inf, value)
+        if set(ENDED) & set(inputs.names):
+            value = np.where(value > most, np.inf, value)
+            if (inputs.prestress > 0).any():
+                value = np.where(np.isinf(self.lengths(inputs.without(*ENDED))), np.inf, value)
+        return value
+
+    def breaks_again(self, inputs: Inputs) -> np.ndarray:
+        """Whether the edge contact is back at its threshold before the front stops."""
+        may = (np.exp(inputs.log_b) >= NEVER) | (inputs.prestress != 0) | (inputs.threshold_slope != 0)
+        return self.status(inputs) == Outcome.REBREAK if may.any() else may
 
 
 class WholeEvent(FirstFront):
-    """The whole event on a slider, in which contacts may break again: ℓ* times an interpolated factor."""
+    """The whole event on a slider, in which contacts may break again: ℓ times an interpolated factor."""
 
     event = "full"
-    traceable = False
+    inputs = {}
     interpolated = True
+    most_off = 1.0
     length_modelled = "length of the whole event, in which contacts may break again"
     lengths_are_of = "whole events"
     uncertain_as = (
@@ -267,9 +284,13 @@ class WholeEvent(FirstFront):
         if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
             raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
 
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """ℓ* times `whole_over_front`."""
-        front, lanes = super().lengths(inputs), _lanes(inputs)
+    def stated(self, m: Measurements) -> dict[str, np.ndarray]:
+        """Nothing: it takes no ends."""
+        return {}
+
+    def values(self, inputs: Inputs) -> np.ndarray:
+        """ℓ times `whole_over_front`."""
+        front, lanes = super().values(inputs), _lanes(inputs)
         stops = np.isfinite(front) & (front > 0)
         found = front.copy()
         found[stops] *= whole_over_front(lanes[:, stops])
@@ -278,17 +299,32 @@ class WholeEvent(FirstFront):
             raise NotConverged(f"the event was given up at (H/λc, k/K, ν, φ, ε) = ({where}): give narrower bounds")
         return found
 
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """From the table."""
+        return from_table(self, inputs)
+
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+        """Lengths and derivatives, from the table."""
+        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
+
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Nowhere: what follows is part of the event."""
         return Front.breaks_again(self, inputs)
 
+    def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
+        """Root mean square error of the interpolation at stiffnesses nearby."""
+        around = inputs.map(lambda x: np.broadcast_to(x, (len(NEARBY), x.size)))
+        around = around._replace(log_stiffness=inputs.log_stiffness + NEARBY[:, None]).ravel()
+        found = self.lengths(around)
+        stops, off = np.isfinite(found), np.zeros(len(found))
+        slider, interface, _ = recursion_inputs(around.take(stops), is_relaxed(around))
+        off[stops] = bulk_lengths(slider, interface, event="full") - found[stops]
+        off = np.where(np.isfinite(off), off, 0).reshape(len(NEARBY), -1)
+        return np.sqrt(np.mean(off**2, axis=0))
+
     def stiffest(self, m: Measurements) -> np.ndarray:
         """Largest k/K searched by default, up to b = `FULL_TO`."""
         return np.minimum(STIFFEST, FULL_TO / (2 * (1 + m.poisson) * m.height))
-
-    def traced(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Refuse: an interpolated length cannot be traced."""
-        return Front.traced(self, inputs, relaxed)
 
 
 class CrackFront(Front):
@@ -315,20 +351,13 @@ class CrackFront(Front):
         """No friction: it is fitted or held."""
         return {"friction": np.zeros(len(m))}
 
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Length of each crack-like front, in λc."""
-        return _all_found(self._found(inputs)[0], inputs, "of a crack-like front")
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """Length of one crack-like front, in λc."""
+        return crack.length(sliders(inputs, jnp.exp), inputs.get("friction"), inputs.prestress)[0]
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """Outcome of each crack-like front."""
-        return self._found(inputs)[1]
-
-    def _found(self, inputs: Inputs) -> Sequence[np.ndarray]:
-        return over_lanes(_cracks, [*_lanes(inputs)[:4], inputs.get("friction")], CRACKS)
-
-    def traced(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one crack-like front as a JAX function."""
-        return crack.length(sliders(inputs, jnp.exp), inputs.get("friction"), inputs.prestress)[0]
+        return over_lanes(_crack_status, [*_lanes(inputs)[:4], inputs.get("friction")], LANES)[0]
 
     def fields(self, inputs: Inputs, stopped: Array, count: int) -> tuple[Array, Array]:
         """Slip and stress of the first `count` contacts of one front, traced."""
@@ -350,7 +379,6 @@ class BlockEvent(Front):
         "log_normal_stiffness": Input("k_n/k", -np.inf, np.inf, ""),
         **{name: Input("", 0.0, 1.0, "") for name in FLAGS},
     }
-    traceable = False
     interpolated = True
     most_off = np.inf
     name = "first precursor"
@@ -409,9 +437,17 @@ class BlockEvent(Front):
             normal_stiffness=m.normal_stiffness, contact_law=m.contact_law, top=m.top,
         )  # fmt: skip
 
-    def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
+    def values(self, inputs: Inputs) -> np.ndarray:
         """Interpolated ℓ in λc."""
         return self.followed(inputs)[0]
+
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """From the table."""
+        return from_table(self, inputs)
+
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+        """Lengths and derivatives, from the table."""
+        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each event, by its length."""
@@ -443,7 +479,7 @@ class BlockEvent(Front):
 FRONTS: dict[tuple[Body, MeasuredEvent], Front] = {
     (front.body, front.event): front for front in (FirstFront(), WholeEvent(), CrackFront(), BlockEvent())
 }
-"""Models by body and event; `EndedFront` stands for the first front where an end or a machine is stated."""
+"""Models by body and event."""
 
 
 def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | None = None) -> Front:
@@ -464,10 +500,7 @@ def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | N
         raise ValueError(
             f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
         )
-    chosen, ended = FRONTS[body, event], EndedFront()
-    if body == "block":
-        return BlockEvent(m)
-    return ended if type(chosen) is FirstFront and ended.stated(m) else chosen
+    return BlockEvent(m) if body == "block" else FRONTS[body, event]
 
 
 def pushed(
@@ -501,51 +534,160 @@ def pushed(
     }
 
 
-def by_differences(
-    values: Any, inputs: Inputs, wanted: Collection[str], own: Mapping[str, Input], size: float = 1.0
-) -> Prediction:
-    """Values of a model and their derivatives in the `wanted` inputs by central differences, all in one call.
-
-    The steps are those of the inputs, of which `own` are beside `COMMON`, times `size`.
-    """
-    names, every = inputs.names, {**COMMON, **own}
-    wanted = [name for name in names if name in wanted]
-    if not wanted:
-        return Prediction(values(inputs), {})
-    # nodes of a profile are reached from several starts: each distinct row once
-    rows, at = distinct_rows(inputs.table())
-    shifted = [rows]
-    for name in wanted:
-        column, (least, most) = names.index(name), every[name].domain
-        step = size * every[name].step * (np.exp(-rows[:, 0]) if name == "threshold_slope" else 1.0)
-        for sign in (1, -1):
-            moved = rows.copy()
-            moved[:, column] = np.clip(moved[:, column] + sign * step, least, most)
-            shifted.append(moved)
-    value, *around = values(Inputs.from_table(names, np.concatenate(shifted))).reshape(len(shifted), -1)
-    slopes = {}
-    for i, name in enumerate(wanted):
-        column = names.index(name)
-        ends, places = around[2 * i : 2 * i + 2], [x[:, column] for x in shifted[2 * i + 1 : 2 * i + 3]]
-        # next to run-away one side has no value
-        up, down = (np.where(np.isfinite(end), end, value) for end in ends)
-        right, left = (np.where(np.isfinite(end), x, rows[:, column]) for end, x in zip(ends, places, strict=True))
-        with np.errstate(invalid="ignore"):  # inf − inf for a block without end
-            apart = right - left
-            slope = (up - down) / np.where(apart > 0, apart, 1)
-        slopes[name] = np.where(np.isfinite(value), slope, 0)[at]
-    return Prediction(value[at], slopes)
+# --- derivatives -------------------------------------------------------------------------------------------------------
 
 
-def straight_lengths(inputs: Inputs, event: MeasuredEvent = "domino") -> np.ndarray:
-    """ℓ, where the straight line between the stresses on two contacts falls to the threshold; for inputs of shape (L,)."""
-    slider, interface, ends = recursion_inputs(inputs)
-    return bulk_lengths(slider, interface, ends=ends, event="full" if event == "full" else "domino")
+def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
+    """Whether prestress and slope are zero everywhere, and stay so along a line."""
+    return not (inputs.prestress.any() or inputs.threshold_slope.any() or along is not None and along[:, 3:5].any())
 
 
-def recursion_inputs(inputs: Inputs) -> tuple[Slider, Interface | None, Ends]:
+def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Prediction:
+    """Values of a ``function(front, inputs, relaxed)`` of one lane, and its derivatives along a line, in bulk."""
+    table = inputs.table()
+    rows, own = distinct_rows(table if along is None else np.concatenate([table, along], axis=1))
+    kernel = _jets(function, front, inputs.names, along is not None, is_relaxed(inputs, along), **options)
+    value, *slopes = over_lanes(kernel, rows.T, LANES)[0]
+    if np.isnan(value).any():
+        where = ", ".join(f"{x:.9g}" for x in rows[np.argmax(np.isnan(value))])
+        raise NotConverged(f"no {front.name} at {inputs.names} = ({where})")
+    return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in slopes))
+
+
+@functools.cache
+def _jets(function: Any, front: Front, names: tuple[str, ...], slopes: bool, relaxed: bool, **options: Any) -> Kernel:
+    def one(lane: Float[Array, " fields"]) -> Array:
+        at, along = lane[: len(names)], lane[len(names) :]
+
+        def value(t: Array) -> Array:
+            return function(front, Inputs.from_table(names, at + t * along if slopes else at), relaxed, **options)
+
+        def slope(t: Array) -> Array:
+            return jax.jvp(value, (t,), (jnp.ones_like(t),))[1]
+
+        zero = jnp.zeros_like(lane[0])
+        return jnp.stack([value(zero), *(jax.jvp(slope, (zero,), (zero + 1,)) if slopes else ())])
+
+    return lambda lanes: (jax.vmap(one, in_axes=1, out_axes=-1)(lanes),)
+
+
+def by_differences(front: "FirstFront | BlockEvent", inputs: Inputs, along: np.ndarray) -> Prediction:
+    """Values of a table, or of a closed form without kinks, and their central differences along a line."""
+    table, every = inputs.table(), {**COMMON, **front.inputs}
+    steps = np.array([every[name].step for name in inputs.names])
+    steps = steps * np.where(np.array(inputs.names) == "threshold_slope", np.exp(-table[:, :1]), 1.0)
+    moves = (along != 0).any(axis=1)
+    reach = 1 / np.where(moves, np.max(np.abs(along) / steps, axis=1), 1)  # the largest step is that of its input
+    low, high = (np.array([every[name].domain[i] for name in inputs.names]) for i in (0, 1))
+    with np.errstate(invalid="ignore"):  # inf − inf of blocks without end, and where nothing stops
+        places = [np.where(along != 0, np.clip(table + k * reach[:, None] * along, low, high), table) for k in (0, 1, -1)]
+        rows, own = distinct_rows(np.concatenate(places))
+        value, *sides = front.values(Inputs.from_table(inputs.names, rows))[own].reshape(3, -1)
+        # next to where nothing stops, and at the side of a domain, one side counts
+        there = [np.isfinite(x) & (place != table).any(axis=1) for x, place in zip(sides, places[1:], strict=True)]
+        up, down = (np.where(known, x, value) for x, known in zip(sides, there, strict=True))
+        slope = (up - down) / (np.maximum(sum(there), 1) * reach)
+        bend = (up - 2 * value + down) / reach**2 * (there[0] & there[1])
+    stops = np.isfinite(value) & moves
+    return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
+
+
+def from_table(front: Front, inputs: Inputs) -> Array:
+    """Length from a table as a JAX function, which calls it back; with first derivatives in every mode."""
+    names = inputs.names
+
+    def called(of: Callable[[np.ndarray], np.ndarray], lane: Array, shape: tuple[int, ...]) -> Array:
+        def on_host(lane: np.ndarray) -> np.ndarray:
+            rows = np.asarray(lane, np.float64).reshape(-1, len(names))
+            return of(rows).astype(lane.dtype).reshape(lane.shape[:-1] + shape)
+
+        return jax.pure_callback(on_host, jax.ShapeDtypeStruct(shape, lane.dtype), lane, vmap_method="expand_dims")
+
+    def values(rows: np.ndarray) -> np.ndarray:
+        return front.lengths(Inputs.from_table(names, rows))
+
+    def slopes(rows: np.ndarray) -> np.ndarray:
+        axes = np.tile(np.eye(len(names)), (len(rows), 1))
+        found = front.evaluate(Inputs.from_table(names, np.repeat(rows, len(names), axis=0)), axes).slope
+        return np.asarray(found)
+
+    @jax.custom_jvp
+    def length(lane: Array) -> Array:
+        return called(values, lane, ())
+
+    @length.defjvp
+    def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
+        return length(*primals), (called(slopes, *primals, (len(names),)) * tangents[0]).sum()
+
+    return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
+
+
+def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tuple[Any, Any]:
+    """Numbers of lanes for `jet_kernel`, and their direction; a missing end is so far away that no digit changes."""
+    names = ["log_height", "log_stiffness", "poisson", "prestress", "threshold_slope"]
+    ended = bool(set(ENDED) & set(inputs.names))
+    at, way = ([one.get(name) for name in (names[:3] if relaxed and not ended else names)] for one in (inputs, along))
+    far, still = numpy.full_like(at[0], np.log(NO_END)), numpy.zeros_like(at[0])
+    for name in ENDED if ended else ():
+        there = name in inputs.more
+        end = inputs.more[name] if there else far
+        at.append(numpy.minimum(end, far))
+        way.append(numpy.where(end < far, along.more[name], 0) if there else still)
+    return numpy.stack(at), numpy.stack(way)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _by_loop(most: int, right: RightEnd, at: Float[Array, "k m"]) -> Float[Array, " m"]:
+    return _jets_along(most, right, at, jnp.zeros_like(at))[0]
+
+
+@_by_loop.defjvp
+def _by_loop_jvp(most: int, right: RightEnd, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    return _with_slope(most, right, *primals, *tangents)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _with_slope(most: int, right: RightEnd, at: Array, along: Array) -> tuple[Array, Array]:
+    """ℓ, and its slope along a line, from one loop."""
+    value, slope, _ = _jets_along(most, right, at, along)
+    return value, slope
+
+
+@_with_slope.defjvp
+def _with_slope_jvp(most: int, right: RightEnd, primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple:
+    """The change of a slope along v where the lane moves by w: from the bends along v, w and v + w."""
+    (at, along), (moved, turned) = primals, tangents
+    both, first, second = (_bend(most, right, at, way) for way in (along + moved, along, moved))
+    changes = _with_slope(most, right, at, moved)[1], (both - first - second) / 2 + _with_slope(most, right, at, turned)[1]
+    return _with_slope(most, right, *primals), changes
+
+
+_bend = without_derivative(
+    lambda most, right, at, along: _jets_along(most, right, at, along)[2],
+    "the objective has first and second derivatives; for higher ones write it with precursor_length",
+    static_argnums=(0, 1),
+)
+
+
+def _jets_along(most: int, right: RightEnd, at: Array, along: Array) -> Float[Array, "3 m"]:
+    return jet_kernel(most, right)(jnp.concatenate([at, along]))[0]
+
+
+def _joined(first: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    found = np.empty(len(first))
+    found[first], found[~first] = x, y
+    return found
+
+
+def _rank(lanes: Lanes) -> np.ndarray:
+    return length_rank([np.exp(lanes[0]), np.exp(lanes[1]), lanes[2]])
+
+
+# --- what the recursion takes ------------------------------------------------------------------------------------------
+
+
+def recursion_inputs(inputs: Inputs, relaxed: bool) -> tuple[Slider, Interface | None, Ends]:
     """Sliders, interfaces and ends for the recursion."""
-    relaxed = not (inputs.prestress.any() or inputs.threshold_slope.any())
     return sliders(inputs), _interface(inputs, relaxed), ends_of(inputs)
 
 
@@ -570,26 +712,9 @@ def _lanes(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
     return np.stack([np.exp(inputs.log_height), inputs.ratio, *inputs[2:5]])
 
 
-def _cracks(lanes: Float[Array, "5 L"]) -> tuple[Array, Array]:
-    """Length and status of crack-like fronts at H/λc, k/K, ν, φ and σ_k."""
-    return jax.vmap(lambda lane: crack.length(Slider(*lane[:3]), lane[4], lane[3]), 1)(lanes)
-
-
-def _within_reach(inputs: Inputs) -> np.ndarray:
-    """ℓ by the recursion, inf where the front runs `FARTHEST`, which a soft machine and a prestress may let it do for ever."""
-    most = 2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(inputs.log_height), AT_LEAST))).astype(int)  # few programs
-    slider, interface, ends = recursion_inputs(inputs)
-    found = arrests(slider, interface, ends=ends, max_contacts=int(most.max()))
-    far = (found.status == Outcome.LIMIT) | (found.length > most)
-    return _all_found(np.where(far, np.inf, found.length), inputs, "by the recursion")
-
-
-def _all_found(length: np.ndarray, inputs: Inputs, how: str) -> np.ndarray:
-    lost = np.isnan(length)
-    if lost.any():
-        where = ", ".join(f"{x:.9g}" for x in inputs.table()[np.argmax(lost)])
-        raise NotConverged(f"no length {how} at {inputs.names} = ({where})")
-    return length
+def _crack_status(lanes: Float[Array, "5 L"]) -> tuple[Array]:
+    """Status of crack-like fronts at H/λc, k/K, ν, φ and σ_k."""
+    return (jax.vmap(lambda lane: crack.length(Slider(*lane[:3]), lane[4], lane[3])[1], 1)(lanes),)
 
 
 @jax.jit

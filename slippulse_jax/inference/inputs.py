@@ -19,7 +19,7 @@ class Input(NamedTuple):
     low: float
     high: float
     requirement: str
-    step: float = 1e-4  # half-width of central differences
+    step: float = 1e-4  # half-width of central differences, of tables
     domain: tuple[float, float] = (-np.inf, np.inf)  # to which they are clipped
 
 
@@ -62,7 +62,7 @@ class Inputs(NamedTuple):
     @classmethod
     def from_table(cls, names: Sequence[str], table: np.ndarray) -> "Inputs":
         """Inverse of `table`."""
-        columns = dict(zip(names, np.moveaxis(table, -1, 0), strict=True))
+        columns = {name: table[..., i] for i, name in enumerate(names)}
         return cls(*(columns.pop(name) for name in COMMON), more=columns)
 
     @property

@@ -10,6 +10,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable
 from functools import cache, partial
 from typing import NamedTuple
@@ -23,11 +24,12 @@ from jaxtyping import Array, Float
 from scipy.special import chdtrc, digamma, erf
 
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import Gauges, Measurements
-from slippulse_jax.inference.observables import PREDICTED, traced
+from slippulse_jax.inference.observables import OBSERVED, predicted
 from slippulse_jax.inference.parameters import Linear, ParameterSet
 
 STUDENT_DOF = 4.0
@@ -220,8 +222,12 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
     return columns
 
 
-Predicted = list[tuple[np.ndarray, np.ndarray | None]]
-"""Predictions (B, n) of each observable, and their derivatives in θ, (B, n, p)."""
+class Predicted(NamedTuple):
+    """Predictions of n data at B points, and their derivatives in θ."""
+
+    value: np.ndarray  # (B, n)
+    first: np.ndarray | None = None  # (B, n, p)
+    second: np.ndarray | None = None  # (B, n, p, p)
 
 
 class Evaluation(NamedTuple):
@@ -311,11 +317,11 @@ class Problem:
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
         """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
 
-        Derivatives come to `order`; the second ones are central differences of the gradient.
+        Derivatives come to `order`.
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         lane = np.zeros(len(theta), dtype=int) if lane is None else lane
-        widest = max(len(data.rows) for data in self.observed) * (1, self.p, self.p * (2 * self.p + 1))[order]
+        widest = max(len(data.rows) for data in self.observed) * self.p**order
         at_once = max(1, ELEMENTS // widest)
         parts = [
             self._evaluate(theta[start : start + at_once], lane[start : start + at_once], order)
@@ -324,81 +330,71 @@ class Problem:
         return Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
-        predicted = [self._predictions(data, theta, order) for data in self.observed]
-        found = self._of(predicted, theta, lane)
-        return found._replace(curvature=self._curvature(theta, lane, found, predicted)) if order > 1 else found
-
-    def _curvature(self, theta: np.ndarray, lane: np.ndarray, at: Evaluation, predicted: Predicted) -> np.ndarray:
-        """Second derivatives; those of the predictions by differences of their slopes over 10⁻⁴ standard errors.
-
-        Those of the cost are exact: next to a count without an error it bends within less than such a step.
-        """
-        b, p = theta.shape
-        diagonal = np.einsum("bpp->bp", at.metric)
-        low, high = self.parameters.low, self.parameters.high
-        reach = high - low
-        step = np.clip(1e-4 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1e-7 * reach, 1e-3 * reach)
-        free = np.arange(p) if self.held is None else np.nonzero(~self.held)[0]
-        shifts = step[:, None, :] * np.eye(p)[free]
-        around = np.clip(np.concatenate([theta[:, None] + shifts, theta[:, None] - shifts], axis=1), low, high)
-        ends = around[:, : len(free)] - around[:, len(free) :]
-        apart = np.einsum("bff->bf", ends[:, :, free])
-        second = np.broadcast_to(np.diag(self.prior_weight), (b, p, p)).copy()
-        for data, (mu, first) in zip(self.observed, predicted, strict=True):
-            cost = terms(mu, data, lane, self.loss)
-            slopes = self._predictions(data, around.reshape(-1, p), 1)[1]
-            assert first is not None
-            assert slopes is not None
-            up, down = np.split(slopes.reshape(b, 2 * len(free), *first.shape[1:]), 2, axis=1)
-            bend = (up - down) / np.where(apart > 0, apart, 1)[:, :, None, None]
-            second += np.matmul(np.swapaxes(first, 1, 2) * cost.second[:, None, :], first)
-            second[:, free] += np.einsum("bn,bfnp->bfp", cost.slope, bend)
-        return (second + np.swapaxes(second, 1, 2)) / 2
+        return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
 
     def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
         """Evaluate from known predictions, (B, N), and their derivatives in θ, (B, N, p)."""
         ends = np.cumsum([len(data.rows) for data in self.observed])[:-1]
         parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
-        return self._of(list(parts), theta, np.zeros(len(theta), dtype=int))
+        return self._of([Predicted(*part) for part in parts], theta, np.zeros(len(theta), dtype=int))
 
-    def _of(self, predicted: Predicted, theta: np.ndarray, lane: np.ndarray) -> Evaluation:
-        """Sum the cost of the predictions over the observables; with derivatives, gradient and metric too."""
+    def _of(self, predictions: list[Predicted], theta: np.ndarray, lane: np.ndarray) -> Evaluation:
+        """Sum the cost of predictions (B, n, …) over the observables; with derivatives gradient, metric and curvature too."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
-        for data, (mu, first) in zip(self.observed, predicted, strict=True):
+        curvature = metric.copy()
+        for data, (mu, first, second) in zip(self.observed, predictions, strict=True):
             cost = terms(mu, data, lane, self.loss)
             value = value + cost.value.sum(axis=1)
             if first is None:
                 continue
+            across = np.swapaxes(first, 1, 2)
             gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
-            metric = metric + np.matmul(np.swapaxes(first, 1, 2) * cost.curvature[:, None, :], first)
-        return Evaluation(value) if predicted[0][1] is None else Evaluation(value, gradient, metric)
+            metric = metric + np.matmul(across * cost.curvature[:, None, :], first)
+            if second is not None:
+                curvature += np.matmul(across * cost.second[:, None, :], first) + np.einsum("bn,bnpq->bpq", cost.slope, second)
+        order = sum(x is not None for x in predictions[0][1:])
+        return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
-    def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray | None]:
-        """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p)."""
-        inputs = data.inputs.at(theta)
-        free = slice(None) if self.held is None else ~self.held
-        wanted = [name for name in inputs.names if order and data.inputs.get(name).slope[:, free].any()]
+    def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> Predicted:
+        """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p) and (B, n, p, p)."""
+        along, p, axes = partial(self._along, data, theta), self.p, np.eye(self.p)
+        free = np.arange(p) if self.held is None else np.flatnonzero(~self.held)
+        if not order or not len(free):
+            (mu,) = along(None)
+            return Predicted(mu, *(np.zeros((*mu.shape, *[p] * k)) for k in range(1, order + 1)))
+        each = [along(axes[j]) for j in free]
+        mu, first = each[0][0], np.zeros((*each[0][0].shape, p))
+        first[..., free] = np.stack([slope for _, slope, _ in each], axis=-1)
+        if order == 1:
+            return Predicted(mu, first)
+        second = np.zeros((*mu.shape, p, p))
+        second[..., free, free] = np.stack([bend for *_, bend in each], axis=-1)
+        for i, j in itertools.combinations(free, 2):  # d²/dθ_i dθ_j from the bend along both
+            both = along(axes[i] + axes[j])[2] - second[..., i, i] - second[..., j, j]
+            second[..., i, j] = second[..., j, i] = both / 2
+        return Predicted(mu, first, second)
+
+    def _along(self, data: Observations, theta: np.ndarray, direction: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        """μ of every datum, (B, n); and its first and second derivative along a direction in θ."""
+        inputs, names, way = data.inputs.at(theta), data.inputs.names, None
         lanes, distinct = inputs.poisson.shape
         if self.tick is not None:
             self.tick(lanes * distinct)
-        model = PREDICTED[data.observable](self.parameters.front, inputs.ravel(), wanted)
-        scale = np.exp(data.scale(theta))
-        value = model.value.reshape(lanes, distinct)[:, data.rows] * scale
-        mu = value + data.offset(theta)
-        if not order:
-            return mu, None
+        if direction is not None:
+            moves = np.stack([data.inputs.get(name).slope @ direction for name in names], axis=-1)
+            way = np.tile(moves, (lanes, 1)) if moves.any() else None
+        found = predicted(data.observable, self.parameters.front, inputs.ravel(), way)
+        scale, offset = np.exp(data.scale(theta)), data.offset(theta)
+        value, *slopes = (x.reshape(lanes, distinct)[:, data.rows] * scale for x in found if x is not None)
+        if direction is None:
+            return (value + offset,)
+        first, second = slopes or (np.zeros_like(value), np.zeros_like(value))
         # scales and offset change the prediction even where no input does, as with a held stiffness
-        size = np.where(np.isfinite(value), value, 0)[:, :, None]
-        first = size * data.scale.slope + data.offset.slope
-        if wanted:
-            by_input = np.stack([model.slopes[name].reshape(lanes, distinct) for name in wanted], axis=-1)
-            slope = np.stack([data.inputs.get(name).slope for name in wanted], axis=1)
-            by_theta = np.matmul(by_input[:, :, None, :], slope)[:, :, 0]
-            first = first + by_theta[:, data.rows] * scale[:, :, None]
-        return mu, first
+        size, s = np.where(np.isfinite(value), value, 0), data.scale.slope @ direction
+        return value + offset, first + s * size + data.offset.slope @ direction, second + s * (2 * first + s * size)
 
     @property
     def plain(self) -> bool:
@@ -436,7 +432,7 @@ class Problem:
         at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
         parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
-            [np.concatenate([self._predictions(data, part, 0)[0] for data in self.observed], axis=1) for part in parts]
+            [np.concatenate([self._predictions(data, part, 0).value for data in self.observed], axis=1) for part in parts]
         )
 
     def residuals(self, mu: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -483,14 +479,14 @@ class Problem:
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
-        return self._predictions(data, np.atleast_2d(theta), 0)[0]
+        return self._predictions(data, np.atleast_2d(theta), 0).value
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
-            mu, first = self._predictions(data, theta, 1)
+            mu, first, _ = self._predictions(data, theta, 1)
             cost = terms(mu, data, np.zeros(1, int), self.loss)
             assert first is not None
             rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
@@ -525,8 +521,8 @@ class Problem:
 def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
     """ln(likelihood × prior) of one θ, traced: for `jax.jit`, `jax.vmap` and `jax.grad`.
 
-    The numbers of −`problem(theta)`, up to rounding. Forward mode only where gauges were read, and in double precision only
-    under ``jax.enable_x64``. θ is in the order of ``problem.parameters.names``; the bounds are not part of it.
+    The numbers of −`problem(theta)`, up to rounding; in double precision only under ``jax.enable_x64``. θ is in the order of
+    ``problem.parameters.names``; the bounds are not part of it.
     """
     off = theta - jnp.asarray(problem.prior_mean[0])
     prior = -(problem.prior_weight * off**2).sum() / 2
@@ -536,9 +532,18 @@ def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]
 def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array:
     relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
     sites = _sites(problem, data) if data.observable in READINGS else 0
-    predict = partial(traced, problem.parameters.front, data.observable, relaxed=relaxed, sites=sites)
-    predicted = jax.vmap(predict)(data.inputs.at(theta))
-    mu = predicted[data.rows] * jnp.exp(data.scale(theta)) + data.offset(theta)
+    options = {"sites": sites} if data.observable in READINGS else {}
+    front, ends = problem.parameters.front, np.stack([problem.parameters.low, problem.parameters.high])
+
+    def predict(theta: Array) -> Array:
+        inputs = data.inputs.at(theta)
+        if data.observable == "length":
+            found = front.in_rows(inputs, relaxed, data.inputs.log_height(ends).max(axis=0))
+        else:
+            found = jax.vmap(partial(OBSERVED[data.observable], front, relaxed=relaxed, **options))(inputs)
+        return found[data.rows] * jnp.exp(data.scale(theta)) + data.offset(theta)
+
+    mu = by_forward_mode(predict)(theta)  # the loop over breaks has no other mode
     total = jnp.zeros(())
     for kind in COSTS:
         there = np.nonzero(data.kind == kind)[0]

@@ -6,14 +6,14 @@ per step.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Method
-from slippulse_jax.inference.likelihood import Evaluation, Problem
+from slippulse_jax.inference.likelihood import Evaluation, Problem, log_density
 from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12
@@ -23,7 +23,7 @@ BEND_KEPT = 4  # steps for which its part beside the metric is kept, which costs
 KINK = 1e-2
 """Newton decrement, likewise, below which a point counts as a minimum if no step from it gains: the differences across a kink
 give a gradient that vanishes next to the minimum, not at it."""
-HALVINGS = 30  # of an optax step that does not lower the value
+AT_SIDE = 12.0  # of an optimiser of optax: |z| from which on θ is at a side of the box
 ADAM_STEPS = 20  # of optax.adam for each one allowed
 PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
 BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
@@ -97,8 +97,10 @@ def minimise(
         value = objective(start, lane, 0).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Descents(start, value, ends, np.zeros(len(start), dtype=int))
-    by = partial(_levenberg_marquardt, enough=enough) if method == "lm" else partial(_by_optax, method)
-    return by(objective, start, low, high, held, lane, tolerance, max_steps)
+    if method != "lm":
+        assert isinstance(objective, Problem)
+        return _by_optax(method, objective, start, low, high, max_steps)
+    return _levenberg_marquardt(objective, start, low, high, held, lane, tolerance, max_steps, enough=enough)
 
 
 def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
@@ -228,69 +230,41 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def _by_optax(
-    method: Method,
-    objective: Objective,
-    theta: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    held: np.ndarray,
-    lane: np.ndarray,
-    tolerance: float,
-    max_steps: int,
+    method: Method, problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, max_steps: int
 ) -> Descents:
-    """Take steps of an optax optimiser, vmapped over the lanes, clipped to the box and halved until they lower the value.
-
-    In units of the first metric. A step that leads uphill, since it was clipped or remembers negative curvature, becomes one
-    down the gradient, as does the one after a step that did not gain.
-    """
+    """Descend by optax from every start at once, over z of θ = low + (high − low)/(1 + e^−z)."""
     import jax
+    import jax.numpy as jnp
     import optax
 
-    rounds = max_steps * (ADAM_STEPS if method == "adam" else 1)
-    shorter = optax.cosine_decay_schedule(1.0, rounds) if method == "adam" else optax.constant_schedule(1.0)
-    optimiser = {"lbfgs": optax.scale_by_lbfgs(10), "adam": optax.scale_by_adam()}[method]
-    value, gradient, metric = _first_order(objective, theta, lane)
-    # each coordinate in its standard errors, or a sixtieth of the box where the value is constant
-    diagonal = np.einsum("bpp->bp", metric)
-    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), (high - low) / 60)
-    steps, lost = np.zeros(len(theta), dtype=int), np.zeros(len(theta), dtype=bool)  # whether the last step did not gain
-    work = np.nonzero(np.isfinite(value))[0]
+    box, rounds = (low[0], high[0] - low[0]), max_steps * (ADAM_STEPS if method == "adam" else 1)
+
+    def cost(z: Any) -> Any:
+        return -log_density(box[0] + box[1] * jax.nn.sigmoid(z), problem)
+
+    @jax.jit
+    @jax.vmap
+    def ends_of(z: Any) -> Any:
+        optimiser = optax.lbfgs() if method == "lbfgs" else optax.adam(optax.cosine_decay_schedule(0.1, rounds))
+        value_and_slope = optax.value_and_grad_from_state(cost) if method == "lbfgs" else jax.value_and_grad(cost)
+
+        def step(_: Any, now: Any) -> Any:
+            z, state = now
+            value, slope = value_and_slope(z, state=state) if method == "lbfgs" else value_and_slope(z)
+            more = {"value": value, "grad": slope, "value_fn": cost} if method == "lbfgs" else {}
+            change, state = optimiser.update(slope, state, z, **more)
+            return z + change, state
+
+        return jax.lax.fori_loop(0, rounds, step, (z, optimiser.init(z)))[0]
+
     with jax.enable_x64(True):
-        state, update = jax.vmap(optimiser.init)(theta / unit), jax.jit(jax.vmap(optimiser.update))
-        for count in range(rounds):
-            stuck = held | _pushed_out(theta, low, high, gradient)
-            g, m = _without(gradient, metric, stuck)
-            left = _decrement(g[work], m[work], np.einsum("bpp->bp", m[work]))
-            work = work[left > tolerance * np.maximum(1, np.abs(value[work]))]
-            if not len(work):
-                break
-            updates, state = update(g * unit, state, theta / unit)
-            trial = np.where(stuck, theta, np.clip(theta - np.asarray(shorter(count) * updates) * unit, low, high))
-            uphill = (((trial - theta) * g).sum(axis=1) >= 0) | lost
-            trial[uphill] = np.clip(theta - g * unit**2, low, high)[uphill]
-            moves = np.any(np.abs(trial - theta) > 1e-12 * np.maximum(1, np.abs(theta)), axis=1)
-            work = work[moves[work]]
-            steps[work] += 1
-            look = work
-            for _ in range(HALVINGS):
-                if not len(look):
-                    break
-                tried, *slopes = _first_order(objective, trial[look], lane[look])
-                accept = tried <= value[look]
-                took = look[accept]
-                theta[took], value[took] = trial[took], tried[accept]
-                gradient[took], metric[took] = (x[accept] for x in slopes)
-                look = look[~accept]
-                trial[look] = (trial[look] + theta[look]) / 2
-            work = np.setdiff1d(work, look[lost[look]])  # no step gains there, not even down the gradient
-            lost[:] = np.isin(np.arange(len(theta)), look)
-    at = objective(theta, lane, 2)
-    stuck = held | _pushed_out(theta, low, high, at.gradient)
-    g, m = _without(at.gradient, _positive(at.curvature, at.metric), stuck)
-    flat = ~np.any(np.where(stuck, 0, np.einsum("bpp->bp", at.metric)), axis=1) & ~stuck.all(axis=1)
-    ends = np.select(
-        [~np.isfinite(value), flat, _decrement(g, m, np.einsum("bpp->bp", m)) <= 1e-4],
-        [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED],
-        Convergence.NOT_CONVERGED,
-    )
-    return Descents(theta, value, ends, steps)
+        z = np.asarray(ends_of(jnp.asarray(logit(np.clip((start - box[0]) / box[1], 1e-6, 1 - 1e-6)))))
+    theta = box[0] + box[1] * expit(z)
+    at = problem(theta, order=2)
+    g, m = at.gradient, _positive(at.curvature, at.metric)
+    flat = ~np.any(np.einsum("bpp->bp", at.metric), axis=1)
+    # at a side of the box nothing falls any farther
+    done = _decrement(*_without(g, m, np.abs(z) > AT_SIDE), np.einsum("bpp->bp", m)) <= 1e-4
+    kinds = [~np.isfinite(at.value), flat, done]
+    ends = np.select(kinds, [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED], Convergence.NOT_CONVERGED)
+    return Descents(theta, at.value, ends, np.full(len(theta), rounds))

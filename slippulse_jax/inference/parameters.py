@@ -6,7 +6,7 @@ errors of their own are parameters with a prior, like any other.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -602,3 +602,19 @@ def attainable_of(parameters: ParameterSet, theta: np.ndarray, inputs: Inputs) -
     given = Inputs.from_table(at.names, distinct[:, :-2])
     longest, where = parameters.front.longest(given, distinct[:, -2], distinct[:, -1])
     return longest[own], np.exp(where[own])
+
+
+def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
+    """Collect the parameters, fitted or held, that the arguments of `fit` name."""
+    free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
+    if not free:
+        raise ValueError("free = (): nothing to fit")
+    wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
+    if bounds is not None:
+        bounded = ["stiffness" in one.name and one.value is None for one in wanted]
+        if not any(bounded):
+            raise ValueError(f"bounds = {bounds}: these are bounds of the stiffness, which is not fitted")
+        wanted = [dataclasses.replace(one, bounds=bounds) if own else one for one, own in zip(wanted, bounded, strict=True)]
+    if not isinstance(fixed, Mapping | None):
+        raise TypeError(f"fixed is {type(fixed).__name__}: must be a dict of parameters and values, as {{'poisson': 0.3}}")
+    return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.observables import PREDICTED
+from slippulse_jax.inference.observables import predicted as of_observable
 from slippulse_jax.inference.parameters import Linear, attainable_of
 
 Along = Literal["height", "push_height"]
@@ -136,4 +136,4 @@ def field(fitted: Fitted, row: int, observable: str, position: ArrayLike) -> np.
     inputs = block.inputs.at(fitted.theta).take(np.full(len(x), block.rows[datum]))
     true_contact, unit = (np.exp(q.scales[name](fitted.theta)[row]) for name in ("position", observable))
     place = np.log(np.maximum(x / (contact[row] * true_contact), 1e-9))
-    return PREDICTED[observable](q.front, inputs.given(log_position=place), ()).value * unit
+    return of_observable(observable, q.front, inputs.given(log_position=place)).value * unit

@@ -273,10 +273,8 @@ def posterior(
     ModuleNotFoundError
         Without the extra ``bayes``.
     ValueError
-        If the deviance of this fit is no −2 ln(likelihood), as σ was scaled; or lengths are those of whole events.
+        If the deviance of this fit is no −2 ln(likelihood), as σ was scaled.
     """
-    if result.parameters.front.event == "full":
-        raise ValueError("event = 'full': a posterior needs a length that can be traced; use bootstrap")
     if result.scaled:
         raise ValueError("a posterior needs a likelihood: sigma = 'absolute'")
     _arviz()

@@ -476,6 +476,14 @@ def _promising(cells: Cells, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return (above & below).all(axis=1) & near | best
 
 
+def lowest_of_grid(problem: Problem) -> np.ndarray:
+    """Point of least deviance of a grid, or of a sample if there are many parameters; shape (p,)."""
+    if problem.p > 1:
+        return _starts(problem, 0)[0]
+    grid = np.linspace(problem.parameters.low, problem.parameters.high, EDGES[1])
+    return grid[np.argmin(problem(grid).value)]
+
+
 def _starts(problem: Problem, seed: int) -> np.ndarray:
     from scipy.stats import qmc  # half a second to import, and most fits are of one parameter
 

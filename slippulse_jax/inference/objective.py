@@ -1,0 +1,128 @@
+"""The function that a fit minimises, −ln(likelihood × prior), for optimisers and samplers of one's own."""
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slippulse_jax.domains import check_choice
+from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
+from slippulse_jax.inference.likelihood import Problem, log_density, make_problem
+from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.parameters import Parameter, parameter_set, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.search import lowest_of_grid
+from slippulse_jax.inference.tables import measurements_of
+from slippulse_jax.keywords import did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Objective:
+    """−ln(likelihood × prior) of measurements, as a JAX function of {name: θ}; half the deviance of a fit.
+
+    θ is the logarithm of a positive parameter, else the parameter itself. It has derivatives of every order in every mode (of
+    whole events and blocks, which are tables, the first), and can be compiled and mapped.
+    """
+
+    problem: Problem
+
+    def __call__(self, theta: Mapping[str, Any]) -> Float[Array, ""]:
+        """Evaluate at θ by name; a value of a perfect match costs nothing."""
+        if unknown := [name for name in theta if name not in self.names]:
+            raise ValueError(
+                f"theta: {unknown[0]!r} is not fitted{did_you_mean(unknown[0], self.names)}: {', '.join(self.names)}"
+            )
+        if missing := [name for name in self.names if name not in theta]:
+            raise ValueError(f"theta: no {missing[0]!r}: needs {', '.join(self.names)}")
+        return -log_density(jnp.stack([jnp.asarray(theta[name]) for name in self.names]), self.problem)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of θ: what is asked for, and inputs with an error of their own."""
+        return self.problem.parameters.names
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Range of each θ that `fit` searches; the function itself has no bounds."""
+        return {one.label: (one.low, one.high) for one in self.problem.parameters.free}
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard error of each length in λc, shape (n,); 0 of a count without one."""
+        return self.problem.lengths.sigma
+
+    def start(self) -> dict[str, Array]:
+        """θ of the least value on a grid over the range, parameters with a prior at its mean."""
+        best = lowest_of_grid(self.problem)
+        return {name: jnp.asarray(x) for name, x in zip(self.names, best, strict=True)}
+
+    def values(self, theta: Mapping[str, Any]) -> dict[str, float]:
+        """Values of the parameters asked for, in their units, as a fit has them."""
+        return self.problem.parameters.values(np.array([float(theta[name]) for name in self.names]))
+
+
+def objective(
+    measurements: "Measurements | pd.DataFrame | str | os.PathLike[str]",
+    free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
+    *,
+    bounds: tuple[float, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    loss: Loss = "normal",
+    event: MeasuredEvent | None = None,
+    body: Body | None = None,
+) -> Objective:
+    """Return the function that `fit` minimises.
+
+    Parameters
+    ----------
+    measurements, free, bounds, fixed, loss, event, body
+        As for `fit`, with priors, counts, limits, gauges, several specimens and offsets. Every length needs its σ.
+
+    Returns
+    -------
+    Objective
+        Call it at {name: θ}, as `Objective.start` gives one.
+
+    Raises
+    ------
+    ValueError
+        If an argument has no meaning for these measurements, or lengths come without σ.
+
+    Examples
+    --------
+    >>> f = objective(Measurements([20.0, 35.0], 0.3, [12.7, 24.6], 0.3))
+    >>> float(f(f.start())) < 2
+    True
+    """
+    m = measurements_of(measurements)
+    if m.length_sigma is None:
+        raise ValueError(
+            f"{m.source}: lengths without σ have no likelihood: give their standard errors; fit takes σ from the scatter"
+        )
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        what = "objective in single precision: flat to rounding near its minimum. Use jax.enable_x64(True)"
+        warnings.warn(what, RuntimeWarning, stacklevel=2)
+    return Objective(problem_of(m, wanted_parameters(free, bounds, fixed), loss, event=event, body=body))
+
+
+def problem_of(
+    m: Measurements,
+    wanted: list[Parameter],
+    loss: Loss,
+    *,
+    size_known: bool = True,
+    event: MeasuredEvent | None = None,
+    body: Body | None = None,
+) -> Problem:
+    """Set up the density of measurements; `size_known` says whether their σ are standard errors, or only their ratios."""
+    check_choice("loss", loss, Loss)
+    parameters = parameter_set(m, with_errors_of_measuring(m, wanted, size_known=size_known), event, body)
+    return make_problem(m, parameters, loss, m.stated_sigma)
