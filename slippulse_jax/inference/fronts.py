@@ -17,15 +17,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
-from slippulse_jax.bodies.modes import NO_END, Ends, RightEnd
+from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, distinct_rows, over_lanes
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import FRICTION, check_choice
 from slippulse_jax.exact import crack
-from slippulse_jax.exact.bulk import NEVER
+from slippulse_jax.exact.bulk import NEVER, exact_fronts
 from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front.arrest import arrest
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, readings
+from slippulse_jax.front.front import APPROACH, DEFAULT_MAX_CONTACTS, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.block_lengths import FLAGS, BlockLengths, geometry_of
@@ -55,8 +55,9 @@ LOOP = Layout(chunk=120)
 """Layout of the loop over lanes."""
 FEW_LANES = 50_000
 """Lanes up to which lengths alone are taken from the program that has their slopes too, which is then the only one."""
-LONGEST = 2e4
-"""Expected length, in λc, up to which that program is as fast as three lengths in closed form."""
+LONGEST, FAR_FROM = 2e4, 0.2
+"""Expected length, in λc, up to which that program is as fast as three lengths in closed form; and prestress, or fall of the
+thresholds over one height, from which on a front may run away, which takes some `APPROACH` heights to see."""
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
@@ -214,15 +215,14 @@ class FirstFront(Front):
         inf where a front under an end or a machine runs farther than `FARTHEST`, which a soft machine and a prestress may let
         it do for ever. What never stops by itself does not stop under them either.
         """
-        expected = expected_length(np.exp(inputs.log_height), inputs.ratio, inputs.poisson)
-        loop = (expected < LONGEST) & (inputs.ratio <= STIFFEST_RUN_BACK)
+        loop = ~self.runs_far(inputs) & (inputs.ratio <= STIFFEST_RUN_BACK)
         if not loop.any() or along is None and loop.size > FEW_LANES:
             return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
         if not loop.all():
             parts = [self.evaluate(inputs.take(here), None if along is None else along[here]) for here in (loop, ~loop)]
             return Prediction(*(_joined(loop, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None))
         names, table = inputs.names, inputs.table()
-        rows, own = distinct_rows(np.concatenate([table, 0 * table if along is None else along], axis=1))
+        rows, own = distinct_rows(np.concatenate([table, np.zeros_like(table) if along is None else along], axis=1))
         at, way = rows[:, : len(names)], rows[:, len(names) :]
         (most, right), here = self.most(rows[:, 0], names), Inputs.from_table(names, at)
         fields = lane_fields(here, Inputs.from_table(names, way), is_relaxed(here, way), np)
@@ -238,10 +238,26 @@ class FirstFront(Front):
         return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
 
     def values(self, inputs: Inputs) -> np.ndarray:
-        """Lengths alone, by the bulk functions."""
+        """Lengths alone: of fronts without end that run far in closed form, which is ℓ to rounding there."""
         slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
+        far = self.runs_far(inputs) if ends is ENDLESS else np.zeros(inputs.poisson.shape, bool)
+        if far.any() and not far.all():
+            return _joined(far, *(self.values(inputs.take(here)) for here in (far, ~far)))
+        if far.all() and far.size:
+            found, status = exact_fronts(_lanes(inputs), one_program=True)
+            return np.where(status == Outcome.RUN_AWAY, np.inf, found)
         most = self.most(inputs.log_height, inputs.names)[0]
         return self.within_reach(inputs, bulk_lengths(slider, interface, ends=ends, max_contacts=most), most)
+
+    @staticmethod
+    def runs_far(inputs: Inputs) -> np.ndarray:
+        """Whether a front is expected to run so far that the closed form costs less, to run-away under a prestress."""
+        height = np.exp(inputs.log_height)
+        expected = expected_length(height, inputs.ratio, inputs.poisson)
+        return (
+            np.where(np.maximum(inputs.prestress, -inputs.threshold_slope * height) > FAR_FROM, APPROACH * height, expected)
+            > LONGEST
+        )
 
     @staticmethod
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
@@ -302,6 +318,10 @@ class WholeEvent(FirstFront):
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """From the table."""
         return from_table(self, inputs)
+
+    def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
+        """From the table."""
+        return Front.in_rows(self, inputs, relaxed, highest)
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
         """Lengths and derivatives, from the table."""
@@ -700,7 +720,7 @@ def ends_of(inputs: Inputs, exp: Any = np.exp) -> Ends:
     """Free end and machine; where there is none, one so far away, or so stiff, that no digit changes."""
     most = np.log(NO_END)
     sites, machine = (exp(inputs.more[name].clip(max=most)) if name in inputs.more else None for name in ENDED)
-    return Ends("semi-infinite" if sites is None else "free", sites, machine)
+    return ENDLESS if sites is None and machine is None else Ends("semi-infinite" if sites is None else "free", sites, machine)
 
 
 def _interface(inputs: Inputs, relaxed: bool) -> Interface | None:

@@ -342,8 +342,6 @@ def test_what_follows_a_fit_of_a_block(study, fitted):
     assert known.log_sd == pytest.approx(relative, rel=0.05)
     with pytest.raises(ValueError, match="from measurements of a block, the candidates are sliders"):
         sp.design(known, height=400, sigma=5.0)
-    with pytest.raises(ValueError, match="needs a length that can be traced"):
-        fitted.posterior()
 
 
 @pytest.mark.parametrize(

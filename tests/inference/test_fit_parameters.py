@@ -12,16 +12,17 @@ from scipy.integrate import quad
 from scipy.special import ndtr
 from scipy.stats import chi2
 from scipy.stats import t as student_t
+from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import COMMON, Inputs
+from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import rise_of
 from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Observations, loss_of, make_problem, terms
-from slippulse_jax.inference.observables import displacements, forces
+from slippulse_jax.inference.observables import predicted
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.samples import bootstrap
 from slippulse_jax.status import Outcome
@@ -151,30 +152,53 @@ def test_parts_of_a_sum_of_squares():
 
 @pytest.mark.ci
 @pytest.mark.parametrize("prestressed", [False, True])
-def test_slopes_are_those_of_the_exact_length(prestressed):
-    """Against the derivatives of the series itself, as in the documentation: 1e-8 of the larger of slope and length."""
+def test_slopes_are_those_of_the_closed_form(prestressed):
+    """In every input, and the second derivative along a line in all, against the series: the longer a front the closer."""
     rng = np.random.default_rng(2)
-    inputs = Inputs(rng.uniform(1.5, 9, 100), rng.uniform(-8, -2, 100), rng.uniform(0, 0.45, 100), *np.zeros((2, 100)))
-    inputs = inputs._replace(prestress=prestressed * rng.uniform(-0.3, 0.3, 100))
+    inputs = Inputs(rng.uniform(1.5, 9, 200), rng.uniform(-8, -2, 200), rng.uniform(0, 0.45, 200), *np.zeros((2, 200)))
+    inputs = inputs._replace(
+        prestress=prestressed * rng.uniform(-0.3, 0.3, 200), threshold_slope=prestressed * 1e-3 * np.exp(-inputs.log_height)
+    )
     lanes = np.stack([np.exp(inputs.log_height), np.exp(inputs.log_stiffness), *inputs[2:5]])
-    exact = sp.exact_lengths(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), derivatives=1)
-    slope = np.column_stack(jax.tree.leaves(exact)[1:]) * np.column_stack([lanes[0], lanes[1], np.ones((100, 3))])
-    wanted = [*COMMON][: 4 if prestressed else 3]
-    found = FirstFront().predict(inputs, wanted).slopes
-    for column, name in enumerate(wanted):
-        scale = np.maximum(np.maximum(np.abs(slope[:, column]), exact.length), 0.1)
-        assert (np.abs(found[name] - slope[:, column]) / scale).max() < 1e-8
+    exact = sp.exact_lengths(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), derivatives=2)
+    unit = np.stack([lanes[0], lanes[1], *np.ones((2, 200)), np.exp(-inputs.log_height)])
+    slope, bend = (
+        unit * np.stack(jax.tree.leaves(exact._replace(hessian=None))[1:]),
+        unit[:, None] * unit * np.moveaxis(exact.hessian, 0, -1),
+    )
+    for i in range(2):  # in logarithms
+        bend[i, i] += slope[i]
+    way = rng.normal(size=(200, 5))
+    found = FirstFront().evaluate(inputs, way * unit.T ** (np.arange(5) == 4))
+    expected = [exact.length, (way.T * slope).sum(0), np.einsum("li,ijl,lj->l", way, bend, way)]
+    for low, high, most in ((10, 30, 1e-3), (30, 100, 1e-5), (100, 1e9, 1e-7)):
+        here = (exact.length > low) & (exact.length < high)
+        assert here.sum() > 10
+        for mine, theirs, factor in zip(found, expected, (1, 1, 10), strict=True):
+            assert (np.abs(mine - theirs) / (np.abs(theirs) + exact.length))[here].max() < factor * most
+
+
+def test_tall_sliders_and_stiff_contacts_beside_the_loop():
+    """Values and derivatives go over from one way of computing them to the other."""
+    inputs = Inputs.of([2e4, 3e4, 25.0, 25.0], [1e-4, 1e-4, 7.9, 8.1], 0.3)
+    found = FirstFront().evaluate(inputs, np.tile([0.0, 1, 0, 0, 0], (4, 1)))
+    exact = sp.exact_lengths(sp.Slider(np.exp(inputs.log_height), inputs.ratio, 0.3), derivatives=2)
+    slope = exact.slider.stiffness * inputs.ratio
+    bend = exact.hessian[:, 1, 1] * inputs.ratio**2 + slope
+    for mine, theirs, rtol in zip(found, (exact.length, slope, bend), (1e-10, 1e-7, 1e-4), strict=True):
+        np.testing.assert_allclose(mine[:2], theirs[:2], rtol=rtol)
+        np.testing.assert_allclose(mine[2], mine[3], rtol=0.02)
 
 
 @pytest.mark.ci
 def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
     rng = np.random.default_rng(3)
-    inputs = Inputs(rng.uniform(2, 6, 20), rng.uniform(-7, -3, 20), np.full(20, 0.5), np.zeros(20), np.full(20, 1e-4))
+    inputs = Inputs(rng.uniform(4, 6, 20), rng.uniform(-7, -3, 20), np.full(20, 0.5), np.zeros(20), np.full(20, 1e-4))
     lanes = np.stack([np.exp(inputs.log_height), np.exp(inputs.log_stiffness), *inputs[2:5]])
     exact = sp.exact_lengths(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), derivatives=1)
-    found = FirstFront().predict(inputs, ("poisson", "threshold_slope")).slopes
-    np.testing.assert_allclose(found["threshold_slope"], exact.interface.threshold_slope, rtol=1e-7)
-    np.testing.assert_allclose(found["poisson"], exact.slider.poisson, rtol=1e-4)  # one-sided at ν = 1/2
+    found = slopes_of(FirstFront(), inputs, ("poisson", "threshold_slope"))
+    np.testing.assert_allclose(found["threshold_slope"], exact.interface.threshold_slope, rtol=1e-4)
+    np.testing.assert_allclose(found["poisson"], exact.slider.poisson, rtol=1e-4)
 
 
 def test_likelihood_of_a_count_is_that_of_its_interval():
@@ -394,8 +418,8 @@ def test_force_and_displacement_give_the_strength():
     length = FirstFront().lengths(inputs)
     m = Measurements(
         height=height, poisson=0.3, length=length, length_sigma=0.01 * length, correlation_length=lc, young=young,
-        displacement=displacements(FirstFront(), inputs).value * strength / areal, displacement_sigma=1e-6,
-        force=forces(FirstFront(), inputs).value * strength * lc, force_sigma=100.0,
+        displacement=predicted("displacement", FirstFront(), inputs).value * strength / areal, displacement_sigma=1e-6,
+        force=predicted("force", FirstFront(), inputs).value * strength * lc, force_sigma=100.0,
     )  # fmt: skip
     result = fit(m, ["stiffness", "strength"])
     assert result.values["strength"] == pytest.approx(strength, rel=1e-5)
@@ -407,8 +431,8 @@ def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
     load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
     inputs = Inputs.of([10.0], 0.03, 0.3)
-    assert forces(FirstFront(), inputs).value[0] == pytest.approx(load.sum() / load[0], rel=1e-9)
-    assert displacements(FirstFront(), inputs).value[0] == pytest.approx(1 / load[0], rel=1e-9)
+    assert predicted("force", FirstFront(), inputs).value[0] == pytest.approx(load.sum() / load[0], rel=1e-9)
+    assert predicted("displacement", FirstFront(), inputs).value[0] == pytest.approx(1 / load[0], rel=1e-9)
 
 
 @pytest.mark.ci

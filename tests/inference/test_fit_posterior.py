@@ -11,15 +11,14 @@ from functools import partial, partialmethod
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import FitResult
-from slippulse_jax.inference.fronts import STIFFEST, FirstFront
+from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import log_density, make_problem
 from slippulse_jax.inference.parameters import parameter_set
@@ -27,34 +26,9 @@ from slippulse_jax.inference.parameters import parameter_set
 DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
 
 
-def outside(self, inputs, relaxed):
-    """The length from the batches that a fit works with, called from within a compiled function."""
-    del relaxed
-
-    def length(inputs):
-        return self.lengths(inputs.map(np.atleast_1d))[0]
-
-    return jax.pure_callback(length, jax.ShapeDtypeStruct((), inputs.poisson.dtype), inputs, vmap_method="sequential")
-
-
-def tabulated(m):
-    """The length of measurements of which the stiffness alone is fitted, from a table of it."""
-    log_height, first = np.unique(np.log(m.height), return_index=True)
-    log_stiffness = np.linspace(np.log(FirstFront().softest(m).min()), np.log(STIFFEST), 6001)
-    every = Inputs.of(m.height[first][:, None], np.exp(log_stiffness), m.poisson[first][:, None])
-    table = FirstFront().lengths(every.ravel()).reshape(every.poisson.shape)
-
-    def length(self, inputs, relaxed):
-        row = jnp.argmin(jnp.abs(log_height - inputs.log_height))
-        return jnp.interp(inputs.log_stiffness, log_stiffness, jnp.asarray(table)[row])
-
-    return length
-
-
 @pytest.mark.parametrize("loss", ["normal", pytest.param("student", marks=pytest.mark.ci)])
-def test_density_is_the_objective(loss, monkeypatch):
+def test_density_is_the_objective(loss):
     """At random points, with counts, censoring and a prior."""
-    monkeypatch.setattr(FirstFront, "traced", outside)
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
@@ -66,16 +40,8 @@ def test_density_is_the_objective(loss, monkeypatch):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("relaxed", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_traced_length_is_that_of_the_fit(relaxed):
-    inputs = Inputs.of(24.5, 0.011, 0.3, 0.0 if relaxed else 0.1)
-    assert float(FirstFront().traced(inputs, relaxed)) == pytest.approx(FirstFront().lengths(inputs.ravel())[0], rel=1e-11)
-
-
-@pytest.mark.ci
 def test_command_line(monkeypatch):
     """`slippulse fit --posterior`: four chains whose interval is that of the profile, in the report and as JSON."""
-    monkeypatch.setattr(FirstFront, "traced", tabulated(read_measurements(DATA)))
     monkeypatch.setattr(FitResult, "posterior", partialmethod(FitResult.posterior, warmup=100))
     done = CliRunner().invoke(command, [DATA, "--posterior", "150", "--seed", "3", "--json"])
     assert done.exit_code == 0, done.output
@@ -95,7 +61,6 @@ def test_arviz_takes_the_posterior(monkeypatch, capsys):
     """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
     az = import_arviz()
     result = fit(DATA)
-    monkeypatch.setattr(FirstFront, "traced", tabulated(result.measurements))
     drawn = result.posterior(samples=60, warmup=60, chains=2)
     assert capsys.readouterr().err.startswith("sampling 2 chains of 120 steps: about ")
     tree = drawn.to_arviz()
