@@ -50,6 +50,7 @@ from slippulse_jax.inference.search import (
     between_contacts,
     describe,
     first_look,
+    grid_of,
     ordered,
     same,
     scaled_to_scatter,
@@ -351,7 +352,7 @@ def fit(
     reported, covered = pieces, {}
     if counts is None and not scaled and to_be_simulated(problem, intervals, found.roots, deviance, pieces, best):
         with _progress(problem) as shown:
-            simulated = calibrated(shown, LEVELS, curves=found.curves, cells=found.cells, seed=seed)
+            simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
         reported = {j: own for j, (own, _) in simulated.items()}
         covered = {names[j]: shares for j, (_, shares) in simulated.items()}
     longest, longest_at = attainable(parameters, best)
@@ -374,7 +375,6 @@ def fit(
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
-        complete=bool(held) or (found.cells is not None and found.cells.complete),
         covered=covered,
     )
     judged = {names[j]: judge(result, j, pieces[j], reported[j], at_odds) for j in asked}
@@ -459,7 +459,8 @@ def _of_counts(problem: Problem, held: list[Interval]) -> Found:
     middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
     value = 2 * problem(middle).value
     roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    return Found(roots, middle[0], float(value.min()), [], None, {0: profile(problem, 0, roots, middle)})
+    grid = grid_of(problem)
+    return Found(roots, middle[0], float(value.min()), [], grid, {0: profile(problem, 0, roots, middle, grid)})
 
 
 def _explore_scaled(problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
@@ -487,7 +488,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     curves: dict[int, Curve] = {}
     for _ in range(SEARCH_ROUNDS):
         roots = ordered(problem, roots)
-        curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.cells) for j in asked}
+        curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.grid) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)
         missed = [
             curve.theta[i]
@@ -504,7 +505,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
             break
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in found.unconverged if not known or value < min(known) - 1e-6]
-    return Found(roots, best, deviance, lost, found.cells, curves)
+    return Found(roots, best, deviance, lost, found.grid, curves)
 
 
 def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
@@ -523,7 +524,7 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _near(curve: Curve, i: int, root: Root) -> bool:
-    """Whether a root lies within the two cells around node i."""
+    """Whether a root lies between the two neighbours of node i."""
     j = int(np.argmin(np.abs(curve.theta[i] - curve.node[i])))
     return bool(curve.node[i - 1] <= root.theta[j] <= curve.node[i + 1])
 
