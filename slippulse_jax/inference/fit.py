@@ -496,6 +496,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
             for i in _valleys(curve.deviance, deviance + SLACK)
             if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
         ]
+        missed += _crossed(roots[:MOST_ROOTS])
         if not missed:
             break
         more = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
@@ -521,6 +522,12 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
     """Inner nodes lower than both neighbours and than `limit`."""
     inner = (deviance[1:-1] < deviance[:-2]) & (deviance[1:-1] <= deviance[2:]) & (deviance[1:-1] < limit)
     return 1 + np.nonzero(inner)[0]
+
+
+def _crossed(roots: list[Root]) -> list[np.ndarray]:
+    """Each root with one coordinate of another: two valleys of each of two parameters make four minima."""
+    pairs = [(a.theta, b.theta) for a in roots for b in roots if a is not b]
+    return [np.where(np.arange(len(a)) == j, b, a) for a, b in pairs for j in range(len(a)) if len(a) > 1]
 
 
 def _near(curve: Curve, i: int, root: Root) -> bool:

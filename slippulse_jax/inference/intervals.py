@@ -168,12 +168,10 @@ def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: f
     """Minimise again at each node from the results of its neighbours, until none of these improves."""
     theta, deviance = curve.theta.copy(), curve.deviance.copy()
     look = np.arange(len(theta))
-    for _ in range(3):
+    while len(look):
         near = np.stack([theta[look - 1], theta[(look + 1) % len(theta)]], axis=1)
         again = constrained(problem, held, theta[look][:, held], near, enough=enough)
-        better = again.deviance < deviance[look] - 1e-6
-        if not better.any():
-            break
+        better = again.deviance < deviance[look] - SLIGHT
         moved = look[better]
         theta[moved], deviance[moved] = again.theta[better], again.deviance[better]
         look = np.unique(np.concatenate([moved - 1, moved + 1]) % len(theta))

@@ -149,6 +149,7 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
     minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
+    minima = [one for one in minima if one.deviance <= 2 * ends.value.min() + SLACK]
     unconverged = [
         (2 * float(value), Convergence(int(how)).message)
         for value, how in zip(ends.value, ends.convergence, strict=True)
