@@ -30,7 +30,7 @@ from slippulse_jax.inference.search import SLACK, Grid, Root, first_edges
 
 NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
-STARTS_KEPT, BESIDE = 4, 2  # per node; of the low points of a grid
+STARTS_KEPT = 2  # per node, and of the low points of a grid
 EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
 STEPS = 25  # of a minimisation at a node
 AT_NODES = 1e-7  # Newton decrement at which it ends
@@ -146,7 +146,7 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
         return constrained(problem, held, node[:, None], seeds)
     starts = _predicted(node, j, roots, seeds, problem)
     if grid is not None:
-        starts = np.concatenate([starts, grid.beside(j, node, BESIDE)], axis=1)
+        starts = np.concatenate([starts, grid.beside(j, node, STARTS_KEPT)], axis=1)
     starts[:, :, j] = node[:, None]
     value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
     best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
@@ -165,13 +165,13 @@ def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, p
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: float) -> Curve:
-    """Minimise again at each node from the results of its neighbours, until none of these improves."""
+    """Minimise again at each node from the results of its neighbours, until no node that matters improves."""
     theta, deviance = curve.theta.copy(), curve.deviance.copy()
     look = np.arange(len(theta))
     while len(look):
         near = np.stack([theta[look - 1], theta[(look + 1) % len(theta)]], axis=1)
         again = constrained(problem, held, theta[look][:, held], near, enough=enough)
-        better = again.deviance < deviance[look] - SLIGHT
+        better = again.deviance < np.minimum(deviance[look] - SLIGHT, enough)
         moved = look[better]
         theta[moved], deviance[moved] = again.theta[better], again.deviance[better]
         look = np.unique(np.concatenate([moved - 1, moved + 1]) % len(theta))

@@ -19,7 +19,7 @@ from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attain
 
 SCANNED = 3
 """Largest number of fitted parameters whose range is scanned by a grid."""
-NODES = {1: 257, 2: 65, 3: 25}
+NODES = {1: 257, 2: 33, 3: 13}
 """Nodes of the grid along each parameter, by the number of parameters."""
 SLACK = 16.0
 """Deviance above the least within which minima are reported: four standard errors."""
@@ -28,9 +28,6 @@ MOST_STARTS = 64
 
 RISEN = 1e-9
 """Relative rise of the deviance between two points that separates two valleys: far above rounding."""
-
-POLISHED = 8
-"""Starts of a first look."""
 
 UNMEASURABLE = 1e-4
 """Relative scatter of the lengths below which it is not an error of measurement."""
@@ -146,17 +143,15 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
     grid = grid_of(problem) if extra is None else None
     starts = _starts(problem, grid, seed) if extra is None else extra
     ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
-    good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
+    near = ends.value <= ends.value.min() + SLACK / 2
+    good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value) & near
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
     minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
-    minima = [one for one in minima if one.deviance <= 2 * ends.value.min() + SLACK]
     unconverged = [
         (2 * float(value), Convergence(int(how)).message)
         for value, how in zip(ends.value, ends.convergence, strict=True)
         if how == Convergence.NOT_CONVERGED
     ]
-    if not len(ends.theta):
-        return Found([], (low + high) / 2, np.inf, unconverged, grid)
     least = int(np.argmin(ends.value))
     return Found(minima, ends.theta[least], 2 * float(ends.value[least]), unconverged, grid)
 
@@ -201,7 +196,7 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 def first_look(problem: Problem, seed: int) -> np.ndarray:
     """Find a point of low deviance; shape (p,)."""
     q = problem.parameters
-    starts = _starts(problem, grid_of(problem), seed)[:POLISHED]
+    starts = _starts(problem, grid_of(problem), seed)[:STARTS // 4]
     ends = minimise(problem, starts, q.low, q.high, max_steps=20)
     return ends.theta[np.argmin(ends.value)]
 
@@ -287,10 +282,17 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
 
 
 def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
-    """Local minima of the grid, or points of a Sobol sequence, lowest first; shape (s, p)."""
-    if grid is not None:
+    """Local minima of the grid, lowest first, or points of a Sobol sequence; shape (s, p)."""
+    low, high = problem.parameters.low, problem.parameters.high
+    if grid is None:
+        found = _sampled(problem, seed)
+    else:
         lows = grid.lows(range(problem.p))
-        return grid.theta[lows][np.argsort(grid.deviance[lows], kind="stable")[:MOST_STARTS]]
+        found = grid.theta[lows][np.argsort(grid.deviance[lows], kind="stable")[:MOST_STARTS]]
+    return found if len(found) else (low + high)[None] / 2
+
+
+def _sampled(problem: Problem, seed: int) -> np.ndarray:
     from scipy.stats import qmc  # half a second to import, and most fits are of one parameter
 
     low, high = problem.parameters.low, problem.parameters.high
