@@ -48,6 +48,7 @@ ONE_THREAD = 4 * 2**16
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
 HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration
+APART = 2.0  # change of the predictions, in standard errors of all together, within a part of the range of a second parameter
 PATH = 1.5  # most length of a path of the predictions over that of the straight line between its ends
 NARROWEST = 1e-10  # part of the range of a parameter that is not divided
 SLIGHT = 1e-3  # difference of two deviances that is none
@@ -404,26 +405,31 @@ def _across(problem: Problem, j: int, curve: Curve) -> Table:
 def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
     """Values of the other parameter at each of θ_j with a deviance below the limit, and on the ridge; in increasing order.
 
-    They end parts of its range that are halved until the predictions in each change by one standard error; a part is left out
+    They end parts of its range that are halved until the predictions in each change by `APART`; a part is left out
     if its deviance is above the limit everywhere, should the predictions follow a path no longer than `PATH` times straight.
     """
-    q, other, count = problem.parameters, 1 - j, len(node)
-    start = np.linspace(q.low[other], q.high[other], NODES)
-    row = np.repeat(np.arange(count), NODES - 1)
-    low, high = np.tile(start[:-1], count), np.tile(start[1:], count)
+    low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
+    every = np.linspace(low, high, NODES)
+    row, ends = np.repeat(np.arange(count), NODES - 1), np.tile(np.stack([every[:-1], every[1:]], axis=1), (count, 1))
+    off = _residuals(problem, _points(node, [every] * count, j)).reshape(count, NODES, -1)
+    off = np.stack([off[:, :-1], off[:, 1:]], axis=2).reshape(len(row), 2, -1)
     kept = [(np.arange(count), ridge)]
     for _ in range(HALVINGS):
-        ends = [_residuals(problem, np.stack([node[row], y] if j == 0 else [y, node[row]], axis=1)) for y in (low, high)]
-        apart = np.sqrt(((ends[1] - ends[0]) ** 2).sum(axis=1))
-        least = (sum(np.sqrt((one**2).sum(axis=1)) for one in ends) - PATH * apart) / 2
-        there = least <= np.sqrt(limit)
-        done = there & (apart <= 1)
-        kept += [(row[done], low[done]), (row[done], high[done])]
-        left = there & ~done & (high - low > NARROWEST * (q.high[other] - q.low[other]))
+        apart = np.linalg.norm(off[:, 1] - off[:, 0], axis=1)
+        there = np.linalg.norm(off, axis=2).sum(axis=1) - PATH * apart <= 2 * np.sqrt(limit)
+        done = there & (apart <= APART)
+        kept.append((np.repeat(row[done], 2), ends[done].ravel()))
+        left = there & ~done & (ends[:, 1] - ends[:, 0] > NARROWEST * (high - low))
         if not left.any():
             break
-        row, low, high = row[left], low[left], high[left]
-        row, low, high = np.tile(row, 2), np.append(low, (low + high) / 2), np.append((low + high) / 2, high)
+        row, ends, off = row[left], ends[left], off[left]
+        middle = ends.mean(axis=1)
+        there = _residuals(problem, np.stack([node[row], middle] if j == 0 else [middle, node[row]], axis=1))
+        ends, off = (
+            np.concatenate([np.stack([x[:, 0], y], axis=1), np.stack([y, x[:, 1]], axis=1)])
+            for x, y in ((ends, middle), (off, there))
+        )
+        row = np.tile(row, 2)
     rows, values = (np.concatenate(column) for column in zip(*kept, strict=True))
     return [np.unique(values[rows == i]) for i in range(count)]
 

@@ -57,6 +57,17 @@ class Grid(NamedTuple):
             low &= (here < np.concatenate([beyond, here[:-1]])) & (here <= np.concatenate([here[1:], beyond]))
         return found
 
+    def starts(self) -> np.ndarray:
+        """Local minima, lowest first; before them the middle of a floor, whose corners may be ends of the range; (s, p)."""
+        lows = self.lows(range(self.deviance.ndim))
+        if not lows.any():
+            return self.theta[lows]
+        floor = self.theta[self.deviance == self.deviance.min()]
+        span = np.ptp(self.theta.reshape(-1, self.deviance.ndim), axis=0)
+        middle = np.square((floor - floor.mean(axis=0)) / span).sum(axis=1).argmin()
+        ranked = np.argsort(self.deviance[lows], kind="stable")[:MOST_STARTS]
+        return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
+
     def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
         """Lowest of the local minima over the other parameters, at the node of θ_j next to each value; (len(at), count, p)."""
         p = self.theta.shape[-1]
@@ -196,7 +207,7 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 def first_look(problem: Problem, seed: int) -> np.ndarray:
     """Find a point of low deviance; shape (p,)."""
     q = problem.parameters
-    starts = _starts(problem, grid_of(problem), seed)[:STARTS // 4]
+    starts = _starts(problem, grid_of(problem), seed)[: STARTS // 4]
     ends = minimise(problem, starts, q.low, q.high, max_steps=20)
     return ends.theta[np.argmin(ends.value)]
 
@@ -282,14 +293,9 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
 
 
 def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
-    """Local minima of the grid, lowest first, or points of a Sobol sequence; shape (s, p)."""
-    low, high = problem.parameters.low, problem.parameters.high
-    if grid is None:
-        found = _sampled(problem, seed)
-    else:
-        lows = grid.lows(range(problem.p))
-        found = grid.theta[lows][np.argsort(grid.deviance[lows], kind="stable")[:MOST_STARTS]]
-    return found if len(found) else (low + high)[None] / 2
+    """Choose where to start, (s, p); in the middle of the range where the front stops at no point looked at."""
+    found = _sampled(problem, seed) if grid is None else grid.starts()
+    return found if len(found) else (problem.parameters.low + problem.parameters.high)[None] / 2
 
 
 def _sampled(problem: Problem, seed: int) -> np.ndarray:
