@@ -5,11 +5,13 @@ import pytest
 import random_tables
 
 import slippulse_jax as sp
+from slippulse_jax.inference.fit import wanted_parameters
+from slippulse_jax.inference.parameters import parameter_set, with_errors_of_measuring
 from slippulse_jax.inference.search import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
 KINDS = ("one stiffness", "bounds", "counts", "mixed", "prestress", "second", "each specimen", "priors", "student", "relative")
-DENSE = {1: 20_001, 2: 161, 3: 33}
+DENSE = {1: 20_001, 2: 101, 3: 21}
 """Nodes along each parameter, by the number of parameters."""
 EDGE = 2e-3
 """Part of an interval by which a node may lie outside: of a count without an error, whose edges are blurred in a deviance."""
@@ -31,12 +33,20 @@ def lows(theta, deviance):
     return theta[1:-1][inner], deviance[1:-1][inner]
 
 
-def agrees(table):
+def studies(kind, seeds):
+    """Tables of this kind of which no more than three parameters are fitted."""
+    for table in (random_tables.draw(seed, kind) for seed in seeds):
+        scaled = table.options.get("sigma") == "relative"
+        wanted = wanted_parameters(table.free, None, None)
+        every = with_errors_of_measuring(table.measurements, wanted, size_known=not scaled)
+        if len(parameter_set(table.measurements, every).free) in DENSE:
+            yield table
+
+
+def check(table):
     """Nothing lies lower; what the deviance allows lies in the intervals; of one parameter, every valley has its root."""
     result = sp.fit(table.measurements, list(table.free), **table.options, intervals="profile")
     problem, q = result.problem, result.problem.parameters
-    if problem.p not in DENSE:
-        return False
     pieces = {
         j: [[q.free[j].theta(end) for end in piece[:2]] for piece in result.intervals[name].get(0.95, [])]
         for j, name in enumerate(q.names)
@@ -63,16 +73,16 @@ def agrees(table):
         if problem.p == 1 and not (np.array(table.measurements.kind) != "length").any():
             for at, low_there in zip(*lows(theta[:, 0], deviance), strict=True):
                 assert low_there > limit or min(abs(root.theta[0] - at) for root in result.minima) < 2e-3
-    return True
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("mixed", "prestress", "student")])
 def test_nothing_is_missed_by_a_random_study(kind):
-    assert any([agrees(random_tables.draw(seed, kind)) for seed in (1, 2)])
+    check(next(studies(kind, range(1, 100))))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_missed(kind):
-    assert sum(agrees(random_tables.draw(seed, kind)) for seed in range(100, 150)) > 20
+    for table in studies(kind, range(100, 150)):
+        check(table)
