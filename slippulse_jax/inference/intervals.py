@@ -135,8 +135,8 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
         Of the search: its nodes, for a single parameter; its low points to start from, for several.
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
-    alone = grid is not None and problem.p == 1
-    around = [grid.theta[:, 0] if alone else np.linspace(low, high, NODES), [root.theta[j] for root in roots]]
+    spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
+    around = [spread, [root.theta[j] for root in roots]]
     for root in roots:
         step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
         around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]
@@ -233,7 +233,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
         ends[work, side], near[work, side], value[work, side] = at[work], here.theta, found
         value[work, 1 - side] /= np.where(side == last[work], 2, 1)
         last[work] = side
-        wide = ends[work, 1] - ends[work, 0] > NARROWEST * (problem.parameters.high[j] - problem.parameters.low[j])
+        wide = ends[work, 1] - ends[work, 0] > NARROWEST * np.ptp(curve.node)
         work = work[(np.abs(found) > CROSSED) & wide]
     return at.tolist()
 
