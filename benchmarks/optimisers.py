@@ -3,7 +3,7 @@
 Three uses of each, on studies of one, two and four parameters, of lengths with 2 % errors or of counts of whole contacts:
 
 - starts: 32 points drawn evenly over the range searched, one descent from each, nothing else;
-- search: the starts that a fit chooses (the cells that a scan leaves, or the best of 512 Sobol points);
+- search: the starts that a fit chooses (the local minima of its grid, or the best of 512 Sobol points);
 - fit: all of `fit`, whose profiles are Levenberg and Marquardt's under every method, and send the search where they go deeper.
 
 Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged. Lengths:

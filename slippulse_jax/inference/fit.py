@@ -44,6 +44,7 @@ from slippulse_jax.inference.search import (
     between_contacts,
     describe,
     first_look,
+    grid_of,
     ordered,
     same,
     scaled_to_scatter,
@@ -343,7 +344,7 @@ def fit(
     reported, covered = pieces, {}
     if counts is None and not scaled and to_be_simulated(problem, intervals, found.roots, deviance, pieces, best):
         with _progress(problem) as shown:
-            simulated = calibrated(shown, LEVELS, curves=found.curves, cells=found.cells, seed=seed)
+            simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
         reported = {j: own for j, (own, _) in simulated.items()}
         covered = {names[j]: shares for j, (_, shares) in simulated.items()}
     longest, longest_at = attainable(parameters, best)
@@ -366,7 +367,6 @@ def fit(
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
-        complete=bool(held) or (found.cells is not None and found.cells.complete),
         covered=covered,
     )
     judged = {names[j]: judge(result, j, pieces[j], reported[j], at_odds) for j in asked}
@@ -435,7 +435,8 @@ def _of_counts(problem: Problem, held: list[Interval]) -> Found:
     middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
     value = 2 * problem(middle).value
     roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    return Found(roots, middle[0], float(value.min()), [], None, {0: profile(problem, 0, roots, middle)})
+    grid = grid_of(problem)
+    return Found(roots, middle[0], float(value.min()), [], grid, {0: profile(problem, 0, roots, middle, grid)})
 
 
 def _explore_scaled(problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
@@ -463,7 +464,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     curves: dict[int, Curve] = {}
     for _ in range(SEARCH_ROUNDS):
         roots = ordered(problem, roots)
-        curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.cells) for j in asked}
+        curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.grid) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)
         missed = [
             curve.theta[i]
@@ -471,6 +472,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
             for i in _valleys(curve.deviance, deviance + SLACK)
             if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
         ]
+        missed += _crossed(roots[:MOST_ROOTS])
         if not missed:
             break
         more = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
@@ -480,7 +482,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
             break
     known = [root.deviance for root in roots]
     lost = [(value, message) for value, message in found.unconverged if not known or value < min(known) - 1e-6]
-    return Found(roots, best, deviance, lost, found.cells, curves)
+    return Found(roots, best, deviance, lost, found.grid, curves)
 
 
 def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
@@ -498,8 +500,14 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
     return 1 + np.nonzero(inner)[0]
 
 
+def _crossed(roots: list[Root]) -> list[np.ndarray]:
+    """Each root with one coordinate of another: two valleys of each of two parameters make four minima."""
+    pairs = [(a.theta, b.theta) for a in roots for b in roots if a is not b]
+    return [np.where(np.arange(len(a)) == j, b, a) for a, b in pairs for j in range(len(a)) if len(a) > 1]
+
+
 def _near(curve: Curve, i: int, root: Root) -> bool:
-    """Whether a root lies within the two cells around node i."""
+    """Whether a root lies between the two neighbours of node i."""
     j = int(np.argmin(np.abs(curve.theta[i] - curve.node[i])))
     return bool(curve.node[i - 1] <= root.theta[j] <= curve.node[i + 1])
 

@@ -207,7 +207,7 @@ class FirstFront(Front):
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """ℓ of one lane."""
         slider, ends = sliders(inputs, jnp.exp), ends_of(inputs, jnp.exp)
-        return arrest(slider, _interface(inputs, relaxed), ends).length
+        return jnp.asarray(arrest(slider, _interface(inputs, relaxed), ends).length)
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
         """ℓ by the loop over lanes; of tall sliders and stiff contacts derivatives are differences.

@@ -60,7 +60,7 @@ class Inputs(NamedTuple):
         return cls(*columns[:5], more=dict(zip(more, columns[5:], strict=True)))
 
     @classmethod
-    def from_table(cls, names: Sequence[str], table: np.ndarray) -> "Inputs":
+    def from_table(cls, names: Sequence[str], table: Any) -> "Inputs":
         """Inverse of `table`."""
         columns = {name: table[..., i] for i, name in enumerate(names)}
         return cls(*(columns.pop(name) for name in COMMON), more=columns)

@@ -26,18 +26,17 @@ from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.search import SLACK, Cells, Root, first_edges
+from slippulse_jax.inference.search import SLACK, Grid, Root, first_edges
 
-NODES, NODES_ALONE = 61, 201  # of a profile over its whole range: where other parameters are fitted at each, and where not
+NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
-STARTS_KEPT = 4  # per node
+STARTS_KEPT = 2  # per node, and of the low points of a grid
 EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
-CONTENDING = 3.0  # expected deviance above that of the best start, within which a node gets a second start
 STEPS = 25  # of a minimisation at a node
 AT_NODES = 1e-7  # Newton decrement at which it ends
-CROSSING_ROUNDS = 14
-CROSSED = 1e-5  # distance of the deviance from a limit at which an end is found: 10⁻⁵ of the interval
-LARGEST = 1e6  # above a limit that a crossing is sought with; a measured length whose event does not stop has none
+CROSSING_ROUNDS = 60
+CROSSED = 1e-5  # distance of the root of the rise from that of a limit at which an end is found: 10⁻⁵ of the interval
+LARGEST = 1e12  # rise that a crossing is sought with; a measured length whose event does not stop has none
 SIMULATIONS = {1: 2000, 2: 500}
 """By the number of fitted parameters."""
 RESOLUTION = {1: 0.15, 2: 0.3}
@@ -48,9 +47,12 @@ ONE_THREAD = 4 * 2**16
 """Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
-HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration; the cells of a scan reach farther
+HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration
+APART = 2.0  # change of the predictions, in standard errors of all together, within a part of the range of a second parameter
+PATH = 1.5  # most length of a path of the predictions over that of the straight line between its ends
+NARROWEST = 1e-10  # part of the range of a parameter that is not divided
 SLIGHT = 1e-3  # difference of two deviances that is none
-HALVINGS = 48  # of a bracket of the scan: to rounding
+HALVINGS = 48  # of a bracket between two nodes: to rounding
 
 
 class Interval(NamedTuple):
@@ -121,71 +123,37 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
 
 
-def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, cells: Cells | None = None) -> Curve:
-    """Profile of parameter j over its whole range, or where a scan has left it, with nodes crowded around every root.
+def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: Grid | None = None) -> Curve:
+    """Profile of parameter j over its whole range, with nodes crowded around every root.
 
     Parameters
     ----------
     roots : list of Root
     seeds : array, shape (s, p)
         Other good points to start from.
-    cells : Cells, optional
-        Of a scan: the values that are not excluded.
+    grid : Grid, optional
+        Of the search: its nodes, for a single parameter; its low points to start from, for several.
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
-    alone = problem.p == 1
-    scanned = cells is not None and cells.complete and len(cells.low) > 0 and not alone
-    if cells is not None and scanned:
-        # everything outside the cells is excluded
-        low, high = cells.low[:, j].min(), cells.high[:, j].max()
-    around = [np.linspace(low, high, NODES_ALONE if alone else NODES), [root.theta[j] for root in roots]]
+    spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
+    around = [spread, [root.theta[j] for root in roots]]
     for root in roots:
         step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
         around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]
-    if cells is not None and len(cells.low):
-        around += [_spread(cells, j, 2 * len(cells.low) if alone else NODES)]
     node = np.unique(np.concatenate(around))
     node = node[(node >= low) & (node <= high)]
     held = np.arange(problem.p) == j
-    if alone:
+    if problem.p == 1:
         return constrained(problem, held, node[:, None], seeds)
-    if cells is not None and scanned:
-        node, starts = _of_cells(node, j, cells, problem.p)
-        return constrained(problem, held, node[:, None], starts)
     starts = _predicted(node, j, roots, seeds, problem)
+    if grid is not None:
+        starts = np.concatenate([starts, grid.beside(j, node, STARTS_KEPT)], axis=1)
     starts[:, :, j] = node[:, None]
     value = problem(starts.reshape(-1, problem.p)).value.reshape(starts.shape[:2])
     best = np.argsort(value, axis=1, kind="stable")[:, :STARTS_KEPT, None]
     enough = min([2 * float(value.min()), *(root.deviance for root in roots)]) + EXCLUDED
     curve = constrained(problem, held, node[:, None], np.take_along_axis(starts, best, axis=1), enough=enough)
     return _from_neighbours(problem, held, curve, enough)
-
-
-def _spread(cells: Cells, j: int, count: int) -> np.ndarray:
-    """Limits of the cells along parameter j, thinned out evenly to `count`."""
-    limits = np.unique(np.concatenate([cells.low[:, j], cells.high[:, j]]))
-    return limits[np.unique(np.linspace(0, len(limits) - 1, min(len(limits), count)).round().astype(int))]
-
-
-def _of_cells(node: np.ndarray, j: int, cells: Cells, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starts at each node, (g, 2, p), by the linear models of the cells there, or of the nearest ones.
-
-    Nodes that these models exclude are dropped, except next to others.
-    """
-    away = np.maximum(np.maximum(cells.low[:, j] - node[:, None], node[:, None] - cells.high[:, j]), 0)
-    row, cell = np.nonzero(away == away.min(axis=1, keepdims=True))
-    at = np.zeros((len(row), p))
-    at[:, j] = node[row]
-    value, point = cells.expected(np.arange(p) == j, at, cell)
-    order = np.lexsort((value, row))
-    first = np.searchsorted(row[order], np.arange(len(node)))
-    second = np.minimum(first + 1, len(order) - 1)
-    best = value[order[first]]
-    contending = (row[order[second]] == row[order[first]]) & (value[order[second]] < best + CONTENDING)
-    starts = np.stack([point[order[first]], point[order[np.where(contending, second, first)]]], axis=1)
-    near = best < best.min() + EXCLUDED
-    kept = near | np.append(near[1:], False) | np.append(False, near[:-1])
-    return node[kept], starts[kept]
 
 
 def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, problem: Problem) -> np.ndarray:
@@ -198,15 +166,13 @@ def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, p
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: float) -> Curve:
-    """Minimise again at each node from the results of its neighbours, until none of these improves."""
+    """Minimise again at each node from the results of its neighbours, until no node that matters improves."""
     theta, deviance = curve.theta.copy(), curve.deviance.copy()
     look = np.arange(len(theta))
-    for _ in range(3):
+    while len(look):
         near = np.stack([theta[look - 1], theta[(look + 1) % len(theta)]], axis=1)
         again = constrained(problem, held, theta[look][:, held], near, enough=enough)
-        better = again.deviance < deviance[look] - 1e-6
-        if not better.any():
-            break
+        better = again.deviance < np.minimum(deviance[look] - SLIGHT, enough)
         moved = look[better]
         theta[moved], deviance[moved] = again.theta[better], again.deviance[better]
         look = np.unique(np.concatenate([moved - 1, moved + 1]) % len(theta))
@@ -240,33 +206,36 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
 
 
 def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
-    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois)."""
-    if not brackets:
-        return []
-    index = np.array([i for i, _ in brackets])
-    limit = np.array([x for _, x in brackets])
-    held = np.arange(problem.p) == j
-    left, right = curve.node[index], curve.node[index + 1]
-    f_left, f_right = (np.minimum(curve.deviance[index + k] - limit, LARGEST) for k in (0, 1))
-    near = np.stack([curve.theta[index], curve.theta[index + 1]], axis=1)
-    w_left, w_right, last = f_left.copy(), f_right.copy(), np.zeros(len(index))
-    at = left
+    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois).
+
+    Of the root of its rise, which is straight where the profile is a parabola, and on the wall beyond the edge of a count.
+    """
+    index = np.array([i for i, _ in brackets], dtype=int)
+    limit, least = np.array([x for _, x in brackets]), curve.deviance.min()
+
+    def above(deviance: np.ndarray, some: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.clip(deviance - least, 0, LARGEST)) - np.sqrt(limit[some] - least)
+
+    held, work = np.arange(problem.p) == j, np.arange(len(index))
+    ends, near = (np.stack([x[index], x[index + 1]], axis=1) for x in (curve.node, curve.theta))
+    value = np.stack([above(curve.deviance[index + k], work) for k in (0, 1)], axis=1)
+    at, rises, last = ends[:, 0].copy(), value[:, 1] > 0, np.full(len(index), -1)
     for round_ in range(CROSSING_ROUNDS):
-        share = np.clip(w_left / (w_left - w_right), 1e-3, 1 - 1e-3)
-        # a wall next to a floor (counts without blur) defeats false position, so every third step halves
-        share = 0.5 if round_ % 3 == 2 else share
-        at = left + share * (right - left)
-        here = constrained(problem, held, at[:, None], near)
-        value = np.minimum(here.deviance - limit, LARGEST)
-        on_left = np.sign(value) == np.sign(f_left)
-        left, right = np.where(on_left, at, left), np.where(on_left, right, at)
-        w_right = np.where(on_left & (last == 1), w_right / 2, np.where(on_left, w_right, value))
-        w_left = np.where(~on_left & (last == -1), w_left / 2, np.where(on_left, value, w_left))
-        last = np.where(on_left, 1, -1)
-        near = np.where(on_left[:, None, None], np.stack([here.theta, near[:, 1]], 1), np.stack([near[:, 0], here.theta], 1))
-        if (np.abs(value) < CROSSED).all():
+        if not len(work):
             break
-    return [float(x) for x in at]
+        share = value[work, 0] / (value[work, 0] - value[work, 1])
+        # a wall next to a floor defeats false position, so every third step halves
+        share = 0.5 if round_ % 3 == 2 else np.clip(share, 1e-3, 1 - 1e-3)
+        at[work] = ends[work, 0] + share * (ends[work, 1] - ends[work, 0])
+        here = constrained(problem, held, at[work, None], near[work])
+        found = above(here.deviance, work)
+        side = ((found > 0) == rises[work]).astype(int)
+        ends[work, side], near[work, side], value[work, side] = at[work], here.theta, found
+        value[work, 1 - side] /= np.where(side == last[work], 2, 1)
+        last[work] = side
+        wide = ends[work, 1] - ends[work, 0] > NARROWEST * np.ptp(curve.node)
+        work = work[(np.abs(found) > CROSSED) & wide]
+    return at.tolist()
 
 
 def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> np.ndarray:
@@ -337,7 +306,6 @@ def calibrated(
     levels: tuple[float, ...],
     *,
     curves: dict[int, Curve] | None = None,
-    cells: Cells | None = None,
     seed: int = 0,
 ) -> dict[int, tuple[Intervals, tuple[float, float]]]:
     """Simulate the intervals of each θ_j, and the shares of estimates within 1 and 1.96 standard errors of its best value.
@@ -349,16 +317,14 @@ def calibrated(
     levels : tuple of float
     curves : dict, optional
         Profile of each θ_j asked for; needed with two parameters.
-    cells : Cells, optional
-        Of a scan; needed with two parameters.
     seed : int
         Of the simulations, `SIMULATIONS` per value looked at.
     """
     if problem.p == 1:
         return {0: _simulated(problem, levels, 0, _along(problem), seed)}
-    if curves is None or cells is None:
-        raise ValueError("calibrated intervals of two parameters need their profiles and a scan")
-    return {j: _simulated(problem, levels, j, _across(problem, j, curve, cells), seed) for j, curve in curves.items()}
+    if curves is None:
+        raise ValueError("calibrated intervals of two parameters need their profiles")
+    return {j: _simulated(problem, levels, j, _across(problem, j, curve), seed) for j, curve in curves.items()}
 
 
 def _simulated(
@@ -409,8 +375,8 @@ def _along(problem: Problem) -> Table:
     return Table(node, every, node[:, None], every, _residuals(problem, node[:, None]))
 
 
-def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
-    """Choose values of θ_j along its profile, and at each those of the other parameter that a scan left."""
+def _across(problem: Problem, j: int, curve: Curve) -> Table:
+    """Choose values of θ_j along its profile, and at each those of the other parameter that are not hopeless."""
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
@@ -419,16 +385,12 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
     count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
     node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
     ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
-    other, found = 1 - j, []
-    # the values of the other that the scan left, and how far apart their predictions are
-    for x, on_ridge in zip(node, ridge[:, other], strict=True):
-        there = (cells.low[:, j] <= x) & (x <= cells.high[:, j])
-        # a cell is almost linear, so its two ends give its length
-        found.append(np.unique(np.concatenate([[on_ridge], cells.low[there, other], cells.high[there, other]])))
+    other = 1 - j
+    found = _not_hopeless(problem, j, node, ridge[:, other], float(curve.deviance.min()) + HOPELESS)
     steps = _steps(_residuals(problem, _points(node, found, j)))
     starts = np.cumsum([0] + [len(y) for y in found])
     for i, y in enumerate(found):
-        # gaps between cells are skipped
+        # gaps between valleys are skipped
         path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
         count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
         found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
@@ -438,6 +400,38 @@ def _across(problem: Problem, j: int, curve: Curve, cells: Cells) -> Table:
     starts = np.cumsum([0] + [len(y) for y in found])
     best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
     return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
+
+
+def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
+    """Values of the other parameter at each of θ_j with a deviance below the limit, and on the ridge; in increasing order.
+
+    They end parts of its range that are halved until the predictions in each change by `APART`; a part is left out
+    if its deviance is above the limit everywhere, should the predictions follow a path no longer than `PATH` times straight.
+    """
+    low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
+    every = np.linspace(low, high, NODES)
+    row, ends = np.repeat(np.arange(count), NODES - 1), np.tile(np.stack([every[:-1], every[1:]], axis=1), (count, 1))
+    off = _residuals(problem, _points(node, [every] * count, j)).reshape(count, NODES, -1)
+    off = np.stack([off[:, :-1], off[:, 1:]], axis=2).reshape(len(row), 2, -1)
+    kept = [(np.arange(count), ridge)]
+    for _ in range(HALVINGS):
+        apart = np.linalg.norm(off[:, 1] - off[:, 0], axis=1)
+        there = np.linalg.norm(off, axis=2).sum(axis=1) - PATH * apart <= 2 * np.sqrt(limit)
+        done = there & (apart <= APART)
+        kept.append((np.repeat(row[done], 2), ends[done].ravel()))
+        left = there & ~done & (ends[:, 1] - ends[:, 0] > NARROWEST * (high - low))
+        if not left.any():
+            break
+        row, ends, off = row[left], ends[left], off[left]
+        middle = ends.mean(axis=1)
+        there = _residuals(problem, np.stack([node[row], middle] if j == 0 else [middle, node[row]], axis=1))
+        ends, off = (
+            np.concatenate([np.stack([x[:, 0], y], axis=1), np.stack([y, x[:, 1]], axis=1)])
+            for x, y in ((ends, middle), (off, there))
+        )
+        row = np.tile(row, 2)
+    rows, values = (np.concatenate(column) for column in zip(*kept, strict=True))
+    return [np.unique(values[rows == i]) for i in range(count)]
 
 
 def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
@@ -494,7 +488,7 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
 
     If there are none: the fewest measurements without which there would be some, by index.
 
-    Between two edges of the scan, which has the peak of every length among them, each length is taken to be monotonic.
+    Between two nodes of the grid, which has the peak of every length among them, each length is taken to be monotonic.
     """
     data = problem.lengths
     kind, value = data.kind, data.value[0]

@@ -9,7 +9,6 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 """
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Callable
 from functools import cache, partial
@@ -329,14 +328,12 @@ class Problem:
         ]
         return Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
 
+    def traced(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
+        """The value at one θ as a JAX function."""
+        return -log_density(theta, self)
+
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
         return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
-
-    def linearised(self, mu: np.ndarray, slope: np.ndarray, theta: np.ndarray) -> Evaluation:
-        """Evaluate from known predictions, (B, N), and their derivatives in θ, (B, N, p)."""
-        ends = np.cumsum([len(data.rows) for data in self.observed])[:-1]
-        parts = zip(np.split(mu, ends, axis=1), np.split(slope, ends, axis=1), strict=True)
-        return self._of([Predicted(*part) for part in parts], theta, np.zeros(len(theta), dtype=int))
 
     def _of(self, predictions: list[Predicted], theta: np.ndarray, lane: np.ndarray) -> Evaluation:
         """Sum the cost of predictions (B, n, …) over the observables; with derivatives gradient, metric and curvature too."""
@@ -418,15 +415,6 @@ class Problem:
         """Whether gauges were read, whose fields change in steps from contact to contact."""
         return any(data.observable in READINGS for data in self.observed)
 
-    @functools.cached_property
-    def reach(self) -> np.ndarray:
-        """Change of each prediction that matters, (N,): one σ, and for counts at least a tenth of a contact."""
-        columns = []
-        for data in self.observed:
-            exact = data.kind == "length"
-            columns.append(np.where(exact, data.sigma, np.hypot(data.sigma, 0.1)))
-        return np.concatenate(columns)
-
     def predictions(self, theta: np.ndarray) -> np.ndarray:
         """Predictions for the data of all observables, one after another, shape (B, N)."""
         at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
@@ -441,40 +429,6 @@ class Problem:
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
         return np.concatenate([(mu - value) / sigma, known], axis=1), np.broadcast_to(1 / sigma, mu.shape)
-
-    def least(self, low: np.ndarray, high: np.ndarray, theta_low: np.ndarray, theta_high: np.ndarray) -> np.ndarray:
-        """Least −log density that predictions between two limits, (B, N), and θ in a box, (B, p), allow; shape (B,).
-
-        Each datum and each prior by itself, so a bound from below; exact where the limits coincide.
-        """
-        off = np.clip(self.prior_mean[0], theta_low, theta_high) - self.prior_mean[0]
-        total = (self.prior_weight * off**2).sum(axis=1) / 2
-        first = 0
-        for data in self.observed:
-            n = len(data.sigma)
-            mu_low, mu_high, first = low[:, first : first + n], high[:, first : first + n], first + n
-            value = data.value[0]
-            # each cost is least at the value; in the middle of a count, or at −∞ for a count of one; at +∞ for a length
-            # that the front ran past
-            of_count = np.where(value > 1, value - 0.5, -np.inf)
-            wanted = np.where(data.kind == "whole", of_count, np.where(data.kind == "at_least", np.inf, value))
-            mu = np.clip(wanted, mu_low, mu_high)
-            if self.plain:
-                with np.errstate(invalid="ignore"):
-                    cost = data.weight[0] * ((mu - value) / data.sigma) ** 2 / 2
-                total = total + np.where(np.isfinite(mu), cost, np.inf).sum(axis=1)
-                continue
-            total = total + (data.weight[0] * _costs(mu, value, data, self.loss)[0]).sum(axis=1)
-        return total
-
-    def met(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Whether a count or front without arrest costs nothing anywhere between two predictions, (B, N); bool."""
-        met, data = np.zeros(low.shape, bool), self.lengths  # which come first
-        for i in np.nonzero(data.kind != "length")[0]:
-            one = data._replace(**{name: getattr(data, name)[..., i : i + 1] for name in ("kind", "value", "sigma", "weight")})
-            both = np.concatenate([low[:, i], high[:, i]])[:, None]
-            met[:, i] = (_costs(both, one.value, one, self.loss)[0] <= NOTHING).reshape(2, -1).all(axis=0)
-        return met
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""

@@ -13,16 +13,13 @@ from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Method
-from slippulse_jax.inference.likelihood import Evaluation, Problem, log_density
+from slippulse_jax.inference.likelihood import Evaluation, Problem
 from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""
 GAUSS_NEWTON_STEPS = 12  # before the full second derivative is used
 BEND_KEPT = 4  # steps for which its part beside the metric is kept, which costs many times as much
-KINK = 1e-2
-"""Newton decrement, likewise, below which a point counts as a minimum if no step from it gains: the differences across a kink
-give a gradient that vanishes next to the minimum, not at it."""
 AT_SIDE = 12.0  # of an optimiser of optax: |z| from which on θ is at a side of the box
 ADAM_STEPS = 20  # of optax.adam for each one allowed
 PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
@@ -71,14 +68,14 @@ def minimise(
     Parameters
     ----------
     objective : callable
-        Of points, replicates and the order of derivatives, as a `Problem`.
+        Of points, replicates and the order of derivatives, as a `Problem`; for methods of optax with a JAX function `traced`.
     start : array, shape (B, p)
     low, high : array, shape (p,) or (B, p)
         The box, of all or of each. A minimum may lie on its sides.
     held : array of bool, shape (p,), optional
-        Fixed coordinates.
+        Fixed coordinates, of "lm".
     lane : array of int, shape (B,), optional
-        Replicate of each start.
+        Replicate of each start, of "lm".
     method : {"lm", "lbfgs", "adam"}
         docs/evidence/coverage.md compares them.
     max_steps : int
@@ -98,7 +95,6 @@ def minimise(
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
         return Descents(start, value, ends, np.zeros(len(start), dtype=int))
     if method != "lm":
-        assert isinstance(objective, Problem)
         return _by_optax(method, objective, start, low, high, max_steps)
     return _levenberg_marquardt(objective, start, low, high, held, lane, tolerance, max_steps, enough=enough)
 
@@ -180,9 +176,9 @@ def _levenberg_marquardt(
         if count >= GAUSS_NEWTON_STEPS:
             metric[moved] = _positive(metric[moved] + bend[moved], metric[moved])
         steps[work] += 1
-        kink = ~accept & (square <= tolerance * scale) & (left <= KINK * scale)
-        ends[work[kink]] = Convergence.CONVERGED
-        work = work[~kink]
+        edge = ~accept & (square <= tolerance * scale)  # beside a step of a length no move gains, however small
+        ends[work[edge]] = Convergence.CONVERGED
+        work = work[~edge]
     return Descents(theta, value, ends, steps)
 
 
@@ -229,9 +225,7 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.einsum("bpk,bk,bqk->bpq", vectors, upward, vectors) * unit[:, :, None] * unit[:, None, :]
 
 
-def _by_optax(
-    method: Method, problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, max_steps: int
-) -> Descents:
+def _by_optax(method: Method, objective: Any, start: np.ndarray, low: np.ndarray, high: np.ndarray, max_steps: int) -> Descents:
     """Descend by optax from every start at once, over z of θ = low + (high − low)/(1 + e^−z)."""
     import jax
     import jax.numpy as jnp
@@ -240,7 +234,7 @@ def _by_optax(
     box, rounds = (low[0], high[0] - low[0]), max_steps * (ADAM_STEPS if method == "adam" else 1)
 
     def cost(z: Any) -> Any:
-        return -log_density(box[0] + box[1] * jax.nn.sigmoid(z), problem)
+        return objective.traced(box[0] + box[1] * jax.nn.sigmoid(z))
 
     @jax.jit
     @jax.vmap
@@ -260,7 +254,7 @@ def _by_optax(
     with jax.enable_x64(True):
         z = np.asarray(ends_of(jnp.asarray(logit(np.clip((start - box[0]) / box[1], 1e-6, 1 - 1e-6)))))
     theta = box[0] + box[1] * expit(z)
-    at = problem(theta, order=2)
+    at = objective(theta, np.zeros(len(theta), int), 2)
     g, m = at.gradient, _positive(at.curvature, at.metric)
     flat = ~np.any(np.einsum("bpp->bp", at.metric), axis=1)
     # at a side of the box nothing falls any farther

@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
-from slippulse_jax.inference.likelihood import Problem, log_density, make_problem
+from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import Parameter, parameter_set, wanted_parameters, with_errors_of_measuring
-from slippulse_jax.inference.search import lowest_of_grid
+from slippulse_jax.inference.search import lowest_look
 from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.keywords import did_you_mean
 
@@ -42,12 +42,12 @@ class Objective:
             )
         if missing := [name for name in self.names if name not in theta]:
             raise ValueError(f"theta: no {missing[0]!r}: needs {', '.join(self.names)}")
-        return -log_density(jnp.stack([jnp.asarray(theta[name]) for name in self.names]), self.problem)
+        return self.problem.traced(jnp.stack([jnp.asarray(theta[name]) for name in self.names]))
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> list[str]:
         """Names of θ: what is asked for, and inputs with an error of their own."""
-        return self.problem.parameters.names
+        return list(self.problem.parameters.names)
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -60,8 +60,8 @@ class Objective:
         return self.problem.lengths.sigma
 
     def start(self) -> dict[str, Array]:
-        """θ of the least value on a grid over the range, parameters with a prior at its mean."""
-        best = lowest_of_grid(self.problem)
+        """θ of the least value on a grid over the range; of a sample if there are many."""
+        best = lowest_look(self.problem)
         return {name: jnp.asarray(x) for name, x in zip(self.names, best, strict=True)}
 
     def values(self, theta: Mapping[str, Any]) -> dict[str, float]:

@@ -191,7 +191,6 @@ def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
         "attainable": [one["attainable"] for one in content["measurements"]],
         "attainable_at": [one["attainable_at_stiffness"] for one in content["measurements"]],
         "between_contacts": found["between_contacts"],
-        "complete": found["complete"],
         "covered": dict.fromkeys(verdicts, [1.0, 1.0]) if found.get("calibrated") else {},
     }
 

@@ -31,7 +31,7 @@ from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE
 from slippulse_jax.inference.measurements import Measurements, likely_mistakes
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.search import SCANNED, SLACK
+from slippulse_jax.inference.search import SLACK
 from slippulse_jax.inference.verdict import PLATEAU, of_inputs_in_words, tested, whole_events
 from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
@@ -745,8 +745,6 @@ def _of_model(result: Fitted) -> Iterator[str]:
         i = int(np.argmax(result.between_contacts))
         off = m.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))
         yield f"{front.uncertain_as} up to {off} ({m.place(i)}), which is added to σ in quadrature"
-    if not result.complete and result.problem.p <= SCANNED:
-        yield "the range searched was not resolved completely: a minimum elsewhere cannot be excluded; give narrower bounds"
     if front.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
             "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "

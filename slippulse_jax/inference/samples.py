@@ -20,7 +20,7 @@ from scipy.special import expit, logit
 from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
 from slippulse_jax.inference.fitted import LEVELS, Fitted
-from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem, log_density
+from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
 from slippulse_jax.inference.minimise import Convergence, minimise
 from slippulse_jax.inference.parameters import Free
 
@@ -290,7 +290,7 @@ def posterior(
     def potential(z: Array) -> Array:
         """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
         theta = jnp.asarray(low + (high - low) * jax.nn.sigmoid(z))
-        return -log_density(theta, result.problem) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
+        return result.problem.traced(theta) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
 
     with jax.enable_x64(True):
         # a few parameters: forward mode is less to compile

@@ -1,56 +1,33 @@
 """Search for every minimum of the deviance that the data do not exclude.
 
-With up to `SCANNED` fitted parameters the whole range is scanned. It is divided into cells; the predictions at the corners of a
-cell, widened by how far the centre is from their mean, bound the deviance in it from below; a cell whose bound lies too far
-above the least deviance known is dropped, and the others are halved until the predictions in each are all but linear. In each
-that is left the deviance is minimised. With more parameters the search starts from `SAMPLES` points of a Sobol sequence, and
-nothing is promised.
+With up to `SCANNED` fitted parameters the deviance is computed on a grid over the whole range, and every local minimum of the
+grid starts a minimisation; with more, the best of `SAMPLES` points of a Sobol sequence do. Nothing is proved by either: a
+valley narrower than the grid is found if a start descends into it, or by the profiles (`fit._explore`).
 """
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import EXPECTED, Evaluation, Problem, terms
+from slippulse_jax.inference.likelihood import EXPECTED, Problem, terms
 from slippulse_jax.inference.minimise import Convergence, Method, descend, minimise
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
 
 SCANNED = 3
-"""Largest number of fitted parameters whose range is scanned completely."""
-EDGES = {1: 257, 2: 33, 3: 13}
-"""Number of cell edges to begin with along each parameter, by the number of parameters."""
+"""Largest number of fitted parameters whose range is scanned by a grid."""
+NODES = {1: 257, 2: 33, 3: 13}
+"""Nodes of the grid along each parameter, by the number of parameters."""
 SLACK = 16.0
 """Deviance above the least within which minima are reported: four standard errors."""
-SCANNED_TO = {1: 16.0, 2: 35.0, 3: 16.0}
-"""Deviance above the least within which cells are kept, by the number of parameters; with two, as simulations need."""
-LINEAR = 0.3
-"""Departure from a linear model, in σ of all data together, at which a cell is resolved."""
-WIDENED = 2.0
-"""Factor on the departure from the linear model by which the range of the predictions in a cell is widened."""
-NARROWEST = 1e-7
-"""Width of the narrowest cell, over the range searched."""
-RUNAWAY = {1: NARROWEST, 2: 1e-3, 3: 1e-2}
-"""Width, likewise, of cells on the border of run-away, by the number of parameters: of several it is a surface."""
-ROUNDS = 60
-MOST_HALVED, MOST_LEFT = 30_000, 500
-"""Cells after whose halving a scan ends where it is, ten times what most take; those of the least deviance to start from."""
-CHORDS = 6
-"""Steps of the minimisation in a cell, whose derivatives are those of its linear model."""
-NEARBY = 0.5
-"""Distance outside a cell, in its widths, within which the minimum of its linear model counts."""
-POLISHED = 8
-"""Cells from which the least deviance is lowered during the scan."""
+MOST_STARTS = 64
+"""Local minima of the grid from which the search starts, the lowest."""
 
 RISEN = 1e-9
 """Relative rise of the deviance between two points that separates two valleys: far above rounding."""
-
-BESIDE = 0.03
-"""Distance in θ of two more starts on either side of a cell, with a single parameter."""
 
 UNMEASURABLE = 1e-4
 """Relative scatter of the lengths below which it is not an error of measurement."""
@@ -60,33 +37,46 @@ SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
 BETWEEN = 0.5
-"""Difference between ℓ* and the straight-line length, in σ, above which the fit allows for it."""
+"""Error of a length by interpolation, in σ, above which the fit allows for it."""
 CROWDED = 24
 """Largest number of different lengths whose peaks are scanned closely on both sides."""
 
 
-class Cells(NamedTuple):
-    """Cells of the range searched that may hold values the data do not exclude."""
+class Grid(NamedTuple):
+    """Deviance on a grid over the range searched."""
 
-    low: np.ndarray  # (c, p)
-    high: np.ndarray  # (c, p)
-    theta: np.ndarray  # (c, p), the best point found in each
-    deviance: np.ndarray  # (c,), there
-    gradient: np.ndarray  # (c, p), of half the deviance there, by the linear model of the cell
-    metric: np.ndarray  # (c, p, p), and its second derivative
-    complete: bool  # whether every cell was resolved
+    theta: np.ndarray  # (g_1, …, g_p, p)
+    deviance: np.ndarray  # (g_1, …, g_p); inf where a front that was measured never stops
 
-    def expected(self, held: np.ndarray, at: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least deviance in some cells with the `held` coordinates as in `at`, (n, p), by their linear models; and where."""
-        low, high, gradient, metric = (x[cell] for x in (self.low, self.high, self.gradient, self.metric))
-        off = np.where(held, at - self.theta[cell], 0)
-        slope = np.where(held, 0, gradient + np.einsum("cpq,cq->cp", metric, off))
-        inverse = np.linalg.pinv(np.where(held | held[:, None], 0, metric), rcond=1e-9, hermitian=True)
-        point = self.theta[cell] + off - np.einsum("cpq,cq->cp", inverse, slope)
-        point = np.where(held, at, np.clip(point, low, high))
-        off = point - self.theta[cell]
-        rise = 2 * (gradient * off).sum(axis=1) + np.einsum("cp,cpq,cq->c", off, metric, off)
-        return self.deviance[cell] + rise, point
+    def lows(self, axes: Iterable[int]) -> np.ndarray:
+        """Which nodes are no higher than their neighbours along these axes, the first of several as low; bool."""
+        found = np.isfinite(self.deviance)
+        for axis in axes:
+            here, low = np.moveaxis(self.deviance, axis, 0), np.moveaxis(found, axis, 0)
+            beyond = np.full_like(here[:1], np.inf)
+            low &= (here < np.concatenate([beyond, here[:-1]])) & (here <= np.concatenate([here[1:], beyond]))
+        return found
+
+    def starts(self) -> np.ndarray:
+        """Local minima, lowest first; before them the middle of a floor, whose corners may be ends of the range; (s, p)."""
+        lows = self.lows(range(self.deviance.ndim))
+        if not lows.any():
+            return self.theta[lows]
+        floor = self.theta[self.deviance == self.deviance.min()]
+        span = np.ptp(self.theta.reshape(-1, self.deviance.ndim), axis=0)
+        middle = np.square((floor - floor.mean(axis=0)) / span).sum(axis=1).argmin()
+        ranked = np.argsort(self.deviance[lows], kind="stable")[:MOST_STARTS]
+        return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
+
+    def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
+        """Lowest of the local minima over the other parameters, at the node of θ_j next to each value; (len(at), count, p)."""
+        p = self.theta.shape[-1]
+        value = np.where(self.lows(axis for axis in range(p) if axis != j), self.deviance, np.inf)
+        value, theta = np.moveaxis(value, j, 0), np.moveaxis(self.theta, j, 0)
+        value, theta = value.reshape(len(value), -1), theta.reshape(len(value), -1, p)
+        best = np.argsort(value, axis=1, kind="stable")[:, :count, None]
+        nearest = np.abs(theta[:, 0, j, None] - at).argmin(axis=0)
+        return np.take_along_axis(theta, best, axis=1)[nearest]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,7 +129,7 @@ class Found(NamedTuple):
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
-    cells: Cells | None  # None with more than `SCANNED` parameters
+    grid: Grid | None  # where one was searched
     curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
     scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
     scatter_dof: float | None = None  # degrees of freedom left over by that
@@ -161,21 +151,11 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
         Start here, and nowhere else.
     """
     low, high = problem.parameters.low, problem.parameters.high
-    cells = scan(problem) if extra is None and problem.p <= SCANNED else None
-    if extra is not None:
-        starts = extra
-    elif cells is None:
-        starts = _starts(problem, seed)
-    else:
-        promising = np.nonzero(_promising(cells, low, high))[0]
-        starts = cells.theta[promising[np.argsort(cells.deviance[promising], kind="stable")[:MOST_LEFT]]]
-        if not len(starts):  # in a deep misfit rounding may exclude every cell
-            starts = first_look(problem, seed)[None]
-        if problem.p == 1:
-            # a cell at the peak of a length is so narrow that its predictions are constant
-            starts = np.clip(np.concatenate([starts, starts - BESIDE, starts + BESIDE]), low, high)
+    grid = grid_of(problem) if extra is None else None
+    starts = _starts(problem, grid, seed) if extra is None else extra
     ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
-    good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value)
+    near = ends.value <= ends.value.min() + SLACK / 2
+    good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value) & near
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
     minima = distinct(problem, ends.theta[order], 2 * ends.value[order], ends.convergence[order] == Convergence.FLAT)
     unconverged = [
@@ -183,13 +163,8 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
         for value, how in zip(ends.value, ends.convergence, strict=True)
         if how == Convergence.NOT_CONVERGED
     ]
-    theta, deviance = ends.theta, 2 * ends.value
-    if cells is not None:
-        theta, deviance = np.concatenate([theta, cells.theta]), np.concatenate([deviance, cells.deviance])
-    if not len(theta):
-        return Found([], (low + high) / 2, np.inf, unconverged, cells)
-    least = int(np.argmin(deviance))
-    return Found(minima, theta[least], float(deviance[least]), unconverged, cells)
+    least = int(np.argmin(ends.value))
+    return Found(minima, ends.theta[least], 2 * float(ends.value[least]), unconverged, grid)
 
 
 def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
@@ -230,16 +205,9 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:
-    """Find a point of low deviance from a coarse grid, or from a sample if there are many parameters; shape (p,)."""
+    """Find a point of low deviance; shape (p,)."""
     q = problem.parameters
-    if problem.p > SCANNED:
-        starts = _starts(problem, seed)
-    else:
-        low, high = _first_cells(problem)
-        middle = (low + high) / 2
-        centre = problem.predictions(middle)
-        value = problem.least(centre, centre, middle, middle)
-        starts = middle[np.argsort(value, kind="stable")[:POLISHED]]
+    starts = _starts(problem, grid_of(problem), seed)[: STARTS // 4]
     ends = minimise(problem, starts, q.low, q.high, max_steps=20)
     return ends.theta[np.argmin(ends.value)]
 
@@ -299,85 +267,23 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
     return deviance, len(own) - float(used)
 
 
-def scan(problem: Problem) -> Cells:
-    """Divide the range into cells, drop those that the data exclude, and minimise in each that is left.
-
-    A cell is excluded if its deviance exceeds the least one known by more than `SCANNED_TO` for all predictions in the range
-    that its corners span. What the bound supposes is that predictions between the corners stay within that range, widened by
-    `WIDENED` times the distance of the centre from the mean of the corners.
-    """
-    q, p = problem.parameters, problem.p
-    box, slack = (q.low, q.high), SCANNED_TO[p]
-    low, high = _first_cells(problem)
-    upper = _upper(p)
-    corner = _predictions(problem, np.where(upper, high[:, None], low[:, None]))
-    best, done, complete, halved = np.inf, [], True, 0
-    for round_ in range(ROUNDS):
-        middle = (low + high) / 2
-        centre = _predictions(problem, middle[:, None])[:, 0]
-        value = 2 * problem.least(centre, centre, middle, middle)
-        best = min(best, float(value.min()))
-        if round_ % 3 == 0 and np.isfinite(best):
-            starts = middle[np.argsort(value, kind="stable")[:POLISHED]]
-            best = min(best, 2 * float(minimise(problem, starts, *box, max_steps=20).value.min()))
-        with np.errstate(invalid="ignore"):
-            bent = np.nan_to_num(np.abs(centre - corner.mean(axis=1)), nan=0.0, posinf=0.0)
-            # infinite at every corner, a prediction does not change
-            span = np.nan_to_num(np.ptp(corner, axis=1), nan=0.0, posinf=np.inf)
-        ranges = np.concatenate([corner, centre[:, None]], axis=1)
-        ranges = ranges.min(axis=1) - WIDENED * bent, ranges.max(axis=1) + WIDENED * bent
-        bound = 2 * problem.least(*ranges, low, high)
-        live = bound <= best + slack
-        # what is met everywhere in a cell says nothing there, however much its prediction changes
-        met = problem.met(*ranges)
-        corner = np.where(met[:, None], centre[:, None], corner)
-        bent, span = (np.where(met, 0, x) for x in (bent, span))
-        # a jump across a parameter is resolved where nothing changes but across it
-        width = (high - low) / (box[1] - box[0])
-        narrow = width <= NARROWEST
-        flat = np.stack([_in_sigmas(problem, np.nan_to_num(change)) for change in _changes(corner, upper)], axis=1) <= LINEAR
-        jump = narrow.any(axis=1) & (narrow | flat).all(axis=1)
-        finite = np.isfinite(span).all(axis=1)
-        resolved = (_in_sigmas(problem, bent) <= LINEAR) & finite | jump | ~finite & (width <= RUNAWAY[p]).all(axis=1)
-        ready = live & resolved
-        done.append((low[ready], high[ready], corner[ready], centre[ready], bound[ready], value[ready]))
-        left = np.nonzero(live & ~resolved)[0]
-        if not len(left):
-            break
-        halved += len(left)
-        if halved > MOST_HALVED:
-            done.append((low[left], high[left], corner[left], centre[left], bound[left], value[left]))
-            complete = False
-            break
-        low, high, corner = _halved(problem, low[left], high[left], corner[left], upper)
-    low, high, corner, centre, bound, value = (np.concatenate(column) for column in zip(*done, strict=True))
-    live = np.nonzero(bound <= best + slack)[0]
-    if not complete:
-        live = live[np.argsort(value[live], kind="stable")[:MOST_LEFT]]
-    return _minimised(problem, low[live], high[live], corner[live], centre[live], best + slack, complete)
-
-
-def _upper(p: int) -> np.ndarray:
-    """Which corners of a cell lie at its upper limit, along each parameter; bool, (2^p, p)."""
-    return np.array((np.arange(2**p)[:, None] >> np.arange(p)) & 1, dtype=bool)
-
-
-def _first_cells(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the cells to begin with, (c, p)."""
-    edges = first_edges(problem)
-    low = np.stack(np.meshgrid(*(edge[:-1] for edge in edges), indexing="ij"), axis=-1)
-    high = np.stack(np.meshgrid(*(edge[1:] for edge in edges), indexing="ij"), axis=-1)
-    return low.reshape(-1, problem.p), high.reshape(-1, problem.p)
+def grid_of(problem: Problem) -> Grid | None:
+    """Compute the deviance on a grid over the range searched; None with more than `SCANNED` parameters."""
+    if problem.p > SCANNED:
+        return None
+    theta = np.stack(np.meshgrid(*first_edges(problem), indexing="ij"), axis=-1)
+    value = problem(theta.reshape(-1, problem.p)).value
+    return Grid(theta, 2 * value.reshape(theta.shape[:-1]))
 
 
 def first_edges(problem: Problem) -> list[np.ndarray]:
-    """Edges of the cells to begin with, along each parameter.
+    """Nodes of the grid along each parameter.
 
     A single parameter is divided closely around the peak of every length: two roots on its two sides may lie closer together
     than any fixed spacing.
     """
     q, p = problem.parameters, problem.p
-    edges = [np.linspace(low, high, EDGES[p]) for low, high in zip(q.low, q.high, strict=True)]
+    edges = [np.linspace(low, high, NODES[p]) for low, high in zip(q.low, q.high, strict=True)]
     if p == 1:
         offsets = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 24)])
         near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
@@ -386,105 +292,18 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
     return edges
 
 
-def _predictions(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Predictions at points (c, k, p), each different one once; shape (c, k, N)."""
-    rows, own = distinct_rows(np.ascontiguousarray(theta.reshape(-1, problem.p)))
-    return problem.predictions(rows)[own].reshape(*theta.shape[:2], -1)
+def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
+    """Choose where to start, (s, p); in the middle of the range where the front stops at no point looked at."""
+    found = _sampled(problem, seed) if grid is None else grid.starts()
+    return found if len(found) else (problem.parameters.low + problem.parameters.high)[None] / 2
 
 
-def _halved(
-    problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both halves of every cell, cut across the parameter along which its predictions change most."""
-    changes = [_in_sigmas(problem, _finite(change)) for change in _changes(corner, upper)]
-    width = (high - low) / (problem.parameters.high - problem.parameters.low)
-    # the widest side, where nothing changes or everything is infinite
-    along = np.argmax(np.stack(changes, axis=1) * (width > NARROWEST) + 1e-3 * width, axis=1)
-    rows = np.arange(len(low))
-    middle = (low[rows, along] + high[rows, along]) / 2
-    where = np.where(upper, high[:, None], low[:, None])
-    where[rows, :, along] = middle[:, None]
-    face = _predictions(problem, where)
-    above = upper[:, along].T[:, :, None]
-    low_of_upper, high_of_lower = low.copy(), high.copy()
-    low_of_upper[rows, along] = high_of_lower[rows, along] = middle
-    return (
-        np.concatenate([low, low_of_upper]),
-        np.concatenate([high_of_lower, high]),
-        np.concatenate([np.where(above, face, corner), np.where(above, corner, face)]),
-    )
+def lowest_look(problem: Problem) -> np.ndarray:
+    """Point of least deviance on the grid, or of a sample if there are many parameters; shape (p,)."""
+    return _starts(problem, grid_of(problem), 0)[0]
 
 
-def _changes(corner: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
-    """Mean change of the predictions across each cell along each parameter, (c, N); nan or inf where they are infinite."""
-    with np.errstate(invalid="ignore"):
-        return [corner[:, up].mean(axis=1) - corner[:, ~up].mean(axis=1) for up in upper.T]
-
-
-def _finite(x: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
-
-
-def _in_sigmas(problem: Problem, change: np.ndarray) -> np.ndarray:
-    """Norm of a change of the predictions, (c, N), in standard errors of all data together."""
-    with np.errstate(over="ignore"):
-        return np.sqrt(((change / problem.reach) ** 2).sum(axis=1))
-
-
-def _minimised(
-    problem: Problem, low: np.ndarray, high: np.ndarray, corner: np.ndarray, centre: np.ndarray, limit: float, complete: bool
-) -> Cells:
-    """Minimise in every cell, with derivatives from the predictions at its corners."""
-    endless = np.asarray(np.isinf(corner).all(axis=1))  # runs away everywhere in the cell
-    change = np.where(endless[:, :, None], 0, np.stack(_changes(corner, _upper(problem.p)), axis=2))
-    smooth = np.asarray(np.isfinite(change).all(axis=(1, 2)) & (np.isfinite(centre) | endless).all(axis=1))
-    slope = np.where(smooth[:, None, None], change, 0) / (high - low)[:, None]
-    if problem.plain and complete:  # an unresolved cell is not judged by its linear model
-        middle = (low + high) / 2
-        at = problem.linearised(np.where(smooth[:, None], centre, 0), slope, middle)
-        inverse = np.linalg.pinv(at.metric, rcond=1e-9, hermitian=True)
-        least = 2 * at.value - np.einsum("cp,cpq,cq->c", at.gradient, inverse, at.gradient)
-        worth = ~smooth | (least <= limit + 2 * LINEAR * np.sqrt(np.maximum(limit, 1)))
-        low, high, slope, smooth = low[worth], high[worth], slope[worth], smooth[worth]
-
-    def linear(theta: np.ndarray, lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
-        return problem.linearised(problem.predictions(theta), slope if lane is None else slope[lane], theta)
-
-    every = np.arange(len(low))
-    ends = minimise(linear, (low + high) / 2, low, high, lane=every, max_steps=CHORDS, enough=limit / 2)
-    theta, value = ends.theta, ends.value
-    exactly = ~smooth if problem.plain else every >= 0  # the likelihood of a count has corners
-    if exactly.any():
-        exactly = np.nonzero(exactly)[0]
-        exactly = exactly[np.argsort(value[exactly], kind="stable")[:MOST_LEFT]]
-        again = minimise(problem, theta[exactly], low[exactly], high[exactly], max_steps=20, enough=limit / 2)
-        theta[exactly], value[exactly] = again.theta, again.value
-    kept = 2 * value <= limit
-    low, high, theta, slope = low[kept], high[kept], theta[kept], slope[kept]
-    at = linear(theta)
-    return Cells(low, high, theta, 2 * at.value, at.gradient, at.metric, complete)
-
-
-def _promising(cells: Cells, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Select cells whose linear model has its minimum inside, nearby, or at an end of the range; and the best cell."""
-    near = cells.deviance <= cells.deviance.min(initial=np.inf) + SLACK
-    step = -np.einsum("cpq,cq->cp", np.linalg.pinv(cells.metric, rcond=1e-9, hermitian=True), cells.gradient)
-    width = cells.high - cells.low
-    above = (cells.theta + step > cells.low - NEARBY * width) | (cells.low <= low)
-    below = (cells.theta + step < cells.high + NEARBY * width) | (cells.high >= high)
-    best = np.arange(len(near)) == (int(np.argmin(cells.deviance)) if len(near) else -1)
-    return (above & below).all(axis=1) & near | best
-
-
-def lowest_of_grid(problem: Problem) -> np.ndarray:
-    """Point of least deviance of a grid, or of a sample if there are many parameters; shape (p,)."""
-    if problem.p > 1:
-        return _starts(problem, 0)[0]
-    grid = np.linspace(problem.parameters.low, problem.parameters.high, EDGES[1])
-    return grid[np.argmin(problem(grid).value)]
-
-
-def _starts(problem: Problem, seed: int) -> np.ndarray:
+def _sampled(problem: Problem, seed: int) -> np.ndarray:
     from scipy.stats import qmc  # half a second to import, and most fits are of one parameter
 
     low, high = problem.parameters.low, problem.parameters.high

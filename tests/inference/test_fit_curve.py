@@ -11,25 +11,25 @@ MEASURED, OTHERS = np.array([20.0, 40.0, 80.0]), np.array([12.0, 30.0, 55.0, 140
 FACTOR, OFFSET = 1.2, 0.7
 
 
-def exact(height, stiffness, poisson=0.3):
-    return sp.exact_lengths(sp.Slider(height, stiffness, poisson))
+def model(height, stiffness, poisson=0.3):
+    return sp.precursor_lengths(sp.Slider(height, stiffness, poisson))
 
 
 def fitted(stiffness=0.01, free=("stiffness",), **columns):
-    """The fit of exact lengths, measured on another scale and from another edge."""
-    length = FACTOR * exact(MEASURED, stiffness) + OFFSET
+    """The fit of lengths of the model, measured on another scale and from another edge."""
+    length = FACTOR * model(MEASURED, stiffness) + OFFSET
     m = sp.Measurements(MEASURED, 0.3, length, 0.3, **columns)
     return sp.fit(m, free, fixed={"model_factor": FACTOR, "offset": OFFSET}, intervals="profile")
 
 
 @pytest.mark.ci
-def test_lengths_at_other_heights_are_exact():
+def test_lengths_at_other_heights_are_model():
     result = fitted()
     curve = result.curve([0, 1, 2], OTHERS)
-    np.testing.assert_allclose(curve.length, FACTOR * exact(OTHERS, result.values["stiffness"]) + OFFSET, rtol=1e-9)
+    np.testing.assert_allclose(curve.length, FACTOR * model(OTHERS, result.values["stiffness"]) + OFFSET, rtol=1e-9)
     ratio = np.array([[0.003], [0.2]])
     family = result.curve(0, OTHERS, np.log(ratio))
-    np.testing.assert_allclose(family.length, FACTOR * exact(OTHERS, ratio) + OFFSET, rtol=1e-9)
+    np.testing.assert_allclose(family.length, FACTOR * model(OTHERS, ratio) + OFFSET, rtol=1e-9)
     status = [[int(sp.first_precursor(sp.Slider(h, float(k), 0.3)).status) for h in OTHERS] for (k,) in ratio]
     np.testing.assert_array_equal(family.breaks_again, np.array(status) == Outcome.REBREAK)
     assert family.breaks_again.any()
@@ -40,22 +40,22 @@ def test_lengths_at_other_heights_are_exact():
 def test_no_stiffness_gives_more_than_the_longest():
     result = fitted()
     ratio = np.exp(np.linspace(result.parameters.low[0], result.parameters.high[0], 4001))[:, None]
-    np.testing.assert_allclose(result.curve(0, OTHERS).longest, FACTOR * exact(OTHERS, ratio).max(axis=0) + OFFSET, rtol=1e-5)
+    np.testing.assert_allclose(result.curve(0, OTHERS).longest, FACTOR * model(OTHERS, ratio).max(axis=0) + OFFSET, rtol=1e-5)
 
 
 def test_the_band_of_one_parameter_ends_where_its_interval_does():
     result = fitted()
     (piece,) = result.intervals["stiffness"][0.95]
     ((low, high),) = result.curve(0, OTHERS).bands
-    np.testing.assert_allclose(low, FACTOR * exact(OTHERS, piece.low) + OFFSET, rtol=1e-9)
-    np.testing.assert_allclose(high, FACTOR * exact(OTHERS, piece.high) + OFFSET, rtol=1e-9)
+    np.testing.assert_allclose(low, FACTOR * model(OTHERS, piece.low) + OFFSET, rtol=1e-9)
+    np.testing.assert_allclose(high, FACTOR * model(OTHERS, piece.high) + OFFSET, rtol=1e-9)
 
 
 def test_the_band_of_several_is_that_of_the_error_of_their_own():
     each = sp.Parameter("stiffness", each="specimen")
     result = fitted(np.array([0.01, 0.01, 0.006]), [each], specimen=[*"AAB"])
     stiffness, error = result.values["stiffness[A]"], result.stderrs["stiffness[A]"]
-    slope = sp.exact_lengths(sp.Slider(OTHERS, stiffness, 0.3), derivatives=1).slider.stiffness
+    slope = sp.precursor_lengths(sp.Slider(OTHERS, stiffness, 0.3), derivatives=1).slider.stiffness
     ((low, high),) = result.curve([0, 1], OTHERS).bands
     np.testing.assert_allclose((high - low) / 2, 1.959964 * FACTOR * slope * error, rtol=1e-4)
 

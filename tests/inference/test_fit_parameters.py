@@ -99,22 +99,8 @@ def test_gradient_is_that_of_the_value(loss):
         )
 
 
-@pytest.mark.ci
-def test_least_density_between_limits():
-    """The density itself where the limits coincide, and below it for all that lies between them."""
-    rng = np.random.default_rng(4)
-    _, problem, theta = problem_of_everything("student")
-    mu, value = problem.predictions(theta[None]), problem(theta).value
-    assert problem.least(mu, mu, theta[None], theta[None]) == pytest.approx(value, rel=1e-12)
-    near = np.array([1e-7 if one.name == "offset" else 0.01 for one in problem.parameters.free])
-    inside = theta + near * rng.uniform(-1, 1, (30, len(theta)))
-    mus = problem.predictions(inside)
-    least = problem.least(mus.min(0)[None], mus.max(0)[None], inside.min(0)[None], inside.max(0)[None])
-    assert least < problem(inside).value.min()
-
-
 def test_parts_of_a_sum_of_squares():
-    """Residuals, information and linear part of plain lengths with a prior, against the value and its derivatives; replicates."""
+    """Residuals and information of plain lengths with a prior, against the value and its derivatives; replicates."""
     m = Measurements(height=[20.0, 30.0, 40.0], poisson=0.3, length=[20.0, 29.0, 36.0], length_sigma=[0.5, 1.0, 2.0])
     q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
     problem = make_problem(m, q, "normal", m.sigma)
@@ -125,16 +111,10 @@ def test_parts_of_a_sum_of_squares():
     np.testing.assert_array_equal(weight[0], [2, 1, 0.5])
     assert problem.plain
     assert (problem.count, problem.p) == (4, 2)
-    np.testing.assert_array_equal(problem.reach, m.length_sigma)
     assert at.value[0] == pytest.approx((residuals**2).sum() / 2, rel=1e-12)
-    assert problem.least(mu, mu, theta[None], theta[None]) == pytest.approx(at.value, rel=1e-12)
     information, jacobian = problem.information(theta)
     np.testing.assert_allclose(information, at.metric[0], rtol=1e-12)
     np.testing.assert_allclose(jacobian.T @ residuals[0], at.gradient[0], rtol=1e-12)
-    slope = (jacobian[:3] * m.length_sigma[:, None])[None]
-    linear = problem.linearised(mu, slope, theta[None])
-    np.testing.assert_allclose(linear.gradient, at.gradient, rtol=1e-12)
-    np.testing.assert_allclose(linear.metric, at.metric, rtol=1e-12)
     # what is left of the second derivatives is Σ r ∂²μ/σ
     step = np.array([1e-4, 1e-4])
     mixed = [problem.predictions((theta + step * s)[None])[0] for s in ([1, 1], [1, -1], [-1, 1], [-1, -1])]
@@ -187,7 +167,7 @@ def test_tall_sliders_and_stiff_contacts_beside_the_loop():
     bend = exact.hessian[:, 1, 1] * inputs.ratio**2 + slope
     for mine, theirs, rtol in zip(found, (exact.length, slope, bend), (1e-10, 1e-7, 1e-4), strict=True):
         np.testing.assert_allclose(mine[:2], theirs[:2], rtol=rtol)
-        np.testing.assert_allclose(mine[2], mine[3], rtol=0.02)
+        np.testing.assert_allclose(mine[2], mine[3], atol=0.02 * abs(found.value[2]))
 
 
 @pytest.mark.ci
@@ -631,8 +611,8 @@ def test_bounds_are_refused_where_no_domino_starts_and_only_there(monkeypatch):
     for name in ("_explore", "between_contacts"):
         monkeypatch.setattr(f"slippulse_jax.inference.fit.{name}", searched)
     m = Measurements([15.0, 25.0], 0.3, [9.0, 25.0], 0.5)
-    exact = model(m.height, 6e-6)
-    assert 0 < exact.max() < 1 < model(m.height, 2e-5).max()
+    assert model(m.height, 6e-6).max() == 0
+    assert model(m.height, 2e-5).max() > 1
     for bounds in ((1e-9, 1e-7), (1e-7, 6e-6), (300.0, 900.0)):
         with pytest.raises(ValueError, match="no domino starts at k/K from .* expected within"):
             fit(m, bounds=bounds)

@@ -10,7 +10,6 @@ from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.intervals import allowed_by_counts
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.search import MOST_LEFT, _minimised, scan, search
 from slippulse_jax.status import Outcome
 
 
@@ -69,39 +68,6 @@ def test_every_root_of_a_dense_scan_is_reported():
     share, total = roots_missed(6, seed=1, nodes=10_001)
     assert share.hits == share.of
     assert total > share.of
-
-
-@pytest.mark.ci
-def test_the_scan_keeps_every_point_the_data_do_not_exclude():
-    """Against the deviance on a fine grid: every value that near the least lies in a cell, and the least is found."""
-    study = two(np.random.default_rng(5), 8, 80)
-    problem = problem_of(study.measurements, "stiffness", "correlation_length")
-    cells, q = scan(problem), problem.parameters
-    assert cells.complete
-    axes = [np.linspace(a, b, 160) for a, b in zip(q.low, q.high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    deviance = 2 * problem(grid).value
-    found = search(problem, method="lm", max_steps=60, seed=0)
-    assert found.roots[0].deviance <= deviance.min() + 1e-9
-    near = grid[deviance < found.roots[0].deviance + 12]
-    assert len(near) > 3
-    held = ((cells.low <= near[:, None]) & (near[:, None] <= cells.high)).all(-1).any(-1)
-    assert held.all()
-
-
-@pytest.mark.parametrize("kind", ["length", "whole"])
-def test_no_cell_may_be_left(kind):
-    """Where rounding or the linear models leave none, the search ends without, and does not fail."""
-    m = sp.Measurements(height=[20.0, 40.0], poisson=0.3, length=[9.0, 21.0], length_sigma=0.1, kind=[kind] * 2)
-    problem = problem_of(m, "stiffness")
-    none = _minimised(problem, *np.empty((2, 0, 1)), np.empty((0, 2, 2)), np.empty((0, 2)), 1.0, True)
-    assert none.theta.shape == (0, 1)
-    cells = scan(problem)
-    edges = np.stack([cells.low, cells.high])
-    corner = np.moveaxis([problem.predictions(edge) for edge in edges], 0, 1)
-    # no deviance is below zero
-    lost = _minimised(problem, *edges, corner, problem.predictions(edges.mean(axis=0)), -1.0, True)
-    assert len(lost.low) == 0
 
 
 @pytest.mark.ci
@@ -179,20 +145,8 @@ def test_limits_alone_end(loss, sigma):
     with random_tables.within(60):
         result = sp.fit(m, loss=loss)
     assert result.converged
-    assert result.complete
     (piece,) = result.intervals["stiffness"][0.95]
     assert piece.low < 1e-3 < piece.high
-
-
-def test_a_scan_that_grows_too_large_ends_with_the_best_cells(monkeypatch):
-    m = sp.Measurements(height=[9.0, 300.0], poisson=0.3, length=[0.6, 90.0], length_sigma=[0.1, 0.0], kind=["at_least"] * 2)
-    problem = problem_of(m, "stiffness", "prestress")
-    assert scan(problem).complete
-    monkeypatch.setattr("slippulse_jax.inference.search.MOST_HALVED", 100)
-    cells = scan(problem)
-    assert not cells.complete
-    assert 0 < len(cells.low) <= MOST_LEFT
-    assert cells.deviance.min() < 1e-3
 
 
 @pytest.mark.parametrize("kind", ["whole", "at_least"])
