@@ -422,4 +422,5 @@ def _length(state: LaneState, max_contacts: int, crossing: Array | None = None) 
         going = going | (broken >= state.lane.end[0])  # nothing is ahead of the last contact
     if crossing is None:
         crossing = _used(in_one_loop(lambda now: (_crossing(now), now), state))[0]
-    return jnp.where(broken <= max_contacts, jnp.where(going, endless, crossing), jnp.nan)
+    length = jnp.where(going, endless, jnp.asarray(crossing))
+    return jnp.where(broken <= max_contacts, length, jnp.nan)

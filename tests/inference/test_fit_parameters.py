@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import dense_chain
@@ -154,20 +155,26 @@ def test_slopes_are_those_of_the_closed_form(prestressed):
     for low, high, most in ((10, 30, 1e-3), (30, 100, 1e-5), (100, 1e9, 1e-7)):
         here = (exact.length > low) & (exact.length < high)
         assert here.sum() > 10
-        for mine, theirs, factor in zip(found, expected, (1, 1, 10), strict=True):
+        for mine, theirs, factor in zip(found, expected, (1, 1, 100), strict=True):
             assert (np.abs(mine - theirs) / (np.abs(theirs) + exact.length))[here].max() < factor * most
 
 
 def test_tall_sliders_and_stiff_contacts_beside_the_loop():
-    """Values and derivatives go over from one way of computing them to the other."""
+    """Where values and derivatives are not those of the loop: against the series, and against JAX's of the recursion."""
     inputs = Inputs.of([2e4, 3e4, 25.0, 25.0], [1e-4, 1e-4, 7.9, 8.1], 0.3)
     found = FirstFront().evaluate(inputs, np.tile([0.0, 1, 0, 0, 0], (4, 1)))
     exact = sp.exact_lengths(sp.Slider(np.exp(inputs.log_height), inputs.ratio, 0.3), derivatives=2)
     slope = exact.slider.stiffness * inputs.ratio
-    bend = exact.hessian[:, 1, 1] * inputs.ratio**2 + slope
-    for mine, theirs, rtol in zip(found, (exact.length, slope, bend), (1e-10, 1e-7, 1e-4), strict=True):
+    tall = exact.length, slope, exact.hessian[:, 1, 1] * inputs.ratio**2 + slope
+
+    def length(log_stiffness):
+        return sp.precursor_length(sp.Slider(25.0, jnp.exp(log_stiffness), 0.3))
+
+    with jax.enable_x64(True):
+        stiff = [jax.vmap(f)(inputs.log_stiffness[2:]) for f in (length, jax.grad(length), jax.hessian(length))]
+    for mine, theirs, others, rtol in zip(found, tall, stiff, (1e-10, 1e-7, 1e-4), strict=True):
         np.testing.assert_allclose(mine[:2], theirs[:2], rtol=rtol)
-        np.testing.assert_allclose(mine[2], mine[3], atol=0.02 * abs(found.value[2]))
+        np.testing.assert_allclose(mine[2:], others, rtol=rtol)
 
 
 @pytest.mark.ci

