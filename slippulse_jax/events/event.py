@@ -318,9 +318,9 @@ def slopes_of_length(
 ) -> tuple[Array | None, ...]:
     """Derivatives of ℓ at a fixed order of breaks, in the stress, the transfer, the pressure, its relief and the threshold.
 
-    Of a logged event of a body of one block; `first` as for its length. From the last break back to the first, λ is the derivative in the stress on each
-    contact, and ρ that in its pressure: a break of contact o that released t set the stress on it to zero, added G_oi t to that
-    on contact i, and took Q_oi t of the pressure.
+    Of a logged event of a body of one block; `first` as for its length. From the last break back to the first, λ is the
+    derivative in the stress on each contact, and ρ that in its pressure: a break of contact o that released t set the stress on
+    it to zero, added G_oi t to that on contact i, and took Q_oi t of the pressure.
     """
     record, contacts = found.record, jax.tree.map(lambda x: x[0], found.contacts)
     order, each, G = record.order, record.each, start.response.near[0]
