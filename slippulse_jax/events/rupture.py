@@ -260,7 +260,7 @@ def one_rupture(
     )
     assert record.order is not None
     assert record.each is not None
-    first = jnp.where(alike(safe, state.pinning) & (delay == 0), record.order[0], n)
+    even = alike(safe, state.pinning) & (delay == 0)
     return Rupture(
         state=after_state,
         before=before,
@@ -273,7 +273,7 @@ def one_rupture(
         stress_drop=before.stress - after.stress,
         energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
         extent=found.rightmost + 1,
-        length=length_or_reason(status, found.length(stress - threshold, n - 1, first)),
+        length=length_or_reason(status, found.length(stress - threshold, n - 1, even)),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )

@@ -363,7 +363,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     excess = found.contacts._replace(stress=after.reshape(stress.shape)).excess.reshape(-1)
     lifted = [(x < LOST).any() for x in (pressure, found.contacts.pressure) if x is not None]
     slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
-    along = jnp.where((now.number == 0) & (delay == 0) & body.alike, first, excess.size)  # contacts that broke differ
+    even = body.alike & (now.number == 0) & (delay == 0)  # contacts that broke differ
     force = force_before - k * (response.push * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed
     if body.pressed is not None:  # the sums above are those of springs that stay as they are
@@ -381,7 +381,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         "site": first - body.driver,
         "leftmost": found.leftmost - body.driver,
         "extent": right + 1 - body.driver,
-        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, along)) - body.driver,
+        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)) - body.driver,
         "breaks": record.breaks,
         "slip": slip.sum(),
         "stress_drop": (per_stretch * (stress.reshape(-1) - after)).sum(),

@@ -139,16 +139,18 @@ def first_precursor(height, stiffness, poisson, sites=400, right="semi-infinite"
 def end_of_event(order, overload, ahead, alike):
     """ℓ from the overload of each contact as it first broke, and the excess ahead of them after the event.
 
-    On a polynomial as of `crossing`, no farther back than the contact that broke first, if contacts are `alike` and none broke
-    again; else on a straight line.
+    On a polynomial as of `crossing`, back over contacts that broke after all those to their left, if contacts are `alike` and
+    none broke again; else on a straight line.
     """
     right, past = max(order), [min(ahead, 0)]
-    for site in range(right, order[0] - 1, -1):
-        if len(past) > 5 or site not in overload:
+    for site in range(right, -1, -1):
+        left = [order.index(i) for i in overload if i < site]
+        if len(past) > 5 or site not in overload or max(left, default=-1) > order.index(site):
             break
         past.append(overload[site] if site < right else max(overload[site], 0))
-    curved = alike and len(set(order)) == len(order)
-    return right + 2 - len(past) + crossing(np.array(past[::-1]), 5 if curved else 1)
+    if len(past) == 1 or not alike or len(set(order)) < len(order):
+        past = [past[0], max(overload[right], 0)]
+    return right + 2 - len(past) + crossing(np.array(past[::-1]))
 
 
 # --- any chain, break by break -----------------------------------------------------------------------------------------
