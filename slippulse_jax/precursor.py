@@ -125,11 +125,11 @@ def precursor_length(
 ) -> Float[Array, "..."]:
     """Length ℓ of the first precursor, in λc.
 
-    ℓ is where the stress on the contact ahead, drawn as a straight line between the last contact that broke and the
-    first that did not, falls to its threshold. The whole-contact count of the paper is s0 = ceil(ℓ) (for s0 > 1), and
-    Λ = s0 λc. Where the neighbour of the edge contact does not break there is no domino: s0 = 1, ℓ = 0, and ℓ is flat; where
-    it starts to break, ℓ jumps from 0 to 1. On tall and stiff bodies a contact behind the front may be back at its threshold
-    before the front stops: ℓ is the length of that front, and `first_precursor` says so by its status (`REBREAK`).
+    ℓ is where the stress on the contact ahead falls to its threshold, on a polynomial through the last six contacts reached;
+    through two, a straight line, where contacts differ (`Profile`), repin late or break again. The whole-contact count of the
+    paper is s0 = ceil(ℓ) (for s0 > 1), and Λ = s0 λc. Where the neighbour of the edge contact does not break there is no
+    domino: s0 = 1, ℓ = 0, and ℓ is flat; where it starts to break, ℓ jumps from 0 to 1. On tall and stiff bodies a contact
+    behind the front may be back at its threshold before the front stops: ℓ is the length of that front (status `REBREAK`).
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def precursor_length(
         broadcasts with the slider; a `Profile` belongs to one slider.
     rule : HardBreak or SmoothBreak, or one derived from it
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
-        length has no kinks, a bias that the documentation gives, and a derivative in the width too; for contacts that repin at
-        once, and blocks on which the event begins at the edge.
+        length tends to that on a straight line as it gets narrower, and has a derivative in the width too; for contacts that
+        repin at once, and blocks on which the event begins at the edge.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : array_like, optional
@@ -179,8 +179,8 @@ def precursor_length(
     -----
     Differentiable in (height, stiffness, poisson), sites and machine to any order, forward and reverse: the crossing is
     differentiated implicitly, by one pass of the recursion that carries a tangent each. From 1 on ℓ is continuous in the
-    parameters, and smooth between sites; where ℓ passes through a whole number the straight line changes, and the derivative
-    returned is that of the longer side (contact broken at exactly its threshold). Time is proportional to ℓ, memory constant.
+    parameters, and agrees with the closed form ℓ* of `exact_length` to 1.4e-3 λc from six contacts on, 1e-9 from a hundred on.
+    On a straight line the slope jumps at whole contacts: the longer side's is returned. Time is proportional to ℓ.
 
     In single precision the error stays below 0.01 λc up to H/λc = 1000, however soft the interface, and reaches 6e-4 of the
     length at H/λc = 1e5: above 1000 a warning says so, once; not under ``jit`` and ``vmap``, where the height is not known.
@@ -192,7 +192,7 @@ def precursor_length(
     --------
     >>> length = precursor_length(Slider(height=25.0, stiffness=0.03, poisson=0.3))
     >>> print(f"{float(length):.3f} λc")
-    25.790 λc
+    25.789 λc
     """
     check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)

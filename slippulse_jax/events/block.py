@@ -213,12 +213,7 @@ def _ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> t
         Outcome.REBREAK: again.any(),
     }
     status = first_of(endings)
-    return status, length_or_reason(status, found.length(excess, excess.size - 1, _first(start, body)))
-
-
-def _first(start: Nucleation, body: Relaxed) -> Array:
-    """Contact from which the curve runs on which ℓ ends; one beyond all for a straight line."""
-    return jnp.where(body.alike, start.first, body.threshold.size)
+    return status, length_or_reason(status, found.length(excess, excess.size - 1, body.alike))
 
 
 def rubbing(body: Relaxed, friction: Array) -> Relaxed:
@@ -250,7 +245,7 @@ def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[
     length = _ended(found, start, body, kind)[1]
     pressure = (None, None) if start.response.relief is None else (moved.pressure, moved.response.relief[0])
     given = moved.stress, moved.response.near[0], *pressure, changed.threshold
-    slopes = slopes_of_length(found, start, body.threshold, _first(start, body))
+    slopes = slopes_of_length(found, start, body.threshold, body.alike)
     change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 

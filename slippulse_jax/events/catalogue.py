@@ -40,7 +40,7 @@ class Catalogue(NamedTuple):
     site: Int[Array, " E"]  # site that broke first
     leftmost: Int[Array, " E"]
     extent: Int[Array, " E"]  # sites from the left edge to the rightmost broken one, which is among them
-    length: Float[Array, " E"]  # interpolated along a straight line, as by `precursor_length`; inf where the last contact broke
+    length: Float[Array, " E"]  # ℓ, as of `rupture`; inf where the last contact broke
     breaks: Int[Array, " E"]
     slip: Float[Array, " E"]  # sum over contacts of the shifts of their pinning points
     stress_drop: Float[Array, " E"]  # sum over contacts of the stress before − after

@@ -65,6 +65,7 @@ class Contacts(NamedTuple):
     released: Float[Array, "*B M"]  # stress released in the event: how far the pinning point moved, as a stress
     overload: Float[Array, "*B M"]  # excess over the threshold as the contact first broke
     times: Int[Array, "*B M"]  # how often it broke
+    turn: Int[Array, "*B M"]  # breaks before it first broke; −1 if it did not
     pressure: Float[Array, "*B M"] | None = None  # over the initial one, where thresholds follow it
 
     @property
@@ -128,26 +129,24 @@ class Event(NamedTuple):
     def _sites(self) -> Int[Array, "B M"]:
         return jnp.arange(self.contacts.times.size, dtype=jnp.int32).reshape(self.contacts.times.shape)
 
-    def length(self, excess: Float[Array, " N"], last: int | Array, first: int | Array | None = None) -> Float[Array, ""]:
+    def length(self, excess: Float[Array, " N"], last: int | Array, alike: bool | Array = False) -> Float[Array, ""]:
         """ℓ: where a curve of the excess over the threshold, through the last contacts that broke, falls to zero.
 
         The excess is that after the event. Of those contacts it is the overload as they broke for the *first* time, as the
         front passed. By that of a later break ℓ would fall where the event becomes larger, because a contact that just breaks
-        again has no overload. `first` is the contact that broke first, where all contacts are alike: the curve reaches back to
-        it. Else, and where contacts broke again, it is a straight line.
+        again has no overload. Where all contacts are `alike` the curve reaches back over those that broke after all to their
+        left. Else, and where contacts broke again, it is a straight line.
         """
-        at, over, degree = self.front_of(first)
+        at, over, degree = self.front_of(alike)
         return self.end(at, over, excess[jnp.minimum(at + 1, last)], degree)
 
-    def front_of(self, first: int | Array | None) -> tuple[Array, Float[Array, " R"], Array]:
+    def front_of(self, alike: bool | Array) -> tuple[Array, Float[Array, " R"], Array]:
         """Rightmost contact that broke, overloads of those before it, the nearest first, and the degree of the curve."""
-        at, times = jnp.maximum(self.rightmost, 0), self.contacts.times.reshape(-1)
-        reached = jnp.maximum(at - jnp.arange(REACHED - 1, dtype=at.dtype), 0)
-        over = self.contacts.overload.reshape(-1)[reached]
-        if first is None:
-            return at, over, jnp.ones_like(at)
-        in_turn = jnp.cumprod((times[reached] > 0) & (at - first >= jnp.arange(REACHED - 1))).sum()
-        return at, over, jnp.where(times.max() > 1, 1, jnp.maximum(in_turn, 1))
+        at, turn = jnp.maximum(self.rightmost, 0), self.contacts.turn.reshape(-1)
+        reached = at - jnp.arange(REACHED - 1, dtype=at.dtype)
+        in_turn = (turn >= 0) & (turn == lax.cummax(turn)) & alike & (self.contacts.times.max() <= 1)
+        degree = jnp.cumprod(in_turn[reached] & (reached >= 0)).sum()
+        return at, self.contacts.overload.reshape(-1)[jnp.maximum(reached, 0)], jnp.maximum(degree, 1)
 
     @staticmethod
     def end(at: Array, over: Float[Array, " R"], excess: Array, degree: Array) -> Float[Array, ""]:
@@ -192,7 +191,8 @@ def event(
     order, each, logged = (None, None, 0) if log is None else log
     record = Record(none, zero, zero, jnp.zeros((), bool), order, each)
     empty = jnp.zeros_like(stress)
-    contacts = Contacts(stress, threshold, empty, empty, jnp.zeros(stress.shape, jnp.int32), pressure)
+    never = jnp.zeros(stress.shape, jnp.int32)
+    contacts = Contacts(stress, threshold, empty, empty, never, never - 1, pressure)
     start = Event(contacts, jnp.zeros((stress.shape[0], 4), stress.dtype), largest(contacts.excess), record)
     trigger, last = jnp.asarray(trigger, jnp.int32), jnp.asarray(last, jnp.int32)
 
@@ -201,7 +201,8 @@ def event(
     ) -> tuple[Contacts, Record]:
         """Record the break of one contact of a block: `over` its threshold, it released t and now carries `after`."""
         site = block * contacts.times.size + place
-        over = jnp.where(contacts.times[place] == 0, over, contacts.overload[place])
+        before = contacts.overload[place], contacts.turn[place]
+        over, turn = (jnp.where(contacts.times[place] == 0, *x) for x in zip((over, record.breaks), before, strict=True))
         if record.order is not None and record.each is not None:
             row = jnp.minimum(logged + record.breaks, record.order.size - 1)
             record = record._replace(order=record.order.at[row].set(site), each=record.each.at[row].set(t))
@@ -210,6 +211,7 @@ def event(
             threshold=contacts.threshold.at[place].set(renewed.reshape(-1)[site]),
             overload=contacts.overload.at[place].set(over),
             times=contacts.times.at[place].add(1),
+            turn=contacts.turn.at[place].set(turn),
         ), record._replace(
             breaks=record.breaks + 1,
             stretched=record.stretched + soft * t,
@@ -314,20 +316,20 @@ def event_from(
 
 
 def slopes_of_length(
-    found: Event, start: Nucleation, threshold: Float[Array, " N"], first: Array | None
+    found: Event, start: Nucleation, threshold: Float[Array, " N"], alike: bool | Array
 ) -> tuple[Array | None, ...]:
     """Derivatives of ℓ at a fixed order of breaks, in the stress, the transfer, the pressure, its relief and the threshold.
 
-    Of a logged event of a body of one block; `first` as for its length. From the last break back to the first, λ is the derivative in the stress on each
-    contact, and ρ that in its pressure: a break of contact o that released t set the stress on it to zero, added G_oi t to that
-    on contact i, and took Q_oi t of the pressure.
+    Of a logged event of a body of one block; `alike` as for its length. From the last break back to the first, λ is the
+    derivative in the stress on each contact, and ρ that in its pressure: a break of contact o that released t set the stress on
+    it to zero, added G_oi t to that on contact i, and took Q_oi t of the pressure.
     """
     record, contacts = found.record, jax.tree.map(lambda x: x[0], found.contacts)
     order, each, G = record.order, record.each, start.response.near[0]
     assert order is not None
     assert each is not None
     Q = None if contacts.pressure is None or start.response.relief is None else start.response.relief[0]
-    at, over, degree = found.front_of(first)
+    at, over, degree = found.front_of(alike)
     ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
     of_over, of_short = jax.grad(found.end, (1, 2))(at, over, contacts.excess[ahead], degree)
     # of every contact that broke: what its overload as the front passed is to ℓ, and when that was

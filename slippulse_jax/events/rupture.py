@@ -115,8 +115,9 @@ def rupture(
     Notes
     -----
     Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
-    that of a first precursor to any event (`slippulse_jax.events.event.Event.length`): it interpolates between the overload of
-    the rightmost broken contact when it first broke and the final overload of its right neighbour.
+    that of a first precursor to any event (`slippulse_jax.events.event.Event.length`): it interpolates between the overloads of
+    the rightmost contacts as they first broke and the final overload of their right neighbour. On a straight line, unless all
+    contacts are alike, none broke before or breaks twice, and each repins at once.
     """
     check_kind("chain", chain, Chain)
     check_rule(rule, one=True)
@@ -259,7 +260,7 @@ def one_rupture(
     )
     assert record.order is not None
     assert record.each is not None
-    first = jnp.where(_alike(safe, state), record.order[0], n)
+    even = alike(safe, state.pinning) & (delay == 0)
     return Rupture(
         state=after_state,
         before=before,
@@ -272,20 +273,20 @@ def one_rupture(
         stress_drop=before.stress - after.stress,
         energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
         extent=found.rightmost + 1,
-        length=length_or_reason(status, found.length(stress - threshold, n - 1, first)),
+        length=length_or_reason(status, found.length(stress - threshold, n - 1, even)),
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )
 
 
-def _alike(chain: Chain, state: State) -> Array:
-    """Whether nothing changes along a chain but thresholds and prestress, at an even rate, and no contact broke before."""
+def alike(chain: Chain, pinning: Array, start: int = 0) -> Array:
+    """Whether from a site on nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
 
     def even(x: Array, order: int) -> Array:
         return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
 
-    bonds = [even(x, 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, state.pinning)]
-    return jnp.stack([*bonds, even(chain.threshold, 2), even(chain.prestress, 2)]).all()
+    bonds = [even(x[start:], 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, pinning)]
+    return jnp.stack([*bonds, even(chain.threshold[start:], 2), even(chain.prestress[start:], 2)]).all()
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:

@@ -36,6 +36,7 @@ from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Relaxed, event, most, overload, rises, stresses
+from slippulse_jax.events.rupture import alike
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
 
@@ -216,6 +217,7 @@ def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loadi
         valid=all_numbers(chain, chain.relaxed()) & ~floating & holds,
         last=chain.sites - 1,
         driver=chain.sites - shape[-1],
+        alike=alike(chain, jnp.zeros_like(prestress), chain.sites - shape[-1]),
     )
     end = load_through(shape, relaxed, loading)
     state = _end_state(relaxed, end, chain.sites)
@@ -361,6 +363,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     excess = found.contacts._replace(stress=after.reshape(stress.shape)).excess.reshape(-1)
     lifted = [(x < LOST).any() for x in (pressure, found.contacts.pressure) if x is not None]
     slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
+    even = body.alike & (now.number == 0) & (delay == 0)  # contacts that broke differ
     force = force_before - k * (response.push * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed
     if body.pressed is not None:  # the sums above are those of springs that stay as they are
@@ -378,7 +381,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         "site": first - body.driver,
         "leftmost": found.leftmost - body.driver,
         "extent": right + 1 - body.driver,
-        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last)) - body.driver,
+        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)) - body.driver,
         "breaks": record.breaks,
         "slip": slip.sum(),
         "stress_drop": (per_stretch * (stress.reshape(-1) - after)).sum(),

@@ -3,8 +3,8 @@
 NumPy in and out, double precision, every lane by itself.
 
 **Long fronts.** The recursion costs a nanosecond or two per lane and contact; the series (`slippulse_jax.double_series`), a
-microsecond or a few per lane. There ℓ is ℓ* to rounding. Where a front crosses so far from the edge that only one family and one column of the series matter, a
-step of Newton's method costs next to nothing, and a lane little more than its table.
+microsecond or a few per lane. There ℓ is ℓ* to rounding. Where a front crosses so far from the edge that only one family and
+one column of the series matter, a step of Newton's method costs next to nothing, and a lane little more than its table.
 
 **Breaking again.** Contact 0 repins as the front starts, and every later break adds to the stress that it carries. Beyond an
 onset of the areal stiffness it is back at its threshold before the front stops.

@@ -7,8 +7,8 @@ The stress t(s) that the front meets at contact s extends from whole numbers to 
 
     t(ℓ*) = 1 + ε ℓ*,
 
-so that ceil(ℓ*) contacts break. Unlike the ℓ of `slippulse_jax.front.front`, which joins t(s) at whole s by straight
-lines, ℓ* has no kinks: it has derivatives of every order, in every mode, at a cost that does not grow with Λ.
+so that ceil(ℓ*) contacts break. It shares no step with the ℓ of `slippulse_jax.front.front`, which it is there to check, and
+costs the same whatever Λ: the fast way for very tall sliders. It has derivatives of every order, in every mode.
 
 Nothing like it is in the paper. The prestress φ and the threshold slope ε are those of its Discussion: φ = σ_0/σ_s on every
 contact, released when it breaks and borne anew by its successor, and σ_s(i) = σ_s0 (1 + ε i).
@@ -80,8 +80,8 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     Notes
     -----
     Relative error ≤ 1e-11 in float64 over H/λc 2–10⁵, k/K 1e-6–1, ν 0–0.5; in float32 1e-3 where ℓ* > 1. ℓ* and the ℓ of
-    `precursor_length` have the same ceiling beyond 1, and differ by the curvature of t between two contacts: by less than
-    0.2 λc, most on soft interfaces where two contacts break.
+    `precursor_length` have the same ceiling beyond 1, and agree to 1.4e-3 λc from six contacts on, to 1e-9 from a hundred on;
+    where two break they differ by up to 0.11 λc. ℓ takes a tenth of the time to compile: ℓ* is evidence, and for tall sliders.
     """
     check_kind("slider", slider, Slider)
     if rule is None:

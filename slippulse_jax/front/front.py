@@ -412,7 +412,7 @@ def sweep(
 
 
 def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ on a straight line, as of a `Profile`, from the stresses of a sweep; and whether the front has ended within n contacts."""
+    """ℓ on a straight line, as of a `Profile`, from the stresses of a sweep; and whether the front has ended within it."""
     site, part = jnp.arange(stress.size), jax.vmap(rule.broken)(stress, threshold)
     ends = (part <= rounding(part)) & (site > 0)
     s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)

@@ -130,8 +130,8 @@ TABLE = [
 
 Three more rows have Λ of 1.2 to 1.8 H, next to run-away, where the mesh counts most.
 """
-LONG = [(48, 0.1, 1.257, 1.2702), (24, 0, 1.807, 1.8965), (24, 0.1, 1.196, 1.2104)]
-"""Of that program, and of `fit_examples/independent_block.py`, converged."""
+LONG = [(48, 0.1, 1.257, 1.2702), (24, 0, 1.807, 1.8939), (24, 0.1, 1.196, 1.2104)]
+"""Of that program, and of `fit_examples/independent_block.py`, converged and ending on the curve (on a line the second: 1.8967)."""
 
 
 @pytest.mark.ci

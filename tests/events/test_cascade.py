@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chains import batch, both_chains
+from problems import PAPER
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import State, chain, eliminate
@@ -151,6 +152,49 @@ def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion
     assert found.order[:count].tolist() == list(range(count))
     np.testing.assert_allclose(found.length, fast.length, rtol=1e-11)
     np.testing.assert_allclose(found.state.load, load, atol=5e-5)
+
+
+STEEPER = 1 + 0.003 * np.arange(40.0)
+UNEVEN = {
+    "threshold": np.where(np.arange(40) == 9, 1.001, 1.0),
+    "prestress": np.where(np.arange(40) == 12, 0.001, 0.0),
+    "contact": np.where(np.arange(40) == 3, 0.0301, 0.03),
+    "upper": np.where(np.arange(39) == 20, 10.1, 10.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("alike", "right", "given", "more"),
+    [
+        (True, "semi-infinite", {}, {}),
+        (True, "free", {"threshold": STEEPER}, {}),
+        (True, "clamped", {"prestress": np.full(40, 0.2)}, {}),
+        (True, "free", {"threshold": STEEPER, "prestress": np.full(40, -0.3)}, {}),
+        *((False, "semi-infinite", {name: value}, {}) for name, value in UNEVEN.items()),
+        (False, "semi-infinite", {}, {"pinning": 1e-3 * (np.arange(40) == 15)}),
+        (False, "free", {}, {"repin_delay": 2}),
+    ],
+)
+def test_length_ends_on_the_curve_where_all_contacts_are_alike(alike, right, given, more):
+    """Any front from the edge: as of the recursion where that has it, and of dense solves; else on a straight line."""
+    plain = {"threshold": np.ones(40), "prestress": np.zeros(40), "contact": np.full(40, 0.03)}
+    fields = plain | {"upper": np.full(39, 10.0), "layer": np.ones(39)} | given
+    dense, made = both_chains((10.0, 0.03, 0.3), 40, right, fields)
+    pinning, delay = more.get("pinning", np.zeros(40)), more.get("repin_delay", 0)
+    dense.delay = delay
+    load, site = dense.at(pinning).next_break()
+    order = dense.at(pinning, load).rupture(site)
+    found = rupture(made, State(jnp.asarray(pinning), jnp.asarray(load)), trigger=site, repin_delay=delay)
+    assert order == list(range(len(order))) == list(found.order[: int(found.breaks)])
+    curve, line = (dense.reach(order, alike=x) for x in (True, False))
+    assert abs(curve - line) > 1e-5
+    assert abs(found.length - (curve if alike else line)) < 1e-9
+    if not given.keys() & {"contact", "upper"} and "pinning" not in more:
+        interface = sp.Interface(fields["prestress"][0], fields["threshold"][1] - 1, delay)
+        if not alike and not delay:
+            interface = sp.Profile(fields["threshold"], fields["prestress"])
+        ends = {} if right == "semi-infinite" else {"right": right, "sites": 40}
+        assert abs(found.length - sp.precursor_length(sp.Slider(10.0, 0.03, 0.3), interface, **ends)) < 1e-11
 
 
 @pytest.mark.slow
@@ -384,7 +428,7 @@ def test_float32():
         found = jax.jit(lambda s, i: rupture(c, s, trigger=i, max_breaks=100))(state, site)
         assert found.after.stress.dtype == jnp.float32
     assert found.breaks == 26
-    np.testing.assert_allclose(found.length, 25.789811275, atol=2e-3)
+    np.testing.assert_allclose(found.length, PAPER.length, atol=2e-3)
     assert found.drift < 1e-5
 
 

@@ -25,7 +25,7 @@ def dense_event(slider, sites, prestress=0.0, threshold_slope=0.0, right="semi-i
     dense = DenseChain.uniform(numbers, threshold, np.full(sites, prestress), right=right)
     rest = dense.stress()[0]
     order = dense.at(load=(1 - rest) / (dense.at(load=1.0).stress()[0] - rest)).rupture(0)
-    return dense.reach(order), order
+    return dense.reach(order, alike=True), order
 
 
 @pytest.mark.ci

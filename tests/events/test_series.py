@@ -115,6 +115,8 @@ def test_first_event_is_the_first_precursor():
     assert (int(got.breaks[0]), int(got.extent[0]), int(got.kind[0])) == (26, 26, EventClass.EDGE)
     assert round(float(got.load[0]), 4) == 3.1985
     assert abs(got.length[0] - sp.precursor_length(sp.Slider(*FIG2))) < 1e-10
+    pulled = long_series(CHAIN, sp.Spring(10.0))  # from one site to the left: the driver
+    assert abs(pulled.length[0] - sp.precursor_length(sp.Slider(*FIG2), machine=10.0)) < 1e-10
 
 
 @pytest.mark.ci

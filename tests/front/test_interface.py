@@ -293,7 +293,7 @@ def test_sensitivity_takes_any_interface_that_repins_at_once():
     rising = sp.sensitivity(FIG2, Interface(0.1, 0.002), sites=60)
     given = sp.sensitivity(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1), sites=60)
     np.testing.assert_allclose(rising.threshold, given.threshold, rtol=1e-12)
-    assert abs(rising.length - precursor_length(FIG2, Interface(0.1, 0.002))) < 1e-11
+    assert abs(rising.length - precursor_length(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1))) < 1e-11
     for wrong, message in (
         (Profile(np.ones(30), 0.1, 2), "repin_delay = 2"),
         (Interface([0.1, 0.2]), r"batch of shape \(2,\)"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 
-from slippulse_jax import Interface, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import Interface, Profile, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax import lengths as bulk
 from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk.chunks import over_lanes
@@ -94,11 +94,13 @@ def test_a_bad_lane_leaves_the_others_alone():
 
 @pytest.mark.ci
 def test_break_rules_behind_one_name():
-    """The smooth rule is reached by precursor_length, with its derivative in the width; its length tends to the hard one."""
+    """The smooth rule is reached by precursor_length, with its derivative in the width; its length tends to that of a profile."""
     slider = Slider(25.0, 0.01, 0.3)
     hard = float(precursor_length(slider))
     assert float(precursor_length(slider, rule=HardBreak())) == hard
-    assert float(precursor_length(slider, rule=SmoothBreak(1e-6))) == pytest.approx(hard, abs=1e-4)
+    line = float(precursor_length(slider, Profile(np.ones(1))))
+    assert float(precursor_length(slider, rule=SmoothBreak(1e-6))) == pytest.approx(line, abs=1e-4)
+    assert 1e-4 < abs(line - hard) < 1e-3
     assert np.isfinite(jax.grad(lambda w: precursor_length(slider, rule=SmoothBreak(w)))(0.02))
     assert precursor_length(Slider([10.0, 25.0], 0.01, 0.3), rule=SmoothBreak(0.02)).shape == (2,)
     with pytest.raises(TypeError, match="must be HardBreak"):

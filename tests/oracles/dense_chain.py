@@ -132,7 +132,25 @@ def first_precursor(height, stiffness, poisson, sites=400, right="semi-infinite"
         broken = np.where(np.arange(reach) < s, stress, 0)
         behind = (load / load[0] + pinning @ broken - broken)[:s]
         worst = max(worst, (float(behind.max()), int(behind.argmax())))
-    return s0, crossing(stress[: s0 + 1] - 1), 1 / load[0], worst
+    excess = np.append(0, stress[1 : s0 + 1] - 1)  # contact 0 breaks at its threshold exactly
+    return s0, crossing(excess), 1 / load[0], worst
+
+
+def end_of_event(order, overload, ahead, alike):
+    """ℓ from the overload of each contact as it first broke, and the excess ahead of them after the event.
+
+    On a polynomial as of `crossing`, back over contacts that broke after all those to their left, if contacts are `alike` and
+    none broke again; else on a straight line.
+    """
+    right, past = max(order), [min(ahead, 0)]
+    for site in range(right, -1, -1):
+        left = [order.index(i) for i in overload if i < site]
+        if len(past) > 5 or site not in overload or max(left, default=-1) > order.index(site):
+            break
+        past.append(overload[site] if site < right else max(overload[site], 0))
+    if len(past) == 1 or not alike or len(set(order)) < len(order):
+        past = [past[0], max(overload[right], 0)]
+    return right + 2 - len(past) + crossing(np.array(past[::-1]))
 
 
 # --- any chain, break by break -----------------------------------------------------------------------------------------
@@ -284,13 +302,15 @@ class DenseChain:
     def _repin(self, i, layer):
         self.pinning[i], self.attached[i] = layer[i] + self.carrying[i], True
 
-    def reach(self, order):
-        """ℓ of the event just over: where the stress over threshold, straight from the rightmost contact on, passes zero."""
+    def reach(self, order, alike=False):
+        """ℓ of the event just over: where the stress over threshold passes zero ahead of the rightmost contact.
+
+        On the `end_of_event`, of a chain that was uniform and unbroken before if `alike`.
+        """
         right = max(order)
         if right == self.n - 1:
             return np.inf
-        behind = max(self.overload[right], 0)
-        return right + behind / (behind - (self.stress() - self.thresholds())[right + 1])
+        return end_of_event(order, self.overload, (self.stress() - self.thresholds())[right + 1], alike)
 
 
 def front(height, stiffness, poisson, threshold, prestress, delay, sites=200, right="semi-infinite"):

@@ -9,6 +9,8 @@ import scipy.sparse as sparse
 from numpy.polynomial import Polynomial
 from scipy.sparse.linalg import splu
 
+from oracles.dense_chain import end_of_event
+
 # on an edge from −1 to 1: 1 at its start, its middle and its end, and 0 at the other two; ∫ f g, ∫ f′ g and ∫ f′ g′
 EDGE = [Polynomial([0, -0.5, 0.5]), Polynomial([1, 0, -1]), Polynomial([0, 0.5, 0.5])]
 PLAIN, MIXED, BENT = (
@@ -91,7 +93,7 @@ def break_all(push, matrix, once=False, push_relief=0.0, relief=None):
 
     In the first front each breaks once: those that broke are passed over. With a `relief` of the pressure, the Coulomb stress
     s + relief decides; the event ends too where a contact loses all its pressure. Returns order, stress, pressure, and where
-    the straight line of the Coulomb stress falls to the threshold.
+    the Coulomb stress falls to the threshold, on a curve as of `dense_chain.end_of_event`.
     """
     relief = np.zeros_like(matrix) if relief is None else relief
     coulomb = push + push_relief
@@ -106,9 +108,8 @@ def break_all(push, matrix, once=False, push_relief=0.0, relief=None):
         total = stress + lost
         j = max(left, key=total.__getitem__, default=j)
         if not left or total[j] < 1 or order[-1] == stress.size - 1 or lost.max() > 1:
-            last = max(order)
-            behind, ahead = max(over[last], 0), min(total[min(last + 1, total.size - 1)] - 1, 0)
-            return order, stress, 1 - lost, last + behind / (behind - ahead)
+            ahead = total[min(max(order) + 1, total.size - 1)] - 1
+            return order, stress, 1 - lost, end_of_event(order, over, ahead, alike=True)
         order.append(j)
 
 
