@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.interpolate import PchipInterpolator
 from tqdm.auto import tqdm
 
 from slippulse_jax.bulk.chunks import distinct_rows, workers
@@ -399,6 +398,8 @@ def _kind(value: float) -> int:
 
 
 def _curve(nodes: dict[int, Node]) -> Curve:
+    from scipy.interpolate import PchipInterpolator  # a quarter of a second, and most fits have no block
+
     order = np.array(sorted(nodes))
     at, value = UNIT * order, np.array([nodes[j] for j in order.tolist()])
     stops, runs = np.isfinite(value[:, 0]), []

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
@@ -613,31 +614,30 @@ def by_differences(front: "FirstFront | BlockEvent", inputs: Inputs, along: np.n
 
 
 def from_table(front: Front, inputs: Inputs) -> Array:
-    """Length from a table as a JAX function, which calls it back; with first derivatives in every mode."""
+    """Length from a table as a JAX function, which calls it back; with first derivatives in forward mode."""
     names = inputs.names
 
-    def called(of: Callable[[np.ndarray], np.ndarray], lane: Array, shape: tuple[int, ...]) -> Array:
-        def on_host(lane: np.ndarray) -> np.ndarray:
-            rows = np.asarray(lane, np.float64).reshape(-1, len(names))
-            return of(rows).astype(lane.dtype).reshape(lane.shape[:-1] + shape)
+    def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
+        dtype = lanes[0].dtype
+        words = (dtype.itemsize // 4,)[: dtype.itemsize > 4]  # in a thread of XLA's, JAX would round what is double
 
-        return jax.pure_callback(on_host, jax.ShapeDtypeStruct(shape, lane.dtype), lane, vmap_method="expand_dims")
+        def on_host(*lanes: Any) -> np.ndarray:
+            given = [np.ascontiguousarray(x).view(dtype).reshape(*x.shape[: x.ndim - len(words)]) for x in lanes]
+            rows, *along = (x.reshape(-1, len(names)).astype(float) for x in given)
+            found = np.asarray(of(Inputs.from_table(names, rows), *along), dtype)
+            return found.view(np.uint32).reshape(*given[0].shape[:-1], *words)
 
-    def values(rows: np.ndarray) -> np.ndarray:
-        return front.lengths(Inputs.from_table(names, rows))
-
-    def slopes(rows: np.ndarray) -> np.ndarray:
-        axes = np.tile(np.eye(len(names)), (len(rows), 1))
-        found = front.evaluate(Inputs.from_table(names, np.repeat(rows, len(names), axis=0)), axes).slope
-        return np.asarray(found)
+        bits = [lax.bitcast_convert_type(x, jnp.uint32) for x in lanes]
+        found = jax.pure_callback(on_host, jax.ShapeDtypeStruct(words, jnp.uint32), *bits, vmap_method="broadcast_all")
+        return lax.bitcast_convert_type(found, dtype)
 
     @jax.custom_jvp
     def length(lane: Array) -> Array:
-        return called(values, lane, ())
+        return called(front.lengths, lane)
 
     @length.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
-        return length(*primals), (called(slopes, *primals, (len(names),)) * tangents[0]).sum()
+        return length(*primals), called(lambda at, along: front.evaluate(at, along).slope, *primals, *tangents)
 
     return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
 
