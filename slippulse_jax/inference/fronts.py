@@ -637,7 +637,12 @@ def from_table(front: Front, inputs: Inputs) -> Array:
 
     @length.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
-        return length(*primals), called(lambda at, along: front.evaluate(at, along).slope, *primals, *tangents)
+        return length(*primals), slope(*primals, *tangents)
+
+    slope = without_derivative(
+        lambda lane, along: called(lambda at, way: front.evaluate(at, way).slope, lane, along),
+        "the length of a whole event comes from a table, which has first derivatives only",
+    )
 
     return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
 
