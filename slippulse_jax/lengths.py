@@ -98,8 +98,7 @@ def precursor_lengths(
     -------
     numpy.ndarray or LengthDerivatives
         ℓ, float64, of the shape of the batch: 0 where no domino starts, inf where the front never stops, NaN where it was given
-        up, with a warning. With ``derivatives=1`` a `LengthDerivatives`: the derivatives of `precursor_length` in
-        every parameter of slider, interface, smooth rule and ends.
+        up, with a warning. With ``derivatives=1`` a `LengthDerivatives`, in all numbers of slider, interface, rule and ends.
 
     Notes
     -----

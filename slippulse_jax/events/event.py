@@ -54,7 +54,7 @@ class Relaxed(NamedTuple):
     valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
     driver: int = 0  # sites before those of the body: the driver's
     pressed: Pressed | None = None  # where stiffness and threshold follow the pressure; stresses are then stretches, in u_s
-    alike: bool = False  # whether neighbouring contacts are, so that the length of a first event ends on a curve
+    alike: Bool[Array, ""] | bool = False  # whether neighbouring contacts are: a first event ends on a curve
 
 
 class Contacts(NamedTuple):
@@ -132,10 +132,9 @@ class Event(NamedTuple):
     def length(self, excess: Float[Array, " N"], last: int | Array, alike: bool | Array = False) -> Float[Array, ""]:
         """ℓ: where a curve of the excess over the threshold, through the last contacts that broke, falls to zero.
 
-        The excess is that after the event. Of those contacts it is the overload as they broke for the *first* time, as the
-        front passed. By that of a later break ℓ would fall where the event becomes larger, because a contact that just breaks
-        again has no overload. Where all contacts are `alike` the curve reaches back over those that broke after all to their
-        left. Else, and where contacts broke again, it is a straight line.
+        The excess is that after the event; of those contacts, as they broke for the *first* time, as the front passed. By that
+        of a later break ℓ would fall where the event becomes larger: a contact that just breaks again has no overload. If all
+        are `alike` the curve reaches back over those that broke after all to their left; a straight line if one broke again.
         """
         at, over, degree = self.front_of(alike)
         return self.end(at, over, excess[jnp.minimum(at + 1, last)], degree)
@@ -201,8 +200,8 @@ def event(
     ) -> tuple[Contacts, Record]:
         """Record the break of one contact of a block: `over` its threshold, it released t and now carries `after`."""
         site = block * contacts.times.size + place
-        before = contacts.overload[place], contacts.turn[place]
-        over, turn = (jnp.where(contacts.times[place] == 0, *x) for x in zip((over, record.breaks), before, strict=True))
+        over = jnp.where(contacts.times[place] == 0, over, contacts.overload[place])
+        turn = jnp.where(contacts.times[place] == 0, record.breaks, contacts.turn[place])
         if record.order is not None and record.each is not None:
             row = jnp.minimum(logged + record.breaks, record.order.size - 1)
             record = record._replace(order=record.order.at[row].set(site), each=record.each.at[row].set(t))

@@ -116,8 +116,8 @@ def rupture(
     -----
     Composes with ``jit`` and ``vmap``; each lane's result is the same, bit for bit, whatever the batch. The length extends
     that of a first precursor to any event (`slippulse_jax.events.event.Event.length`): it interpolates between the overloads of
-    the rightmost contacts as they first broke and the final overload of their right neighbour. On a straight line, unless all
-    contacts are alike, none broke before or breaks twice, and each repins at once.
+    the rightmost contacts as they first broke and that ahead of them; on a straight line, unless all contacts are alike, repin
+    at once, none breaks twice, and none broke before.
     """
     check_kind("chain", chain, Chain)
     check_rule(rule, one=True)

@@ -412,7 +412,7 @@ def _used(results: Any) -> Any:
     return lax.optimization_barrier(results)
 
 
-def _length(state: LaneState, max_contacts: int, crossing: Array | None = None) -> Float[Array, " lanes"]:
+def _length(state: LaneState, max_contacts: int, crossing: Any = None) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
     broken, opened = state.front.position[0], _opened(state)
     (ahead,) = _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1]

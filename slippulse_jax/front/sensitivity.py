@@ -49,11 +49,10 @@ def sensitivity(
 
     Notes
     -----
-    The length is that of a `Profile`, on a straight line between two contacts.
-    Under the hard rule the threshold of a contact the front has passed has no effect: the contact breaks, whatever it is.
-    Only the last contact broken and the one that stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load.
-    A smooth rule spreads it over the contacts near their threshold. The prestress of every contact matters under either,
-    since it is released. Composes with ``jit`` and ``vmap``.
+    The length is that of a `Profile`, on a straight line between two contacts. Under the hard rule the threshold of a contact
+    the front has passed has no effect: it breaks, whatever that is. Only the last contact broken and the one that stops the
+    front have a dℓ/dθ, and contact 0, whose threshold sets the load; a smooth rule spreads it over contacts near theirs. The
+    prestress of every contact matters, since it is released. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------

@@ -70,7 +70,7 @@ def test_help_and_version_do_not_import_jax():
 def test_length(in_this_process):
     done = in_this_process("length", *FIG2)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "ℓ   = 25.789811 λc" in done.stdout
+    assert "ℓ   = 25.788815 λc" in done.stdout
     assert "Λ   = 26 λc" in done.stdout
     assert "arrested" in done.stdout
 

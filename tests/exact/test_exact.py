@@ -1,6 +1,7 @@
 """The exact solution against the recursion, arbitrary precision, dense chains, and the values worked out before it."""
 
 import functools
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -397,6 +398,30 @@ def test_closed_form_beside_the_curve_of_the_recursion(low, high, most):
     here = (exact > low) & (exact < high)
     assert here.sum() > 100
     assert np.abs(exact - length)[here].max() < most
+
+
+@pytest.mark.ci
+def test_closed_form_under_prestress_and_on_slopes_and_in_all_derivatives():
+    """In ln H, ln k, ν and φ; a slope departs by more than ℓ, as ℓ departs by ripples of one contact."""
+    rng = np.random.default_rng(61)
+    height, poisson, b = 8 * 50 ** rng.uniform(size=1500), rng.uniform(0.1, 0.45, 1500), 0.03 * 1000 ** rng.uniform(size=1500)
+    slider = sp.Slider(height, b / (2 * (1 + poisson) * height), poisson)
+    interface = sp.Interface(rng.uniform(-0.8, 0.5, 1500), rng.uniform(-0.5, 2, 1500) * 0.05 / height)
+    exact, found = (f(slider, interface, derivatives=1) for f in (sp.exact_lengths, sp.precursor_lengths))
+    np.testing.assert_array_equal(np.isfinite(exact.length), np.isfinite(found.length))
+    for low, high, most, slopes in (
+        (6, 10, 2e-3, 0.1),
+        (10, 30, 1e-4, 7e-3),
+        (30, 100, 1e-6, 1.5e-4),
+        (100, 1e6, 1e-8, 1.5e-6),
+    ):
+        here = (exact.length > low) & (exact.length < high)
+        assert here.sum() > 100
+        assert np.abs(exact.length[here] - found.length[here]).max() < most
+        scale = height, slider.stiffness, 1, 1
+        for name, x in zip(("slider.height", "slider.stiffness", "slider.poisson", "interface.prestress"), scale, strict=True):
+            one, other = ((operator.attrgetter(name)(result) * x)[here] for result in (exact, found))
+            assert np.abs(one - other).max() < slopes, (name, low)
 
 
 def test_no_domino_is_length_zero():

@@ -13,6 +13,7 @@ import documented
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from problems import PAPER
 
 import slippulse_jax
 import slippulse_jax as sp
@@ -121,7 +122,7 @@ def test_readme_examples_run(monkeypatch, capsys):
         documented.run_python(block, "README.md", scope)
         assert int(scope["front"].contacts_broken) == 26
         assert scope["scan"].shape == (3, 3)
-        assert scope["scan"][1, 2] == pytest.approx(25.7898, abs=1e-4)
+        assert scope["scan"][1, 2] == pytest.approx(PAPER.length, abs=1e-9)
     assert "│ Identified. From 6 lengths of lengths.csv" in capsys.readouterr().out
 
 
@@ -225,7 +226,7 @@ def test_quantities_are_computed_where_the_table_says():
 PATHS = {  # a call, the function whose body holds the line, and the most frames of the package from the one to the other
     "precursor_length": (
         lambda: sp.precursor_length(sp.Slider(np.full(3, 25.0), 0.03, 0.3), max_contacts=4321),  # traced for no other test
-        "overloaded_length",
+        "end_of_front",
         7,
     ),
     "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "_burst", 10),
