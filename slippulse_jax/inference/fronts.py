@@ -245,8 +245,13 @@ class FirstFront(Front):
         if far.any() and not far.all():
             return _joined(far, *(self.values(inputs.take(here)) for here in (far, ~far)))
         if far.all() and far.size:
-            found, status = exact_fronts(_lanes(inputs), one_program=True)
-            return np.where(status == Outcome.RUN_AWAY, np.inf, found)
+            lanes = _lanes(inputs)
+            found, status = exact_fronts(lanes, one_program=True)
+            if np.isnan(found).any():
+                where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
+                why = Outcome(int(status[np.argmax(np.isnan(found))])).message
+                raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
+            return found
         most = self.most(inputs.log_height, inputs.names)[0]
         return self.within_reach(inputs, bulk_lengths(slider, interface, ends=ends, max_contacts=most), most)
 
