@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Objective:
     """−ln(likelihood × prior) of measurements, as a JAX function of {name: θ}; half the deviance of a fit.
 
-    θ is the logarithm of a positive parameter, else the parameter itself. It has derivatives of every order in every mode (of
+    θ is the logarithm of a positive parameter, else the parameter itself. It has first and second derivatives in every mode (of
     whole events and blocks, which are tables, the first), and can be compiled and mapped.
     """
 
