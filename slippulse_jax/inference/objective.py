@@ -1,9 +1,10 @@
 """The function that a fit minimises, −ln(likelihood × prior), for optimisers and samplers of one's own."""
 
 import dataclasses
+import functools
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -42,7 +43,11 @@ class Objective:
             )
         if missing := [name for name in self.names if name not in theta]:
             raise ValueError(f"theta: no {missing[0]!r}: needs {', '.join(self.names)}")
-        return self.problem.traced(jnp.stack([jnp.asarray(theta[name]) for name in self.names]))
+        return self._compiled(jnp.stack([jnp.asarray(theta[name]) for name in self.names]))
+
+    @functools.cached_property
+    def _compiled(self) -> Callable[[Array], Array]:
+        return jax.jit(self.problem.traced)
 
     @property
     def names(self) -> list[str]:

@@ -300,7 +300,10 @@ def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
 
 def lowest_look(problem: Problem) -> np.ndarray:
     """Point of least deviance on the grid, or of a sample if there are many parameters; shape (p,)."""
-    return _starts(problem, grid_of(problem), 0)[0]
+    starts = _starts(problem, grid_of(problem), 0)
+    around = np.where(problem.prior_weight > 0, problem.prior_mean[0], starts)  # where a prior is narrower than the grid
+    points = np.clip(np.concatenate([starts, around]), problem.parameters.low, problem.parameters.high)
+    return points[np.argmin(problem(points).value)]
 
 
 def _sampled(problem: Problem, seed: int) -> np.ndarray:

@@ -92,6 +92,19 @@ def test_optimisers_of_optax_find_the_roots_of_the_fit(method):
         assert abs(mine.theta[0] - theirs.theta[0]) < 1e-3 * np.sqrt(theirs.covariance[0, 0])
 
 
+@pytest.mark.ci
+def test_start_beside_narrow_priors_and_calls_that_compile_once():
+    """Offset and factor of measured lengths, whose priors are narrower than the grid, start at their means."""
+    f = sp.objective(sp.Measurements(HEIGHT, 0.3, LENGTH, 0.3, provenance=("measured",) * 3))
+    assert "offset" in f.names
+    start = f.start()
+    assert float(f(start)) < 1
+    compiled = f._compiled._cache_size()
+    for shift in (0.1, 0.2):
+        f({name: x + shift for name, x in start.items()})
+    assert f._compiled._cache_size() == compiled
+
+
 def test_what_it_does_not_take():
     with pytest.raises(ValueError, match=r"lengths without σ have no likelihood: give their standard errors"):
         sp.objective(sp.Measurements(HEIGHT, 0.3, LENGTH))
