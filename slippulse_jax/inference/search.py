@@ -299,10 +299,10 @@ def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
 
 
 def lowest_look(problem: Problem) -> np.ndarray:
-    """Point of least deviance on the grid, or of a sample if there are many parameters; shape (p,)."""
-    starts = _starts(problem, grid_of(problem), 0)
-    around = np.where(problem.prior_weight > 0, problem.prior_mean[0], starts)  # where a prior is narrower than the grid
-    points = np.clip(np.concatenate([starts, around]), problem.parameters.low, problem.parameters.high)
+    """Point of least deviance on the grid, and of a sample where a prior may be narrower than that; shape (p,)."""
+    points = _starts(problem, grid_of(problem), 0)
+    if problem.prior_weight.any():
+        points = np.concatenate([points, _sampled(problem, 0)])
     return points[np.argmin(problem(points).value)]
 
 
