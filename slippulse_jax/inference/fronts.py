@@ -283,7 +283,8 @@ class FirstFront(Front):
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Whether the edge contact is back at its threshold before the front stops."""
-        may = (np.exp(inputs.log_b) >= NEVER) | (inputs.prestress != 0) | (inputs.threshold_slope != 0)
+        uneven = (inputs.prestress != 0) | (inputs.threshold_slope != 0) | bool({*ENDED} & {*inputs.names})
+        may = uneven | (np.exp(inputs.log_b) >= NEVER)
         return self.status(inputs) == Outcome.REBREAK if may.any() else may
 
 

@@ -137,6 +137,8 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
     around = [spread, [root.theta[j] for root in roots]]
+    if grid is not None and problem.p > 1 and (problem.lengths.kind == "whole").any():
+        around.append(np.unique(grid.theta[..., j]))  # a count may hold between two others
     for root in roots:
         step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
         around += [root.theta[j] - STEPS_AROUND * step, root.theta[j] + STEPS_AROUND * step]

@@ -284,12 +284,30 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
     """
     q, p = problem.parameters, problem.p
     edges = [np.linspace(low, high, NODES[p]) for low, high in zip(q.low, q.high, strict=True)]
+    if p > 1:
+        return [np.unique(np.concatenate([edge, _counted(problem, j)])) for j, edge in enumerate(edges)]
     if p == 1:
         offsets = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 24)])
         near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
         every = np.unique(np.concatenate([edges[0], *near]))
         edges = [every[(every >= q.low[0]) & (every <= q.high[0])]]
     return edges
+
+
+def _counted(problem: Problem, j: int) -> np.ndarray:
+    """Values of θ_j at which a length is in the middle of its count, which may hold in a range narrower than the grid's."""
+    q, data = problem.parameters, problem.lengths
+    counts = np.flatnonzero(data.kind == "whole")
+    if not len(counts):
+        return np.empty(0)
+    theta = np.tile(np.where(problem.prior_weight > 0, problem.prior_mean[0], (q.low + q.high) / 2), (NODES[1], 1))
+    theta[:, j] = np.linspace(q.low[j], q.high[j], NODES[1])
+    off = problem.predict(theta)[:, counts] - (data.value[0][counts] - 0.5)
+    at, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
+    with np.errstate(invalid="ignore"):
+        share = off[at, which] / (off[at, which] - off[at + 1, which])
+    share = np.where(np.isfinite(share), share, 0.5)
+    return theta[at, j] + share * (theta[at + 1, j] - theta[at, j])
 
 
 def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:

@@ -424,10 +424,10 @@ def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
 
 @pytest.mark.ci
 def test_sigma_is_shown_with_what_is_added_to_it():
-    """Of short sliders the definition of a length between contacts counts; the error shown is the one that was used."""
-    height = np.array([6.0, 7.0, 8.0, 9.0, 10.0])
-    length = np.asarray(sp.exact_lengths(sp.Slider(height, 0.02, 0.3)))
-    result = sp.fit(sp.Measurements(height, 0.3, length, 0.02))
+    """Whole events are interpolated, which counts beside small errors; the error shown is the one that was used."""
+    height = np.array([15.0, 20.0, 25.0, 30.0, 40.0])
+    length = sp.precursor_lengths(sp.Slider(height, 0.15, 0.3), event="full")
+    result = sp.fit(sp.Measurements(height, 0.3, length, 0.02), event="full", intervals="profile")
     assert result.between_contacts is not None
     np.testing.assert_allclose(result.sigma, np.hypot(0.02, result.between_contacts), rtol=1e-12)
     np.testing.assert_allclose(result.residuals, (result.fitted - length) / result.sigma, rtol=1e-6, atol=1e-9)
