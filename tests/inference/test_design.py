@@ -240,7 +240,7 @@ def test_knowledge_of_measurements_against_quadrature():
         kind=("length", "whole", "at_least"),
     )  # fmt: skip
     theta = np.linspace(-8, 0, 40001)
-    a, b, c = (sp.exact_lengths(sp.Slider(h, np.exp(theta), 0.3)) for h in m.height)
+    a, b, c = (sp.precursor_lengths(sp.Slider(h, np.exp(theta), 0.3)) for h in m.height)
     w = norm.pdf(a, 7, 0.3) * (ndtr((20 - b) / 0.5) - ndtr((19 - b) / 0.5)) * ndtr((c - 15) / 2)
     w /= w.sum()
     mean, sd = w @ theta, np.sqrt(w @ (theta - w @ theta) ** 2)
