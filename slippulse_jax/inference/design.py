@@ -359,7 +359,7 @@ def _check(columns: dict[str, np.ndarray], kind: Kind, push_control: Control) ->
 def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> np.ndarray:
     """Length of every candidate at every ln(stiffness), in λc; shape (m, c), inf where the front never stops.
 
-    ℓ* of a slider's front, or the length of the whole event; of a block always that.
+    ℓ of a slider's front, or the length of the whole event; of a block always that.
     """
     front, inputs = _events(candidates, theta, event)
     return front.lengths(inputs).reshape(len(theta), -1)

@@ -249,9 +249,9 @@ def fit(
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
-    The model is the exact length ℓ* of the first precursor on a semi-infinite slider, or the length of the whole event on a
-    block whose push is stated. The deviance −2 ln(likelihood × prior), which is χ² for plain lengths, is minimised from many
-    starts at once. The intervals are profile-likelihood intervals, in as many disjoint pieces as there are.
+    The model is the length ℓ of the first precursor on a slider, as `precursor_length` has it, or the length of the whole event
+    on a block whose push is stated. The deviance −2 ln(likelihood × prior), which is χ² for plain lengths, is minimised from
+    many starts at once. The intervals are profile-likelihood intervals, in as many disjoint pieces as there are.
 
     Parameters
     ----------

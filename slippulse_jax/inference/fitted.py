@@ -98,7 +98,9 @@ class Fitted:
     unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
-    between_contacts: np.ndarray | None  # |ℓ − ℓ*| of each length in λc, added to σ in quadrature; None where it is small
+    between_contacts: (
+        np.ndarray | None
+    )  # error of interpolation of each length in λc, added to σ in quadrature; None where small
     covered: dict[str, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
 
     @functools.cached_property

@@ -62,7 +62,7 @@ thresholds over one height, from which on a front may run away, which takes some
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
-"""Changes of ln k/K over which the difference between ℓ and ℓ* is averaged: one that ends on a contact shows none."""
+"""Changes of ln k/K over which the error of interpolated lengths is averaged, which step at single contacts."""
 
 
 class Prediction(NamedTuple):
@@ -102,7 +102,8 @@ class Front:
     lengths_are_of: ClassVar[str] = ""  # where that is not the first front
     held: str = "the edge"  # does not move during the event
     thresholds: str = "uniform thresholds"
-    uncertain_as: ClassVar[str] = ""
+    # of fits that version 0.2 saved; where lengths are not interpolated nothing is added today
+    uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse columns and parameters that have no meaning for this model; a ValueError names them."""

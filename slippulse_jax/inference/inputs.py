@@ -28,7 +28,7 @@ COMMON = {
     "log_stiffness": Input("k/K", np.log(1e-30), np.log(1e3), "must lie in 1e-30 to 1e3"),
     "poisson": Input("ν", POISSON.low, POISSON.high, POISSON.requirement, 1e-5, (-np.inf, 0.5)),
     "prestress": Input("φ", PRESTRESS.low, PRESTRESS.high, PRESTRESS.requirement, 1e-5),
-    # over H/λc: it acts multiplied by ℓ*
+    # over H/λc: it acts multiplied by ℓ
     "threshold_slope": Input("ε", THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, THRESHOLD_SLOPE.requirement, 5e-6),
 }
 """Inputs of every model."""

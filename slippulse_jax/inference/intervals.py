@@ -11,8 +11,8 @@ measurements are drawn, each is fitted, and the quantile of the rise replaces th
 has its best value there. Every such fit is a search of one table of predictions, in units of σ, over all values that are not
 hopeless; a prior is a datum like any other.
 
-A count without an error of its own holds or does not: n contacts are counted where n − 1 < ℓ* ≤ n, one also where no domino
-starts. For one fitted parameter the ends of that set are crossings of ℓ* with n − 1 and n, on either side of every peak; with
+A count without an error of its own holds or does not: n contacts are counted where n − 1 < ℓ ≤ n, one also where no domino
+starts. For one fitted parameter the ends of that set are crossings of ℓ with n − 1 and n, on either side of every peak; with
 several measurements it is the intersection (`allowed_by_counts`). The set is the answer; or there is none, and some counts
 are at odds.
 """

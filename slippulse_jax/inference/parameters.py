@@ -22,7 +22,7 @@ from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
 """ln(unit of measurement per unit of the model) of each observable; what is added to a length, in λc; and the contacts broken
-beyond ℓ* when gauges were read."""
+beyond ℓ when gauges were read."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
@@ -235,7 +235,7 @@ PARAMETERS: dict[str, Kind] = {
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
 ARREST = (0.5, 12**-0.5)
-"""Mean and deviation of the difference between ℓ* and the number of contacts that break, ceil(ℓ*): uniform from 0 to 1."""
+"""Mean and deviation of the difference between ℓ and the number of contacts that break, ceil(ℓ): uniform from 0 to 1."""
 HEIGHTS = ("height", "push_height")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")

@@ -83,6 +83,16 @@ def test_a_fit_of_version_0_2_is_read():
     assert loaded.report() == again.report()
 
 
+def test_what_version_0_2_added_to_sigma_is_still_said():
+    """Fits of sliders add nothing for the definition of a length today; one that was saved with it says so in full."""
+    loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
+    added = dataclasses.replace(loaded, between_contacts=np.full(len(loaded.measurements), 0.05))
+    said = [note for note in added.notes if "added to σ in quadrature" in note]
+    assert [note.split(" up to ")[0] for note in said] == [
+        "the definition of a length between two whole contacts changes it by"
+    ]
+
+
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "fit.json"
     with pytest.raises(FileNotFoundError):
