@@ -79,7 +79,8 @@ def command_line() -> str:
         "interrupted.\n",
         "Compiled programs are kept in the user's cache folder (`~/.cache/slippulse_jax` on Linux), so that the next call",
         "starts at once; `slippulse --no-cache …` or `SLIPPULSE_CACHE=off` keep nothing. `JAX_COMPILATION_CACHE_DIR` names",
-        "another folder.\n",
+        "another folder, for JAX's own cache alone. In a notebook or a job, `SLIPPULSE_PROGRAMS=FOLDER` keeps the larger",
+        "programs whole, so that the next process neither traces nor compiles them.\n",
         f"```text\n{slippulse.get_help(root)}\n```\n",
     ]
     for name in slippulse.list_commands(root):

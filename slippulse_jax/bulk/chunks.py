@@ -146,7 +146,7 @@ def _program(kernel: Kernel, fields: int, width: int, most: int, device: Any, em
         return lax.fori_loop(0, chunks, next_chunk, (cut(0), empty))[1]
 
     shapes = jax.ShapeDtypeStruct((fields, width * most), np.float64), jax.ShapeDtypeStruct((), np.int64)
-    return compiled(all_chunks, *shapes, device=device, fusion_emitters=emitters)
+    return compiled(all_chunks, *shapes, device=device, fusion_emitters=emitters, named=(kernel, width))
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

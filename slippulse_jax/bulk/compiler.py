@@ -32,8 +32,10 @@ import jaxlib.version
 import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jax.stages import Compiled
+from jax.stages import Compiled, Lowered
 from jaxtyping import Array, Float
+
+from slippulse_jax.bulk.kept import kept
 
 F = TypeVar("F", bound=Callable)
 
@@ -103,18 +105,28 @@ def in_full(f: F) -> F:
     return cast(F, traced)
 
 
-def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool) -> Compiled:
-    """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them."""
-    with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
-        lowered = jax.jit(f).lower(*shapes)
-    if device.platform != "cpu":
-        return lowered.compile()
-    try:
-        return lowered.compile(compiler_options=OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters})
-    except jax.errors.JaxRuntimeError as error:
-        usual = lowered.compile()  # raises again if the options are not the reason
-        _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
-        return usual
+def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool, named: Any = None) -> Compiled:
+    """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them.
+
+    Where programs are kept (`slippulse_jax.bulk.kept`), `named` tells this one from all others; by default f itself does.
+    """
+
+    def lowered() -> Lowered:
+        with jax.enable_x64(True), jax.default_device(device), jax.numpy_rank_promotion("allow"):
+            return jax.jit(f).lower(*shapes)
+
+    def program(lowered: Lowered) -> Compiled:
+        if device.platform != "cpu":
+            return lowered.compile()
+        try:
+            return lowered.compile(compiler_options=options)
+        except jax.errors.JaxRuntimeError as error:
+            usual = lowered.compile()  # raises again if the options are not the reason
+            _say_once(f"compiled without the options slippulse_jax asks for, and so more slowly executed: {error}")
+            return usual
+
+    options = OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters}
+    return kept(program, lowered, device, named or f, [(x.shape, str(x.dtype)) for x in shapes], options)
 
 
 LOOP_BYTES = 10_000_000

@@ -1,4 +1,4 @@
-"""Keep compiled programs in the user's cache folder between calls.
+"""Keep compiled programs in the user's cache folder between calls: small ones as JAX does, large ones whole.
 
 Only the command line does this, and by environment variables that JAX reads when it is imported later: importing the package
 changes no setting of JAX.
@@ -18,6 +18,8 @@ from pathlib import Path
 
 KEPT_DAYS = 60
 """Age at which a program is deleted: by then another release of JAX, or of this package, has usually replaced it."""
+MOST_KEPT = 500
+"""Number of programs, of some 100 kB each and at most 2 MB, from which on the oldest are deleted too."""
 
 UNREADABLE = "Error reading persistent compilation cache"
 
@@ -31,14 +33,18 @@ def keep_compiled_programs() -> None:
         return
     try:
         folder = _folder()
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # JAX runs whatever programs it finds there
-        for program in folder.iterdir():
-            if time.time() - program.stat().st_mtime > KEPT_DAYS * 86400:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)  # whatever programs are found there are run
+        whole = folder / "whole"
+        made = {program: program.stat().st_mtime for program in [*folder.glob("*-*"), *whole.glob("*")]}
+        newest = sorted(made, key=made.__getitem__, reverse=True)
+        for number, program in enumerate(newest):
+            if number >= MOST_KEPT or time.time() - made[program] > KEPT_DAYS * 86400:
                 _remove(program)
     except (OSError, RuntimeError):  # no folder, or no home folder to put it in
         return
     if os.access(folder, os.W_OK):
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ["SLIPPULSE_PROGRAMS"] = str(whole)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         # unreadable programs are compiled anew, unwritable ones dropped; the user need not know
         warnings.filterwarnings("always", UNREADABLE)

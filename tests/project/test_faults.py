@@ -56,6 +56,23 @@ def test_clock_that_jumps(tmp_path, monkeypatch, now, kept):
     monkeypatch.setattr(time, "time", lambda: now)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")  # so that it is restored
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("SLIPPULSE_PROGRAMS", "")
     cache.keep_compiled_programs()
     assert (folder / "length-cache").exists() == kept
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == str(folder)
+    assert os.environ["SLIPPULSE_PROGRAMS"] == str(folder / "whole")
+
+
+def test_only_the_newest_programs_are_kept(tmp_path, monkeypatch):
+    names = ("JAX_COMPILATION_CACHE_DIR", "SLIPPULSE_PROGRAMS", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+    for name in names:
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setattr(cache, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "MOST_KEPT", 3)
+    (tmp_path / "whole").mkdir()
+    for age, name in enumerate(["a-cache", "whole/b", "c-cache", "whole/d", "e-cache"]):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (time.time() - age, time.time() - age))
+    cache.keep_compiled_programs()
+    assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == {"a-cache", "b", "c-cache"}

@@ -1,0 +1,141 @@
+"""Keep compiled programs whole, so that the next process neither traces nor lowers them again.
+
+JAX's own cache saves the compiling, but JAX has to trace and lower a program to look for it there, which takes a second for the
+larger ones. Where the environment names a folder, the programs of `slippulse_jax.bulk.chunks` are kept in it as XLA made them.
+A file is named by all that its program depends on: the kernel, the sources of this package, JAX, and the options of XLA.
+
+XLA may fail to write a program, or to read it again. So a program is tried before it is kept and as it is read, and a file that
+fails is deleted and its program compiled as usual. Not kept are programs that call a library, which would crash, and those that
+JAX's cache holds already, of which XLA writes a part only.
+"""
+
+import functools
+import hashlib
+import math
+import os
+import pickle
+import threading
+import types
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import jax
+import jaxlib.version
+import numpy as np
+from jax.experimental import serialize_executable
+from jax.stages import Compiled, Lowered
+
+from slippulse_jax.files import write_atomically
+
+FOLDER = "SLIPPULSE_PROGRAMS"
+"""Environment variable that names the folder; ``slippulse`` sets it to one in the user's cache."""
+LIBRARIES = "stablehlo.custom_call"
+"""What a lowered program has where it calls a library, or Python."""
+LIMIT = "jax_persistent_cache_min_compile_time_secs"
+"""JAX keeps what takes longer to compile."""
+PLAIN = (bool, int, float, str, bytes, type(None), jax.tree_util.PyTreeDef)
+
+
+def kept(compile_it: Callable[[Lowered], Compiled], lower: Callable[[], Lowered], device: Any, *what: Any) -> Compiled:
+    """The program of `what`, from its file if it has one that works; else lowered, compiled and kept."""
+    path = _file(device, *what)
+    if path is not None:
+        with suppress(Exception):
+            digest, content = path.read_bytes().split(b"\n", 1)
+            if digest == _digest(path.name, content):  # XLA may crash on a damaged one
+                return _tried(content, device)
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+    lowered = lower()
+    if path is None or LIBRARIES in lowered.as_text():
+        return compile_it(lowered)
+    with _not_in_the_cache_of_jax():
+        program = compile_it(lowered)
+    with suppress(Exception):
+        content = pickle.dumps(serialize_executable.serialize(program))
+        _tried(content, device)
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_atomically(path, _digest(path.name, content) + b"\n" + content)
+    return program
+
+
+_compiling: list[float] = []
+"""JAX's own limit, once for each thread that is compiling."""
+_lock = threading.Lock()
+
+
+@contextmanager
+def _not_in_the_cache_of_jax() -> Iterator[None]:
+    """Compile what JAX's cache does not hold, and keep it out of there."""
+    with _lock:
+        limit = _compiling[0] if _compiling else getattr(jax.config, LIMIT)
+        _compiling.append(limit)
+        jax.config.update(LIMIT, math.inf)
+    try:
+        yield
+    finally:
+        with _lock:
+            _compiling.pop()
+            if not _compiling:
+                jax.config.update(LIMIT, limit)
+
+
+def _tried(content: bytes, device: Any) -> Compiled:
+    """Read a program and run it on no chunks."""
+    program = serialize_executable.deserialize_and_load(
+        *pickle.loads(content), backend=device.client, execution_devices=[device]
+    )
+    shapes, _ = program.in_avals
+    with jax.enable_x64(True), jax.default_device(device):
+        jax.block_until_ready(program(*(np.zeros(x.shape, x.dtype) for x in shapes)))
+    return program
+
+
+def _digest(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + content).hexdigest().encode()
+
+
+def _file(device: Any, *what: Any) -> Path | None:
+    """Where the program is kept; None where none is, or it is not known by its parts."""
+    folder = os.environ.get(FOLDER)
+    if not folder or device.platform != "cpu":
+        return None
+    try:
+        parts = [_sources(), jax.__version__, jaxlib.version.__version__, device.id, *map(_name, what)]
+    except TypeError:
+        return None
+    parts += sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
+    return Path(folder, hashlib.sha256(repr(parts).encode()).hexdigest()[:32])
+
+
+def _name(one: Any) -> Any:
+    """Whatever tells a kernel, or what it holds, from another; a TypeError of what may change from run to run."""
+    if isinstance(one, PLAIN):
+        return repr(one)
+    if isinstance(one, (tuple, list)):
+        return type(one).__qualname__, [_name(x) for x in one]
+    if isinstance(one, dict):
+        return [(_name(x), _name(y)) for x, y in one.items()]
+    if isinstance(one, functools.partial):
+        return _name((one.func, one.args, one.keywords))
+    if isinstance(one, types.FunctionType) and _is_own(one):
+        held = [cell.cell_contents for cell in one.__closure__ or ()]
+        return one.__module__, one.__qualname__, one.__code__.co_firstlineno, one.__code__.co_code.hex(), _name(held)
+    if isinstance(one, type) and _is_own(one) or _is_own(type(one)) and not getattr(one, "__dict__", True):
+        return type(one).__qualname__, getattr(one, "__qualname__", "")
+    raise TypeError(f"{one!r} may change")
+
+
+def _is_own(one: Any) -> bool:
+    return one.__module__.partition(".")[0] == __name__.partition(".")[0]
+
+
+@functools.cache
+def _sources() -> str:
+    """Digest of all modules of this package."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()
