@@ -23,7 +23,8 @@ MAX_STEPS = 100
 def with_jacobian(f: Function) -> Function:
     """`f`, and its derivatives in all numbers of its arguments, along a new last axis; by one forward pass."""
 
-    def value_and_jacobian(*arguments: Array) -> Float[Array, "... numbers"]:
+    def value_and_jacobian(*given: Array) -> Float[Array, "... numbers"]:
+        arguments = tuple(jnp.asarray(x) for x in given)
         ends = np.cumsum([0, *(x.size for x in arguments)])
         axes = [
             jnp.eye(ends[-1], dtype=x.dtype)[:, start:stop].reshape(-1, *x.shape)

@@ -1,5 +1,6 @@
-"""Areal stiffness from blocks whose thresholds follow the pressure, and what the same lengths give without it."""
+"""Areal stiffness from blocks whose thresholds follow the pressure, which fit no block without it."""
 
+import math
 from pathlib import Path
 
 import slippulse_jax as sp
@@ -15,7 +16,7 @@ def main() -> FitResult:
     (interval,) = result.intervals["areal_stiffness"][0.95]
     assert interval.low < TRUE_AREAL_STIFFNESS < interval.high
     (without,) = (one for one in result.changes if one.name == "pressure")
-    assert abs(without.moves["areal_stiffness"][0]) > 2  # in ln k: a factor of seven and more
+    assert math.isnan(without.moves["areal_stiffness"][0])  # none fits
     return result
 
 

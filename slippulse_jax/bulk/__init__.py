@@ -1,1 +1,1 @@
-"""Chunks of lanes, threads, devices and compiler options. No physics here."""
+"""Chunks of lanes, threads, devices, compiler options and kept programs. No physics here."""

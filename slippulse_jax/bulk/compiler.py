@@ -126,7 +126,7 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emi
             return usual
 
     options = OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters}
-    return kept(program, lowered, device, named or f, [(x.shape, str(x.dtype)) for x in shapes], options)
+    return kept(lowered, program, shapes, device, named or f, options)
 
 
 LOOP_BYTES = 10_000_000

@@ -13,10 +13,9 @@ import functools
 import hashlib
 import math
 import os
-import pickle
 import threading
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -38,14 +37,22 @@ LIMIT = "jax_persistent_cache_min_compile_time_secs"
 PLAIN = (bool, int, float, str, bytes, type(None), jax.tree_util.PyTreeDef)
 
 
-def kept(compile_it: Callable[[Lowered], Compiled], lower: Callable[[], Lowered], device: Any, *what: Any) -> Compiled:
-    """The program of `what`, from its file if it has one that works; else lowered, compiled and kept."""
-    path = _file(device, *what)
+Shapes = Sequence[jax.ShapeDtypeStruct]
+
+
+def kept(
+    lower: Callable[[], Lowered], compile_it: Callable[[Lowered], Compiled], shapes: Shapes, device: Any, *what: Any
+) -> Compiled:
+    """The program of `what`, from its file if it has one that works; else lowered, compiled and kept.
+
+    It takes arrays of these shapes and returns a tuple of arrays.
+    """
+    path = _file(device, *what, [(x.shape, str(x.dtype)) for x in shapes])
     if path is not None:
         with suppress(Exception):
-            digest, content = path.read_bytes().split(b"\n", 1)
+            digest, results, content = path.read_bytes().split(b"\n", 2)
             if digest == _digest(path.name, content):  # XLA may crash on a damaged one
-                return _tried(content, device)
+                return _tried(content, shapes, int(results), device)
         with suppress(OSError):
             path.unlink(missing_ok=True)
     lowered = lower()
@@ -54,10 +61,11 @@ def kept(compile_it: Callable[[Lowered], Compiled], lower: Callable[[], Lowered]
     with _not_in_the_cache_of_jax():
         program = compile_it(lowered)
     with suppress(Exception):
-        content = pickle.dumps(serialize_executable.serialize(program))
-        _tried(content, device)
+        content, _, _ = serialize_executable.serialize(program)
+        results = len(program.out_info)
+        _tried(content, shapes, results, device)
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_atomically(path, _digest(path.name, content) + b"\n" + content)
+        write_atomically(path, b"\n".join([_digest(path.name, content), str(results).encode(), content]))
     return program
 
 
@@ -82,12 +90,10 @@ def _not_in_the_cache_of_jax() -> Iterator[None]:
                 jax.config.update(LIMIT, limit)
 
 
-def _tried(content: bytes, device: Any) -> Compiled:
+def _tried(content: bytes, shapes: Shapes, results: int, device: Any) -> Compiled:
     """Read a program and run it on no chunks."""
-    program = serialize_executable.deserialize_and_load(
-        *pickle.loads(content), backend=device.client, execution_devices=[device]
-    )
-    shapes, _ = program.in_avals
+    trees = (jax.tree.structure((tuple(shapes), {})), jax.tree.structure((0,) * results))
+    program = serialize_executable.deserialize_and_load(content, *trees, backend=device.client, execution_devices=[device])
     with jax.enable_x64(True), jax.default_device(device):
         jax.block_until_ready(program(*(np.zeros(x.shape, x.dtype) for x in shapes)))
     return program
