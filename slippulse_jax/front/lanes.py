@@ -168,12 +168,12 @@ def _nucleated_jet(*fields: Number, right: RightEnd) -> Jet:
         numbers = [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(moved)]
         return _nucleate(*numbers, *(() if end is None else (end,)), with_rates=False, most=None, right=right)[0]
 
-    def rate(t: Number) -> LaneState:
-        return jax.jvp(begun, (t,), (jnp.ones_like(t),))[1]
+    def with_rate(t: Number) -> tuple[LaneState, LaneState]:
+        return jax.jvp(begun, (t,), (jnp.ones_like(t),))
 
     zero = jnp.zeros_like(fields[0])
-    first, second = jax.jvp(rate, (zero,), (jnp.ones_like(zero),))
-    return Jet(begun(zero), _what_moves(first), _what_moves(second, bends=True))
+    (state, first), (_, second) = jax.jvp(with_rate, (zero,), (jnp.ones_like(zero),))
+    return Jet(state, _what_moves(first), _what_moves(second, bends=True))
 
 
 def _what_moves(way: LaneState, bends: bool = False) -> LaneState:
@@ -204,17 +204,20 @@ def _jet(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState, bend:
         everything = list(values)
         for i, x in zip(moving, moved, strict=True):
             everything[i] = x
-        found = f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
+        return f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
+
+    def with_rate(moved: tuple, ways: tuple) -> Any:
+        return jax.jvp(of_moving, moved, ways)
+
+    def what_moves(found: Any) -> Any:
         if not isinstance(found, Front):
             return found
         return Front(*(None if way is None else x for x, way in zip(found, rate.front, strict=True)))
 
-    def slope(moved: tuple, ways: tuple) -> Any:
-        return jax.jvp(of_moving, moved, ways)[1]
-
     moved, first = tuple(values[i] for i in moving), tuple(ways[i] for i in moving)
     second = tuple(zero if bends[i] is None else bends[i] for i, zero in zip(moving, still, strict=True))
-    return f(state), *jax.jvp(slope, (moved, first), (first, second))
+    (value, slope), (_, bent) = jax.jvp(with_rate, (moved, first), (first, second))
+    return value, what_moves(slope), what_moves(bent)
 
 
 def _until_all_arrest(
