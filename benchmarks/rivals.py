@@ -11,6 +11,37 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 
 @numba.njit
+def end_of_front(position, over):
+    """ℓ, where the polynomial through the last overloads, that of the contact that holds first, falls to zero.
+
+    Backward differences and false position (Illinois).
+    """
+    o0, o1, o2, o3, o4, o5 = over
+    n = min(position, 5)
+    d1 = o0 - o1
+    d2 = d1 - (o1 - o2) if n > 1 else 0.0
+    d3 = d2 - (o1 - 2 * o2 + o3) if n > 2 else 0.0
+    d4 = d3 - (o1 - 3 * o2 + 3 * o3 - o4) if n > 3 else 0.0
+    d5 = d4 - (o1 - 4 * o2 + 6 * o3 - 4 * o4 + o5) if n > 4 else 0.0
+    low, high, above, below = -1.0, 0.0, max(o1, 0.0), o0
+    x, side = low, 0
+    if above == 0:
+        return position + low
+    for _ in range(60):
+        before, x = x, (low * below - high * above) / (below - above)
+        value = o0 + x * (d1 + (x + 1) / 2 * (d2 + (x + 2) / 3 * (d3 + (x + 3) / 4 * (d4 + (x + 4) / 5 * d5))))
+        if value == 0 or abs(x - before) < 1e-15:
+            break
+        if value > 0:
+            low, above = x, value
+            below, side = below / 2 if side == 1 else below, 1
+        else:
+            high, below = x, value
+            above, side = above / 2 if side == -1 else above, -1
+    return position + x
+
+
+@numba.njit
 def one(height, q, nu):
     b = 1 / (2 * (1 + nu) * height)
     a = b / height
@@ -31,14 +62,15 @@ def one(height, q, nu):
     R22 = w2 * (g2 / alpha_1 + s1 / alpha_2) / determinant
     c1, c2 = -s2 / (s1 - s2), s1 / (s1 - s2)
     S1 = S2 = T1 = T2 = 0.0
-    E1 = E2 = t = before = 1.0
+    E1 = E2 = t = 1.0
+    over = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     s = 0
     while t >= 1:
-        before = t
         S1, S2, T1, T2, E1, E2 = r1 * (S1 + t), r2 * (S2 + t), T1 + E1 * t, T2 + E2 * t, r1 * E1, r2 * E2
         t = w1 * S1 + w2 * S2 + E1 * (c1 + R11 * T1 + R12 * T2) + E2 * (c2 + R21 * T1 + R22 * T2)
         s += 1
-    return s - 1 + (before - 1) / (before - t)
+        over = (t - 1, over[0], over[1], over[2], over[3], over[4])
+    return end_of_front(s, over)
 
 
 @numba.njit
@@ -66,13 +98,13 @@ def banded(height, q, nu, sites=400):
     force = np.zeros(2 * sites - 1)
     force[0], force[1] = b, height
     force /= cho_solve_banded(factor, force)[0]
-    stress = 1.0
+    stress, over = 1.0, (0.0,) * 6
     for front in range(sites - 1):
         force[2 * front] += q * stress
-        ahead = cho_solve_banded(factor, force)[2 * front + 2]
-        if ahead < 1:
-            return front + (stress - 1) / (stress - ahead)
-        stress = ahead
+        stress = cho_solve_banded(factor, force)[2 * front + 2]
+        over = (stress - 1, *over[:5])
+        if stress < 1:
+            return end_of_front(front + 1, over)
     return np.inf
 
 
@@ -90,11 +122,11 @@ def dense(height: float, q: float, nu: float, sites: int = 200) -> float:
     force = np.zeros(2 * sites)
     force[0] = 1
     force[0] /= np.linalg.solve(matrix, force)[sites]
-    stress = 1.0
+    stress, over = 1.0, (0.0,) * 6
     for front in range(sites - 1):
         force[sites + front] += q * stress
-        ahead = np.linalg.solve(matrix, force)[sites + front + 1]
-        if ahead < 1:
-            return front + (stress - 1) / (stress - ahead)
-        stress = ahead
+        stress = np.linalg.solve(matrix, force)[sites + front + 1]
+        over = (stress - 1, *over[:5])
+        if stress < 1:
+            return end_of_front(front + 1, over)
     return np.inf
