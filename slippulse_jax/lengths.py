@@ -250,7 +250,7 @@ def event_kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
         modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
         loaded = whole.relaxed(nucleation_load(modes, interface))
         beyond = eliminate(whole, whole.contact)
-        resp = response(whole, beyond, near=False)
+        resp = response(whole, beyond)
         return one_rupture((BREAKS_PER_SITE * sites, 0), resp, beyond, whole, loaded, jnp.int32(0)).length
 
     return lambda lanes: ((with_jacobian(length)(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)

@@ -115,4 +115,4 @@ def frozen(body: Pressed, at: Balance) -> Response:
     matrix = body.matrix @ inverse(jnp.eye(2 * sites, dtype=less.dtype) + less[:, None] * body.matrix)
     push = body.push - matrix @ (less * body.push)
     pull = at.pressure[:, None] * matrix[:sites, :sites].T
-    return of_matrix(pull, at.pressure * push[:sites], body.edge_stiffness)
+    return of_matrix(pull[:, None], (at.pressure * push[:sites])[None], body.edge_stiffness)

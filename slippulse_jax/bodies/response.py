@@ -1,25 +1,24 @@
-r"""Load transfer: the stress that one break adds to every other contact.
+r"""Load transfer: what one break adds to the readings of every contact.
 
 A contact that releases the stress t_j adds q_i G_ij t_j to the stress on contact i (q_i = k_i/K, G_ij the displacement of
 the interfacial layer at i per force at j). Displacements are carried from site to site by 2×2 propagators with non-negative
 entries, P_i to the right and Q_i to the left, so that beyond the source G_ij is a product of propagators: G is
-block-semiseparable. The sites are divided into blocks of about √N:
+block-semiseparable. The sites are divided into blocks of M:
 
-* within the block of the source, G is stored as it is (`near`), computed when a contact of the block first breaks;
-* any other block receives two displacements per edge, u_t and u, whatever happened in the source's block. The stress on one of
-  its contacts is computed from these when it is needed (`read`).
+* within the block of the source, G is stored as it is (`near`), in N M numbers;
+* any other block receives two displacements per edge, u_t and u, whatever happened in the source's block, from which the
+  stress on its contacts is read (`read`).
 
-A break thus costs O(√N), or O(N) where every stress is wanted, and the chain is never solved again. Nothing is subtracted.
+The chain is never solved again, and nothing is subtracted. A body whose response is a matrix is a single block.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.chain import (
     Chain,
@@ -36,25 +35,37 @@ from slippulse_jax.bodies.modes import Modes
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 
 
-class Response(NamedTuple):
-    """What a push and a break do to every contact, in B blocks of M contacts.
+class Far(NamedTuple):
+    """What the contacts of B blocks of M do to each other."""
 
-    The last block is padded with sites without contact.
-    """
-
-    push: Float[Array, "B M"]  # stress per load
-    soft: Float[Array, "B M"]  # k/k_i, how far a pinning point moves per stress released; 0 without a contact
-    near: Float[Array, "B M M"]  # q_i G_ij within a block, source j first; of no block where `within` is left to be called
     read: Float[Array, "B 4 M"]  # stress at i per u_t, u at the block's left edge and per u_t, u at its right edge
     leave: Float[Array, "B M 4"]  # u_t, u at the edge of the next block, and of the block before, per stress released at j
     pass_on: Float[Array, "B B 4 2"]  # from block (first axis) to block: edge values per edge value of the neighbour
-    reach: Float[Array, "B 4"]  # largest entries of `read` in each block
-    spill: Float[Array, "B 4"]  # most that any contact of another block receives, per unit that leaves this block
+
+
+class Response(NamedTuple):
+    """What a push and a break do to the readings of N contacts: the stress and, where anything follows it, the pressure.
+
+    The pressure is that over the initial one.
+    """
+
+    push: Float[Array, "r N"]  # per load
+    soft: Float[Array, " N"]  # k/k_i, how far a pinning point moves per stress released; 0 without a contact
+    near: Float[Array, "B M r M"]  # within a block, per stress released, source first; the last block may be padded
     edge_stiffness: Float[Array, ""]  # force on the pusher per load, in K
-    links: tuple[Array, Array, Array, Array] | None = None  # arguments of `within`, of all blocks
-    # where thresholds follow the pressure, what a contact loses of it, over the initial one; of a single block
-    relief: Float[Array, "B M M"] | None = None  # per stress released at j, source j first
-    push_relief: Float[Array, "B M"] | None = None  # per load
+    far: Far | None = None  # between several blocks
+
+    def column(self, site: Int[Array, ""]) -> Float[Array, "r N"]:
+        """Readings of every contact per stress released at one, its own pinning point apart."""
+        size, count = self.near.shape[1], self.soft.size
+        if self.far is None:
+            return self.near[0, site]
+        block, place = site // size, site % size
+        right, left = jnp.split(self.far.leave[block, place], 2)
+        sent = jnp.stack([right, right, left, left])
+        arriving = (self.far.pass_on[block] * sent).sum(-1)
+        found = sum(arriving[:, edge, None] * self.far.read[:, edge] for edge in range(4))
+        return found.at[block].add(self.near[block, place, 0]).reshape(1, -1)[:, :count]
 
 
 class Propagators(NamedTuple):
@@ -70,11 +81,14 @@ class Propagators(NamedTuple):
     edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
 
 
-def block_size(sites: int) -> int:
-    """Choose the number of sites per block.
+SINGLE = 256
+"""Sites up to which a chain is one block."""
 
-    It is a power of two between √N and 2√N, at least 8: work inside a block is cheaper than work on all blocks.
-    """
+
+def block_size(sites: int) -> int:
+    """Choose the number of sites per block: all of few; a power of two between √N and 2√N of many."""
+    if sites <= SINGLE:
+        return sites
     size = 8
     while size * size < sites:
         size *= 2
@@ -131,10 +145,10 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain, beyond: Springs, *, near: bool = True) -> Response:
+def response(chain: Chain, beyond: Springs) -> Response:
     """Compute the response of a chain with linear contacts, given its elimination from the right end.
 
-    It does not depend on thresholds and prestress. Without `near`, the response inside a block is left to `within`.
+    It does not depend on thresholds and prestress.
     """
     sites = propagators(chain, beyond)
     size = block_size(chain.sites)
@@ -142,33 +156,27 @@ def response(chain: Chain, beyond: Springs, *, near: bool = True) -> Response:
     P, Q, source = (into_blocks(x, size) for x in sites[:3])
     read, leave, across = _through_blocks(P, source, reverse=False)
     read_left, leave_left, across_left = _through_blocks(Q, source, reverse=True)
-    pass_on = jnp.concatenate([_between_blocks(across), _between_blocks(across_left[::-1])[::-1, ::-1]], 2)
 
     def load_step(here: Array, across_b: Array) -> tuple[Array, Array]:
         return (across_b * here[None]).sum(-1), here
 
     start = jnp.stack([jnp.ones_like(sites.follow), sites.follow]) / chain.stiffness
     _, at_load = lax.scan(load_step, start, across)
-    push = (at_load[:, :, None] * read).sum(1) * q
-    read = jnp.concatenate([read, read_left], 1) * q[:, None, :]
-    reach = read.max(-1)
-    felt = pass_on * reach[None, :, :, None]
-    links = P, Q, source, q
-    return Response(
-        push=push,
-        soft=chain.stiffness / jnp.where(q > 0, q, jnp.inf),
-        near=jax.vmap(within)(*links) if near else jnp.zeros((0, size, size), q.dtype),
-        read=read,
+    far = Far(
+        read=jnp.concatenate([read, read_left], 1) * q[:, None, :],
         leave=jnp.concatenate([leave, leave_left], -1),
-        pass_on=pass_on,
-        reach=reach,
-        spill=jnp.concatenate([felt[:, :, :2].sum(2), felt[:, :, 2:].sum(2)], -1).max(1),
+        pass_on=jnp.concatenate([_between_blocks(across), _between_blocks(across_left[::-1])[::-1, ::-1]], 2),
+    )
+    return Response(
+        push=((at_load[:, :, None] * read).sum(1) * q).reshape(1, -1)[:, : chain.sites],
+        soft=chain.stiffness / jnp.where(chain.contact > 0, chain.contact, jnp.inf),
+        near=jax.vmap(within)(P, Q, source, q)[:, :, None],
         edge_stiffness=sites.edge_stiffness,
-        links=links,
+        far=None if size == chain.sites else far,
     )
 
 
-def shared_response(chain: Chain, *, near: bool = True) -> tuple[Springs, Response]:
+def shared_response(chain: Chain) -> tuple[Springs, Response]:
     """Eliminate a chain and compute its response, once for lanes that share their springs.
 
     Such lanes differ in thresholds or prestress only.
@@ -176,7 +184,7 @@ def shared_response(chain: Chain, *, near: bool = True) -> tuple[Springs, Respon
 
     def of_springs(springs: Chain) -> tuple[Springs, Response]:
         beyond = eliminate(springs, springs.contact)
-        return beyond, response(springs, beyond, near=near)
+        return beyond, response(springs, beyond)
 
     none = jnp.ones(chain.sites, chain.contact.dtype)
     return lane_by_lane(of_springs, eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none)))
@@ -247,24 +255,13 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
     return jnp.swapaxes(reached, 0, 1)
 
 
-def of_matrix(transfer: Float[Array, "M M"], push: Float[Array, " M"], edge_stiffness: Any = 0.0) -> Response:
-    """Response of equal contacts in a single block.
+def of_matrix(near: Float[Array, "M r M"], push: Float[Array, "r M"], edge_stiffness: Any = 0.0) -> Response:
+    """Response of equal contacts as a matrix.
 
-    From the stress that each contact adds to each per stress it releases, source first; the stress per load; and the force on
-    the pusher per load, in K.
+    From what a contact does to the readings of each per stress it releases, source first; those per load; and the force on the
+    pusher per load, in K.
     """
-    size, none = push.size, partial(jnp.zeros, dtype=transfer.dtype)
-    return Response(
-        push=push[None],
-        soft=jnp.ones_like(push)[None],
-        near=transfer[None],
-        read=none((1, 4, size)),
-        leave=none((1, size, 4)),
-        pass_on=none((1, 1, 4, 2)),
-        reach=none((1, 4)),
-        spill=none((1, 4)),
-        edge_stiffness=jnp.asarray(edge_stiffness, transfer.dtype),
-    )
+    return Response(push, jnp.ones_like(push[0]), near[None], jnp.asarray(edge_stiffness, near.dtype))
 
 
 @in_full
@@ -273,31 +270,4 @@ def of_slider(modes: Modes, sites: int) -> Response:
     site = jnp.arange(sites, dtype=modes.gap.dtype)
     y, apart = jax.vmap(modes.profile)(site), jnp.abs(site[:, None] - site[None])
     direct = sum(modes.weight[m] * jnp.exp(apart * jnp.log1p(-modes.gap[m])) for m in (0, 1))
-    return of_matrix(direct + y @ modes.reflection @ y.T, y @ modes.drive / modes.load)
-
-
-@in_full
-def dense(resp: Response) -> Float[Array, "S S"]:
-    """Assemble q_i G_ij as a dense matrix, source first.
-
-    For tests and inspection.
-    """
-    blocks, size = resp.near.shape[:2]
-    arriving = jnp.einsum("abxy,ajxy->ajbx", resp.pass_on.reshape(blocks, blocks, 4, 2), _sent(resp.leave))
-    far = jnp.einsum("ajbx,bxi->ajbi", arriving, resp.read)
-    same = jnp.eye(blocks)[:, None, :, None]
-    return (far + same * resp.near[:, :, None, :]).reshape(blocks * size, blocks * size)
-
-
-def _sent(leave: Float[Array, "... 4"]) -> Float[Array, "... 4 2"]:
-    """Pair what leaves a block with the rows of `pass_on`.
-
-    The first two rows multiply what leaves to the right, the last two what leaves to the left.
-    """
-    right, left = leave[..., None, :2], leave[..., None, 2:]
-    return jnp.concatenate([right, right, left, left], -2)
-
-
-def carried(resp: Response, block: Array, left: Float[Array, "4"]) -> Float[Array, "B 4"]:
-    """Displacements at every block's edges, (u_t, u) at the left and then at the right one, due to those leaving one block."""
-    return (resp.pass_on[block] * _sent(left)[None]).sum(-1)
+    return of_matrix((direct + y @ modes.reflection @ y.T)[:, None], (y @ modes.drive / modes.load)[None])

@@ -434,9 +434,10 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
 
     With `relief`, the pressure that a contact loses per displacement across it, that of their pressure too.
     """
-    A, t = compliance(guide, sites, 1 if relief is None else 2)
-    found = of_matrix(contact * A[:, 0, 0], t[0], contact * held_by_all(guide, t))
-    return found if relief is None else found._replace(relief=(relief * contact * A[:, 0, 1])[None], push_relief=relief * t[1:])
+    readings = 1 if relief is None else 2
+    A, t = compliance(guide, sites, readings)
+    sign = jnp.ones((1, 1), A.dtype) if relief is None else jnp.stack([jnp.ones_like(relief), -relief])[:, None]
+    return of_matrix(contact * A[:, 0] * sign, t * sign, contact * held_by_all(guide, t))
 
 
 @in_full

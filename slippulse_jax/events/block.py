@@ -152,8 +152,8 @@ def contacts_of(
         response = waveguide.response(guide, k, sites, jnp.asarray(block.friction * block.normal_stiffness))
     else:
         body = pressed(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
-        response = of_matrix(body.matrix[:sites, :sites], body.push[:sites], body.edge_stiffness)
-    threshold, prestress = jnp.ones_like(response.push[0]), jnp.zeros_like(response.push[0])
+        response = of_matrix(body.matrix[:sites, None, :sites], body.push[None, :sites], body.edge_stiffness)
+    threshold, prestress = jnp.ones_like(response.soft), jnp.zeros_like(response.soft)
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
@@ -173,17 +173,16 @@ def record(
     """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
     body = contacts_of(block, interface, sites, bare)
     found, start = first_event(body, kind=kind)
-    after = jax.tree.map(lambda x: x[0], found.contacts)
-    pinning, before, stress, pressure = after.released, start.stress, after.stress, after.pressure
+    pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
     if body.pressed is not None:
         ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
-        before, stress, pressure = start.stress * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
+        before, stress, pressure = before * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
     status, length = _ended(found, start, body, kind)
     return BlockPrecursor(
         block=block,
         nucleation=start.first.astype(jnp.int32),
         contacts_broken=found.broken.sum().astype(jnp.int32),
-        breaks=found.record.breaks,
+        breaks=found.breaks,
         length=length,
         load=start.load,
         status=status,
@@ -191,7 +190,7 @@ def record(
         stress=stress,
         pressure_before=start.pressure,
         pressure=pressure,
-        slip=start.response.near[0].T @ pinning,
+        slip=pinning @ start.response.near[0, :, 0],
         pinning=pinning,
         event=kind,
     )
@@ -199,10 +198,9 @@ def record(
 
 def _ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
     """How an event ended, and ℓ."""
-    after = jax.tree.map(lambda x: x[0], found.contacts)
-    excess = overload(after.stress, body.threshold, after.pressure)
+    excess = overload(found.readings, body.threshold)
     # that of rough contacts decays for ever
-    lifted = [] if after.pressure is None else [(x < LOST).any() for x in (jnp.asarray(start.pressure), after.pressure)]
+    lifted = [] if found.pressure is None else [(x < LOST).any() for x in (start.readings[1], found.pressure)]
     again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(excess.size, bool)
     endings = {
         Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
@@ -220,8 +218,8 @@ def rubbing(body: Relaxed, friction: Array) -> Relaxed:
     """Contacts whose threshold follows their pressure, at a coefficient of friction, from those at 1."""
     if body.pressed is not None:
         return body._replace(pressed=body.pressed._replace(friction=friction))
-    relief, push_relief = (None if x is None else friction * x for x in (body.response.relief, body.response.push_relief))
-    return body._replace(response=body.response._replace(relief=relief, push_relief=push_relief))
+    near, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.near, body.response.push))
+    return body._replace(response=body.response._replace(near=near, push=push))
 
 
 def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
@@ -243,8 +241,7 @@ def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[
     (start, body), (moved, changed) = primals, tangents
     found = event_from(start, body, kind=kind, logged=True)
     length = _ended(found, start, body, kind)[1]
-    pressure = (None, None) if start.response.relief is None else (moved.pressure, moved.response.relief[0])
-    given = moved.stress, moved.response.near[0], *pressure, changed.threshold
+    given = moved.readings, moved.response.near[0], changed.threshold
     slopes = slopes_of_length(found, start, body.threshold, body.alike)
     change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
@@ -253,21 +250,18 @@ def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[
 def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
-    near, relief = start.response.near[0], start.response.relief
 
     def ahead(front: Front) -> tuple[Array, Array]:
-        stress, pressure = front.stress
-        return stress[front.position], threshold[front.position] * (1 if pressure is None else pressure[front.position])
+        stress, *pressure = front.stress[:, front.position]
+        return stress, threshold[front.position] * (pressure[0] if pressure else 1)
 
     def release(front: Front, part: Any, released: Array) -> Front:
-        stress, pressure = front.stress
-        stress = stress + near[front.position] * (part * released)
-        if pressure is not None and relief is not None:
-            pressure = pressure - relief[0, front.position] * (part * released)
-        return front._replace(stress=(stress, pressure), position=front.position + 1)
+        return front._replace(
+            stress=front.stress + start.response.column(front.position) * (part * released), position=front.position + 1
+        )
 
-    at_edge = Front((start.stress, start.pressure if relief is not None else None), None, None, jnp.int32(0))
-    _, _, part, length = follow(rule, release(at_edge, 1, start.stress[0]), ahead, release, last)
+    at_edge = Front(start.readings, None, None, jnp.int32(0))
+    _, _, part, length = follow(rule, release(at_edge, 1, start.readings[0, 0]), ahead, release, last)
     valid = contacts.valid & (start.first == 0) & rule.in_domain()
     return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
 
@@ -349,13 +343,12 @@ def stages(
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array, Array]:
-        now = first_event(body, limit, kind)[0].contacts
-        pressure = per_stress
-        if now.pressure is not None:
-            pressure = jnp.where(limit > 0, now.pressure[0], jnp.asarray(start.pressure))
-        field = _fields(block, start.load, jnp.where(limit > 0, now.released[0], 0), guide)
+        now = first_event(body, limit, kind)[0]
+        readings = jnp.where(limit > 0, now.readings, start.readings)
+        pressure = readings[1] if len(readings) > 1 else per_stress
+        field = _fields(block, start.load, jnp.where(limit > 0, now.released, 0), guide)
         across, up = jnp.diff(field.vertical, axis=0), jnp.diff(field.horizontal, axis=1) / jnp.diff(field.y)[None, :]
         shear = modulus * (across[:, 1:] + across[:, :-1] + up[1:] + up[:-1]) / 2
-        return per_stress * jnp.where(limit > 0, now.stress[0], start.stress), pressure * body.threshold, shear
+        return per_stress * readings[0], pressure * body.threshold, shear
 
     return lax.map(at, breaks.astype(jnp.int32))

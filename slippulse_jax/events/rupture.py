@@ -25,11 +25,11 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, eliminate
 from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
-from slippulse_jax.bodies.response import Response, into_blocks, propagators, shared_response
+from slippulse_jax.bodies.response import Response, propagators, shared_response
 from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, stresses
+from slippulse_jax.events.event import BREAKS_PER_SITE, event, most
 from slippulse_jax.front.front import first_of, length_or_reason
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
@@ -231,20 +231,18 @@ def one_rupture(
     trigger = _or_closest(safe, before.stress, trigger)
     meant = _can_break(safe, before.stress, trigger)
     good = (before.status == Outcome.SOLVED) & meant
-    n, size = chain.sites, resp.push.shape[1]
     # a detached contact cannot break
     threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
     found = event(
         resp,
-        into_blocks(jnp.where(good, before.stress, 0), size),
-        into_blocks(threshold, size, jnp.inf),
+        jnp.where(good, before.stress, 0)[None],
+        threshold,
         limit=max_breaks,
         trigger=jnp.where(good, trigger, -1),
         delay=delay,
         log=(jnp.full(max_breaks + 1, -1, jnp.int32), jnp.zeros(max_breaks + 1, threshold.dtype), 0),
     )
-    record, stress = found.record, stresses(resp, found)[:n]
-    slip = (found.contacts.released * resp.soft).reshape(-1)[:n]
+    stress, slip, n = found.stress, found.released * resp.soft, chain.sites
     after_state = State(state.pinning + slip, state.load)
     finite = jnp.isfinite(slip).all()
     after = in_balance(finite, safe, or_harmless(finite, after_state), beyond)
@@ -253,25 +251,25 @@ def one_rupture(
             Outcome.INVALID: _invalid(before, after) | ~meant,
             Outcome.SINGULAR: before.status == Outcome.SINGULAR,
             Outcome.NOT_CONVERGED: ~good,
-            Outcome.NOTHING_BROKE: record.breaks == 0,
+            Outcome.NOTHING_BROKE: found.breaks == 0,
             Outcome.LIMIT: (stress >= threshold).any(),
             Outcome.RAN_THROUGH: found.rightmost == n - 1,
         }
     )
-    assert record.order is not None
-    assert record.each is not None
+    assert found.order is not None
+    assert found.each is not None
     even = alike(safe, state.pinning) & (delay == 0)
     return Rupture(
         state=after_state,
         before=before,
         after=after,
-        order=record.order[:-1],
-        released=record.each[:-1],
-        breaks=record.breaks,
-        broken=found.contacts.times.reshape(-1)[:n].astype(stress.dtype),
+        order=found.order[:-1],
+        released=found.each[:-1],
+        breaks=found.breaks,
+        broken=found.times.astype(stress.dtype),
         slip=slip,
         stress_drop=before.stress - after.stress,
-        energy=(record.stretched + record.relaxed) * safe.stiffness / 2,
+        energy=(found.stretched + found.relaxed) * safe.stiffness / 2,
         extent=found.rightmost + 1,
         length=length_or_reason(status, found.length(stress - threshold, n - 1, even)),
         drift=jnp.abs(stress - after.stress).max(),
@@ -290,7 +288,7 @@ def alike(chain: Chain, pinning: Array, start: int = 0) -> Array:
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    beyond, resp = shared_response(chain, near=limits[1] > 0)  # a delay updates all stresses at every break
+    beyond, resp = shared_response(chain)
     return lane_by_lane(partial(one_rupture, limits), resp, beyond, chain, state, trigger)
 
 

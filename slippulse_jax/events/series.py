@@ -10,7 +10,7 @@ only at the end, to measure the accumulated rounding errors.
   relaxes to equilibrium, where the contact carries t_j'.
 * The rest of the work of the drive is stored.
 
-Within an event a break costs O(√N) (`slippulse_jax.events.event`); between two events every stress is computed, in O(N).
+A break costs O(N) (`slippulse_jax.events.event`).
 """
 
 from functools import partial
@@ -28,14 +28,14 @@ from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
 from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
 from slippulse_jax.bodies.pressed import balance, frozen
-from slippulse_jax.bodies.response import Response, into_blocks, of_matrix, shared_response
+from slippulse_jax.bodies.response import Response, of_matrix, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Relaxed, event, most, overload, rises, stresses
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Relaxed, event, most, overload, rises
 from slippulse_jax.events.rupture import alike
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
@@ -206,13 +206,13 @@ def _series(shape: Shape, body: Chain | Block, interface: Interface | Profile | 
 
 def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loading: Loading) -> Catalogue:
     """Series of a chain, which begins with the site of the driver if it is pulled through a spring."""
-    size, attached = resp.push.shape[1], chain.contact > 0
+    attached = chain.contact > 0
     prestress = jnp.where(attached, chain.prestress, 0)
     holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
     relaxed = Relaxed(
         response=resp,
-        threshold=into_blocks(jnp.where(attached, chain.threshold, jnp.inf), size, jnp.inf),
-        prestress=into_blocks(prestress, size),
+        threshold=jnp.where(attached, chain.threshold, jnp.inf),
+        prestress=prestress,
         stiffness=chain.stiffness,
         valid=all_numbers(chain, chain.relaxed()) & ~floating & holds,
         last=chain.sites - 1,
@@ -220,7 +220,7 @@ def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loadi
         alike=alike(chain, jnp.zeros_like(prestress), chain.sites - shape[-1]),
     )
     end = load_through(shape, relaxed, loading)
-    state = _end_state(relaxed, end, chain.sites)
+    state = State(resp.soft * end.released, end.load)
     solved = equilibrium(chain, state)
     stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
     return _catalogue(relaxed, end, state, solved.stress, stored)
@@ -236,36 +236,36 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
 
     The matrix is of a power of two of contacts.
     """
-    resp, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
-    push, matrix, edge = resp.push[0], resp.near[0], resp.edge_stiffness
-    relief, push_relief = resp.relief, resp.push_relief
-    there = jnp.arange(push.size) < sites
-    prestress = jnp.where(there, body.prestress, 0)
+    response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     if isinstance(loading.protocol, Spring):
-        spring = loading.protocol.stiffness
-        share = spring / (spring + edge)
-        matrix = matrix + jnp.outer(push, push) * k / (spring + edge)
-        push, edge = push * share, edge * share
-        if relief is not None and push_relief is not None:
-            relief = relief + jnp.outer(resp.push[0], push_relief[0])[None] * k / (spring + resp.edge_stiffness)
-            push_relief = push_relief * share
+        response = through(loading.protocol.stiffness, response, k)
+    there = jnp.arange(threshold.size) < sites
+    prestress = jnp.where(there, body.prestress, 0)
+    sound = jnp.isfinite(response.near[:, :, 0]).all() & ((threshold > prestress) & (threshold > 0) | ~there).all()
     body = body._replace(
-        response=of_matrix(matrix, push, edge)._replace(relief=relief, push_relief=push_relief),
-        threshold=jnp.where(there, threshold, jnp.inf)[None],
-        prestress=prestress[None],
+        response=response,
+        threshold=jnp.where(there, threshold, jnp.inf),
+        prestress=prestress,
         last=sites - 1,
-        valid=body.valid & jnp.isfinite(matrix).all() & ((threshold > prestress) & (threshold > 0) | ~there).all(),
+        valid=body.valid & sound,
     )
     end = load_through(shape, body, loading)
-    state = _end_state(body, end, sites)
-    u, p, own = state.load, state.pinning, prestress[:sites]
-    driven, apart = u * push[:sites], p - matrix[:sites, :sites] @ p
-    stored = edge * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
+    state, own = State((response.soft * end.released)[:sites], end.load), prestress[:sites]
+    u, p = state.load, state.pinning
+    driven, apart = u * response.push[0, :sites], p - p @ response.near[0, :sites, 0, :sites]
+    stored = response.edge_stiffness * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
     afresh = own + driven - apart
     if body.pressed is not None:
         unbroken = jnp.full_like(prestress, jnp.inf)
-        afresh = balance(body.pressed, unbroken, prestress, (resp.soft * end.released)[0], u).stretch[:sites]
+        afresh = balance(body.pressed, unbroken, prestress, response.soft * end.released, u).stretch[:sites]
     return _catalogue(body, end, state, afresh, stored)
+
+
+def through(spring: Array, response: Response, k: Array | float) -> Response:
+    """Response of a matrix body whose pusher is pulled through a spring, in K; the load is then that of the driver."""
+    whole, push = spring + response.edge_stiffness, response.push
+    near = response.near + k / whole * push[0][:, None, None] * push  # a break lets the pusher move
+    return response._replace(near=near, push=push * spring / whole, edge_stiffness=response.edge_stiffness * spring / whole)
 
 
 _hard_series = without_derivative(
@@ -279,13 +279,12 @@ _hard_series = without_derivative(
 
 
 class SeriesState(NamedTuple):
-    """State between two events, in B blocks of M contacts."""
+    """State between two events of N contacts."""
 
-    stress: Float[Array, "B M"]
-    pressure: Float[Array, "B M"] | None  # over the initial one, where thresholds follow it
-    released: Float[Array, "B M"]  # by each contact so far
-    born: Float[Array, "B M"] | None  # load at the last break, if contacts age; −inf if never
-    last: Int[Array, "B M"]  # event of the last break; −1 if never
+    readings: Float[Array, "r N"]  # stress; and pressure over the initial one, where thresholds follow it
+    released: Float[Array, " N"]  # by each contact so far
+    born: Float[Array, " N"] | None  # load at the last break, if contacts age; −inf if never
+    last: Int[Array, " N"]  # event of the last break; −1 if never
     load: Array
     force: Array  # on the left edge
     stored: Array  # potential energy
@@ -308,10 +307,9 @@ EMPTY_ROW = {
 def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
     """Run events until the series ends."""
     events, recorded, delay, _ = shape
-    zero, none = jnp.zeros_like(body.prestress[0, 0]), jnp.zeros((), jnp.int32)
+    zero, none = jnp.zeros_like(body.prestress[0]), jnp.zeros((), jnp.int32)
     begin = SeriesState(
-        stress=body.prestress,
-        pressure=None if body.response.relief is None else jnp.ones_like(body.prestress),
+        readings=body.readings,
         released=jnp.zeros_like(body.prestress),
         born=None if loading.ageing is None else jnp.full_like(body.prestress, -jnp.inf),
         last=jnp.full(body.prestress.shape, -1, jnp.int32),
@@ -330,49 +328,44 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
 def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -> SeriesState:
     """Load to the next break, run the event and record it."""
     response, k, ageing = body.response, body.stiffness, loading.ageing
-    threshold, renewed, pressure = body.threshold, None, now.pressure
+    threshold, renewed = body.threshold, None
     if body.pressed is not None:
-        at = balance(body.pressed, threshold[0], body.prestress[0], now.released[0], now.load)
+        at = balance(body.pressed, threshold, body.prestress, now.released, now.load)
         trigger, load, rise = at.first, at.load, at.load - now.load
-        stress, response = at.stretch[None], frozen(body.pressed, at)
-        begins, per_stretch = at.stretch[trigger] >= threshold[0, trigger] - BALANCED, at.pressure
+        readings, response = at.stretch[None], frozen(body.pressed, at)
+        begins, per_stretch = at.stretch[trigger] >= threshold[trigger] - BALANCED, at.pressure
         force_before = body.pressed.edge_stiffness * load - k * body.pressed.push @ at.force
     else:
         rise, trigger, begins = _raised(body, loading, now)
         load, force_before, per_stretch = now.load + rise, now.force + response.edge_stiffness * rise, 1.0
-        stress = now.stress + response.push * rise
-        if pressure is not None and response.push_relief is not None:
-            pressure = pressure - response.push_relief * rise
+        readings = now.readings + response.push * rise
     if ageing is not None and now.born is not None:
         threshold = threshold * ageing.strength(load - now.born, jnp.asarray(loading.protocol.velocity))
         renewed = body.threshold * jnp.asarray(ageing.newborn)
-    most_over = most(overload(stress, threshold, pressure))[0]
+    most_over = most(overload(readings, threshold))[0]
     first = jnp.where(trigger >= 0, trigger, most_over) if isinstance(loading.protocol, Steps) else trigger
     found = event(
         response,
-        stress,
+        readings,
         threshold,
         renewed=renewed,
         trigger=trigger,
         limit=loading.max_breaks,
         delay=delay,
-        pressure=pressure,
         log=(now.order, jnp.zeros(now.order.size, rise.dtype), now.total),
     )
-    after, (record, right) = stresses(response, found), (found.record, found.rightmost)
-    excess = found.contacts._replace(stress=after.reshape(stress.shape)).excess.reshape(-1)
-    lifted = [(x < LOST).any() for x in (pressure, found.contacts.pressure) if x is not None]
-    slip, last = response.soft * found.contacts.released, now.last.reshape(-1)
+    right, excess, slip = found.rightmost, found.excess, response.soft * found.released
+    lifted = [(x < LOST).any() for x in (*readings[1:], *found.readings[1:])]
     even = body.alike & (now.number == 0) & (delay == 0)  # contacts that broke differ
-    force = force_before - k * (response.push * slip).sum()
-    work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * record.stretched, k / 2 * record.relaxed
+    force = force_before - k * (response.push[0] * slip).sum()
+    work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * found.stretched, k / 2 * found.relaxed
     if body.pressed is not None:  # the sums above are those of springs that stay as they are
         work, broken, relaxed = (jnp.full_like(work, jnp.nan),) * 3
     stored, spans = now.stored + work - broken - relaxed, right == body.last
     kinds = {
         EventClass.SPANNING: spans,
         EventClass.EDGE: first == body.driver,
-        EventClass.RENUCLEATED: (first > body.driver) & (last[jnp.maximum(first - 1, 0)] > last[first]),
+        EventClass.RENUCLEATED: (first > body.driver) & (now.last[jnp.maximum(first - 1, 0)] > now.last[first]),
     }
     row = {
         "load": load,
@@ -382,16 +375,16 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         "leftmost": found.leftmost - body.driver,
         "extent": right + 1 - body.driver,
         "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)) - body.driver,
-        "breaks": record.breaks,
+        "breaks": found.breaks,
         "slip": slip.sum(),
-        "stress_drop": (per_stretch * (stress.reshape(-1) - after)).sum(),
+        "stress_drop": (per_stretch * (readings[0] - found.stress)).sum(),
         "work": work,
         "stored": stored,
         "broken": broken,
         "relaxed": relaxed,
         "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
     }
-    over = (record.breaks >= loading.max_breaks) & (excess >= 0).any()
+    over = (found.breaks >= loading.max_breaks) & (excess >= 0).any()
     endings = {
         Outcome.NOTHING_LEFT: ~begins,
         Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
@@ -401,22 +394,21 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     }
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
     return SeriesState(
-        stress=after.reshape(stress.shape),
-        pressure=found.contacts.pressure,
-        released=now.released + found.contacts.released,
-        born=None if now.born is None else jnp.where(found.contacts.times > 0, load, now.born),
-        last=jnp.where(found.contacts.times > 0, now.number, now.last),
+        readings=found.readings,
+        released=now.released + found.released,
+        born=None if now.born is None else jnp.where(found.broken, load, now.born),
+        last=jnp.where(found.broken, now.number, now.last),
         load=load,
         force=force,
         stored=stored,
         number=now.number + begins.astype(jnp.int32),
-        total=now.total + record.breaks,
+        total=now.total + found.breaks,
         ending=jnp.select(list(endings.values()), list(endings), -1).astype(jnp.int32),
         rows={
             name: lax.dynamic_update_index_in_dim(column, row[name].astype(column.dtype), place, 0)
             for name, column in now.rows.items()
         },
-        order=now.order if record.order is None else record.order,
+        order=now.order if found.order is None else found.order,
     )
 
 
@@ -425,12 +417,12 @@ def _raised(body: Relaxed, loading: Loading, now: SeriesState) -> tuple[Array, A
 
     Return also whether any load brings a contact to its threshold; the increase is 0 if none does.
     """
-    push = body.response.push
     if loading.ageing is None or now.born is None:
-        needed = rises(push, body.threshold, now.stress, now.pressure, body.response.push_relief)
+        needed = rises(body.response.push, body.threshold, now.readings)
     else:
         velocity = jnp.asarray(loading.protocol.velocity)
-        needed = next_crossing(loading.ageing, now.stress, push, body.threshold, now.load - now.born, velocity)
+        push, (stress, *_) = body.response.push[0], now.readings
+        needed = next_crossing(loading.ageing, stress, push, body.threshold, now.load - now.born, velocity)
     site, least = most(-needed)
     begins, rise = jnp.isfinite(least), jnp.maximum(-least, 0)
     trigger = jnp.where(begins, site, -1)
@@ -455,11 +447,7 @@ def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Arra
         break_site=jnp.where(known, end.order[:-1] - body.driver, -1),
         break_event=jnp.where(known, of_event, -1),
         state=State(state.pinning[body.driver :], state.load),
-        drift=jnp.abs(end.stress.reshape(-1)[: stress.size] - stress).max(),
+        drift=jnp.abs(end.readings[0, : stress.size] - stress).max(),
         energy_drift=jnp.abs(end.stored - stored),
         status=end.ending,
     )
-
-
-def _end_state(body: Relaxed, end: SeriesState, sites: int) -> State:
-    return State((body.response.soft * end.released).reshape(-1)[:sites], end.load)

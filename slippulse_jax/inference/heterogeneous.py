@@ -161,7 +161,7 @@ def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: A
     """ℓ of a front from the edge, NaN where it does not stop; the contact that sets the load; and t at every contact."""
     modes = lattice_modes(Slider(height, stiffness, poisson))
     site = jnp.arange(theta.size)
-    needed = rises(jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive, theta, phi)
+    needed = rises((jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive)[None], theta, phi[None])
     first = jnp.argmin(needed)
     stress = sweep(modes, needed[first] + phi[0], phi)
     excess = stress - theta
@@ -181,9 +181,9 @@ def _ruptures(*lanes: Array) -> tuple[Array, Array]:
         height, stiffness, poisson, theta, phi = lane
         response = of_slider(lattice_modes(Slider(height, stiffness, poisson)), theta.size)
         found, start = first_event(Relaxed(response, theta, phi), kind="full")
-        stress = found.contacts.stress[0]
-        stopped = (stress < theta).all() & (found.rightmost < theta.size - 1)
-        return jnp.where(stopped, found.length(stress - theta, theta.size - 1), jnp.nan), start.first
+        excess = found.stress - theta
+        stopped = (excess < 0).all() & (found.rightmost < theta.size - 1)
+        return jnp.where(stopped, found.length(excess, theta.size - 1), jnp.nan), start.first
 
     return lax.map(one, lanes)
 
