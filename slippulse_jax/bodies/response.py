@@ -63,7 +63,7 @@ class Response(NamedTuple):
         block, place = site // size, site % size
         right, left = jnp.split(self.far.leave[block, place], 2)
         sent = jnp.stack([right, right, left, left])
-        arriving = (self.far.pass_on[block] * sent).sum(-1)
+        arriving = (self.far.pass_on[block] * sent[None]).sum(-1)
         found = sum(arriving[:, edge, None] * self.far.read[:, edge] for edge in range(4))
         return found.at[block].add(self.near[block, place, 0]).reshape(1, -1)[:, :count]
 

@@ -437,7 +437,7 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
     readings = 1 if relief is None else 2
     A, t = compliance(guide, sites, readings)
     sign = jnp.ones((1, 1), A.dtype) if relief is None else jnp.stack([jnp.ones_like(relief), -relief])[:, None]
-    return of_matrix(contact * A[:, 0] * sign, t * sign, contact * held_by_all(guide, t))
+    return of_matrix(contact * A[:, 0] * sign[None], t * sign, contact * held_by_all(guide, t))
 
 
 @in_full

@@ -158,7 +158,7 @@ def event(
     read. `log` is arrays for the sites in order of breaking and what each released, and the place of the first break.
     """
     renewed = threshold if renewed is None else renewed
-    zero, none = jnp.zeros_like(threshold), jnp.zeros((), jnp.int32)
+    zero, none = jnp.zeros_like(readings[0]), jnp.zeros((), jnp.int32)
     never, (order, each, logged) = jnp.zeros(threshold.shape, jnp.int32), (None, None, 0) if log is None else log
     start = Event(readings, threshold, zero, zero, never, never - 1, none, zero[0], zero[0], order, each)
     trigger, last = jnp.asarray(trigger, jnp.int32), jnp.asarray(last, jnp.int32)

@@ -28,7 +28,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
 from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
 from slippulse_jax.bodies.pressed import balance, frozen
-from slippulse_jax.bodies.response import Response, of_matrix, shared_response
+from slippulse_jax.bodies.response import Response, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
@@ -264,7 +264,7 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
 def through(spring: Array, response: Response, k: Array | float) -> Response:
     """Response of a matrix body whose pusher is pulled through a spring, in K; the load is then that of the driver."""
     whole, push = spring + response.edge_stiffness, response.push
-    near = response.near + k / whole * push[0][:, None, None] * push  # a break lets the pusher move
+    near = response.near + (k / whole * push[0][:, None, None] * push[None])[None]  # a break lets the pusher move
     return response._replace(near=near, push=push * spring / whole, edge_stiffness=response.edge_stiffness * spring / whole)
 
 

@@ -80,8 +80,8 @@ def test_the_slider_is_a_waveguide_of_two_freedoms(height, stiffness, count, len
     np.testing.assert_allclose(found.push[0], driven, rtol=0, atol=1e-12)
     assert int(start.first) == 0
     assert float(start.load) == pytest.approx(float(modes.load), rel=1e-13)
-    assert int(ended.broken.sum()) == int(ended.record.breaks) == count
-    stress, overload = ended.contacts.stress[0], ended.contacts.overload[0]
+    assert int(ended.broken.sum()) == int(ended.breaks) == count
+    stress, overload = ended.stress, ended.overload
     line = count - 1 + overload[count - 1] / (overload[count - 1] - stress[count] + 1)
     assert float(ended.length(stress - 1, 79)) == pytest.approx(float(line), rel=1e-14)
     reached = float(ended.length(stress - 1, 79, alike=True))
@@ -124,7 +124,7 @@ def test_response_is_that_of_a_long_block(push):
     dense = whole(block, 160, reach=48)
     found = response(block, 48)
     np.testing.assert_allclose(found.push[0], dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.near[0], dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.near[0, :, 0], dense.matrix, rtol=0, atol=1e-10)
     for event in KINDS:
         order, stress, *_ = break_all(dense.push, dense.matrix, once=event == "domino")
         record = sp.first_precursor(block, sites=48, event=event)
@@ -143,7 +143,7 @@ def test_random_blocks_break_in_the_same_order(blocks):
         block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
         dense = whole(block, int(12 * height))
         found = response(block, 64)
-        push, matrix = np.asarray(found.push[0]), np.asarray(found.near[0])
+        push, matrix = np.asarray(found.push[0]), np.asarray(found.near[0, :, 0])
         for event in KINDS:
             once = event == "domino"
             order, *_ = break_all(dense.push, dense.matrix, once)
@@ -161,7 +161,7 @@ def test_the_curve_leaves_out_contacts_that_broke_before_those_to_their_left():
     for b, first in ((0.7784, [1, 0, 2]), (0.7843, [2, 1, 0])):
         block = at_b(10.0, b, sp.Push(0.4, 0.2))
         found = response(block, 64)
-        order, *_, length = break_all(np.asarray(found.push[0]), np.asarray(found.near[0]), once=True)
+        order, *_, length = break_all(np.asarray(found.push[0]), np.asarray(found.near[0, :, 0]), once=True)
         assert order == [*first, 3, 4, 5, 6]
         lengths.append(float(sp.precursor_length(block, sites=64)))
         assert lengths[-1] == pytest.approx(length, abs=1e-9)
@@ -208,7 +208,7 @@ def test_an_interface_that_gives_way_across(push, contacts):
     dense, count = whole(block, contacts, reach=48), min(contacts, 48)
     found = response(block, 48)
     np.testing.assert_allclose(found.push[0][:count], dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.near[0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.near[0, :, 0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
 @pytest.mark.slow
@@ -258,9 +258,9 @@ def test_a_block_with_a_free_end(push):
         np.testing.assert_allclose(
             found.push[0][:contacts], dense.push, rtol=1e-10 if push.control == "force" else 0, atol=1e-11
         )
-        np.testing.assert_allclose(found.near[0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found.near[0, :, 0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
         assert not found.push[0][contacts:].any()
-        assert not found.near[0][contacts:].any()
+        assert not found.near[0, :, 0][contacts:].any()
         for event in KINDS:
             order, stress, *_ = break_all(dense.push, dense.matrix, once=event == "domino")
             record = sp.first_precursor(block, event=event)
@@ -445,8 +445,8 @@ def test_slow_decay_is_that_of_an_edge_load(b):
 def test_far_from_the_edge_a_uniform_shift_is_followed():
     """R sums to one along a row."""
     found = response(at_b(5.0, 2.0, sp.Push(0.3)), 256)
-    np.testing.assert_allclose(found.near[0][128].sum(), 1, atol=1e-6)
-    np.testing.assert_allclose(found.near[0], found.near[0].T, atol=1e-13)
+    np.testing.assert_allclose(found.near[0, :, 0][128].sum(), 1, atol=1e-6)
+    np.testing.assert_allclose(found.near[0, :, 0], found.near[0, :, 0].T, atol=1e-13)
 
 
 @pytest.mark.slow
@@ -459,7 +459,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
     def state(pinning):
         x = waveguide.columns(guide, jnp.asarray(k), jnp.asarray(load), pinning)
         found = response(block, 200)
-        stretch = load * found.push[0] + found.near[0] @ pinning - pinning
+        stretch = load * found.push[0] + found.near[0, :, 0] @ pinning - pinning
         first, edge = jax.tree.map(lambda one: one[0], elements.slabs(block)[0]), guide.edge
         second = x[1]
         for i in range(len(edge.layers.load) - 1, 0, -1):  # back to the right side of the first layer
@@ -477,7 +477,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
 
     force, stretch = state(pinning)
     assert force == pytest.approx(k * stretch.sum(), rel=1e-9)
-    j, matrix = 5, np.asarray(response(block, 200).near[0])
+    j, matrix = 5, np.asarray(response(block, 200).near[0, :, 0])
     lost = energy(pinning) - energy(pinning.at[j].add(stretch[j]))
     assert lost == pytest.approx(k * stretch[j] ** 2 * (1 + matrix[j, j]) / 2, rel=1e-8)
 
@@ -556,7 +556,7 @@ def test_lengths_on_finer_meshes():
     def length(block, finer):
         found = waveguide.response(blocks.guide_of(block, finer), block.stiffness, 96)
         ended, *_ = first_event(Relaxed(found, jnp.ones(96), jnp.zeros(96)))
-        return ended.length(ended.contacts.stress[0] - 1, 95)
+        return ended.length(ended.stress - 1, 95)
 
     usual, twice, four = (float(length(block, finer)) for finer in (0, 1, 2))
     assert usual == pytest.approx(float(sp.precursor_length(block, sites=96)), rel=1e-12)
@@ -831,7 +831,7 @@ def test_both_events_of_the_slider_as_a_waveguide(b, again):
     for event in KINDS:
         found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
         ended, _ = first_event(Relaxed(found, jnp.ones(160), jnp.zeros(160)), kind=event)
-        reached = ended.length(ended.contacts.stress[0] - 1, 159, alike=True)
+        reached = ended.length(ended.stress - 1, 159, alike=True)
         assert float(reached) == pytest.approx(float(sp.precursor_length(slider, event=event)), abs=1e-8)
     front, whole = (float(sp.precursor_length(slider, event=event)) for event in KINDS)
     assert (whole > front) == again

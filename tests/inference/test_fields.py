@@ -246,7 +246,7 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
         modes = lattice_modes(sp.Slider(height, STIFFNESS, POISSON))
         event = first_event(Relaxed(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi)), kind="full")[0]
         assert int(event.leftmost) == leftmost
-        assert int(event.contacts.times.max()) == 1
+        assert int(event.times.max()) == 1
     of_fronts, start_of_fronts = followed(*of, *profiles, next_break="neighbour")
     assert start_of_fronts.tolist() == start.tolist()
     assert abs(of_fronts - length).max() < apart
