@@ -36,8 +36,8 @@ ANY = Layout(chunk=256, fusion_emitters=False)
 
 ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
-FEW_SITES, MOST_SITES = 128, 2**21
-"""Smallest and largest number of sites resolved of a slider."""
+FEW_SITES, MOST_SITES = 128, 2**13
+"""Smallest and largest number of sites resolved of a slider; longer events are followed on larger contacts."""
 ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 """Each lane is a loop of its own."""
 
@@ -237,7 +237,37 @@ def event_lengths(
         farther = np.isinf(found[0, here])
         found[:, here[farther]] = np.nan
         resolved[here] = np.where(farther, MORE_SITES * size, np.inf)
+    far = np.isfinite(resolved)
+    if far.any():
+        found[:, far] = _on_larger_contacts(lanes[:, far], front[far], right, derivatives)
     return found
+
+
+def _on_larger_contacts(
+    lanes: Float[np.ndarray, "fields n"], front: Float[np.ndarray, " n"], right: RightEnd, derivatives: int
+) -> Float[np.ndarray, "rows n"]:
+    """ℓ of events beyond `MOST_SITES`, from those of sliders of the same b on contacts of two larger sizes.
+
+    The length over that of the front is extrapolated in the size of contacts, to some 10⁻⁴, at b = 40 to 10⁻³. Derivatives are
+    those on the smaller of the two. NaN where an event runs far beyond its front on large contacts too.
+    """
+    fits = MOST_SITES / (ROOM * front)
+    share = np.where(fits < 1, fits, 1 / MORE_SITES)
+    rows = np.full((1 + derivatives * len(lanes), len(share)), np.nan)
+    able = share * lanes[0] >= FEW_SITES
+    if not able.any():
+        return rows
+    ratios = []
+    for size in (share[able] / 2, share[able]):
+        scale = np.stack([size, 1 / size, size / size, size / size, 1 / size])[: len(lanes)]
+        larger = lanes[:, able] * scale
+        stops = lengths(Slider(*larger[:3]), Interface(*larger[3:]) if len(lanes) > 3 else None)
+        event = event_lengths(larger, stops, right, None, derivatives)
+        ratios.append(event[0] / stops)
+        rows[1:, able] = event[1:] * scale[: len(event) - 1] / size
+    rough, fine = ratios
+    rows[0, able] = front[able] * (fine + (fine - rough) * (1 - share[able]))
+    return rows
 
 
 @functools.cache

@@ -65,7 +65,8 @@ class Response(NamedTuple):
         sent = jnp.stack([right, right, left, left])
         arriving = (self.far.pass_on[block] * sent[None]).sum(-1)
         found = sum(arriving[:, edge, None] * self.far.read[:, edge] for edge in range(4))
-        return found.at[block].add(self.near[block, place, 0]).reshape(1, -1)[:, :count]
+        own = (jnp.arange(len(found)) == block)[:, None]
+        return (found + jnp.where(own, self.near[block, place], 0)).reshape(1, -1)[:, :count]
 
 
 class Propagators(NamedTuple):
@@ -81,18 +82,12 @@ class Propagators(NamedTuple):
     edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
 
 
-SINGLE = 256
-"""Sites up to which a chain is one block."""
-
-
 def block_size(sites: int) -> int:
-    """Choose the number of sites per block: all of few; a power of two between √N and 2√N of many."""
-    if sites <= SINGLE:
-        return sites
-    size = 8
-    while size * size < sites:
+    """Choose the number of sites per block: 32, or the power of two from √N/2 on; all of fewer."""
+    size = 32
+    while 4 * size * size < sites:
         size *= 2
-    return size
+    return min(size, sites)
 
 
 def propagators(chain: Chain, beyond: Springs) -> Propagators:

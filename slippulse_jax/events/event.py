@@ -166,22 +166,24 @@ def event(
     def forced(now: Event) -> Array:
         return (trigger >= 0) & (now.breaks == 0)
 
-    def next_of(now: Event) -> tuple[Array, Array]:
-        """The contact that breaks next, and the largest overload."""
+    def next_of(now: Event) -> tuple[Array, ...]:
+        """The largest overload; the contact that breaks next, its overload and stress, and whether it breaks for the first time.
+
+        Read here: to read an array that is written in the same step costs a copy of it.
+        """
         site, most_over = most(now.excess)
-        return jnp.where(forced(now), trigger, site), most_over
+        site = jnp.where(forced(now), trigger, site)
+        return most_over, site, overload(now.readings[:, site], now.threshold[site]), now.stress[site], now.times[site] == 0
 
     def going(state: tuple) -> Array:
-        now, (_, most_over), _ = state
+        now, (most_over, *_), _ = state
         ended = (last >= 0) & (now.times[last] > 0)
         if now.pressure is not None:
             ended = ended | (now.pressure.min() < 0) & (now.breaks > 0)
         return (forced(now) | (most_over >= 0)) & (now.breaks < limit) & ~ended
 
     def step(state: tuple) -> tuple:
-        now, (site, _), detached = state
-        first = now.times[site] == 0
-        t, over = now.stress[site], overload(now.readings[:, site], now.threshold[site])
+        now, (_, site, over, t, first), detached = state
         if delay:
             readings, released, after, detached = _held(response, now, site, detached)
         else:
@@ -195,9 +197,9 @@ def event(
             readings=readings,
             threshold=now.threshold.at[site].set(renewed[site]),
             released=released,
-            overload=now.overload.at[site].set(jnp.where(first, over, now.overload[site])),
+            overload=now.overload.at[site].add(jnp.where(first, over, 0)),
             times=now.times.at[site].add(1),
-            turn=now.turn.at[site].set(jnp.where(first, now.breaks, now.turn[site])),
+            turn=now.turn.at[site].add(jnp.where(first, now.breaks + 1, 0)),
             breaks=now.breaks + 1,
             stretched=now.stretched + soft * t,
             relaxed=now.relaxed + soft * after,
@@ -226,11 +228,16 @@ def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"
 
 def most(x: Float[Array, " N"]) -> tuple[Array, Array]:
     """Return site and value of the largest entry; the first of equals."""
-    value = x
-    while value.size > 1 and value.size % 2 == 0:  # by halves: unlike a plain reduction, this compiles to vector instructions
-        value = jnp.maximum(value[: value.size // 2], value[value.size // 2 :])
-    value = value.max()
-    return jnp.argmax(x == value).astype(jnp.int32), value
+    value, count = largest(x), jnp.int32(x.size)
+    return count - largest(jnp.where(x == value, count - jnp.arange(x.size, dtype=jnp.int32), 0)), value
+
+
+def largest(x: Array) -> Array:
+    """Largest entry, by halves: unlike a plain reduction, this compiles to vector instructions."""
+    while x.size > 1:
+        half = -(-x.size // 2)
+        x = jnp.maximum(x[:half], x[-half:])
+    return x[0]
 
 
 def rises(push: Float[Array, "r N"], threshold: Float[Array, " N"], readings: Float[Array, "r N"]) -> Float[Array, " N"]:
