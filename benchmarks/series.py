@@ -68,7 +68,7 @@ def responses(sites):
     def green(height):
         body = chain(sites, height)
         resp = response(body, eliminate(body, body.contact))
-        return jax.vmap(resp.column)(jnp.arange(sites))[:, 0]
+        return jax.vmap(resp.column)(np.arange(sites))[:, 0]
 
     return jax.jit(green)
 

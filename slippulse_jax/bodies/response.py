@@ -64,9 +64,11 @@ class Response(NamedTuple):
         right, left = jnp.split(self.far.leave[block, place], 2)
         sent = jnp.stack([right, right, left, left])
         arriving = (self.far.pass_on[block] * sent[None]).sum(-1)
-        found = sum(arriving[:, edge, None] * self.far.read[:, edge] for edge in range(4))
-        own = (jnp.arange(len(found)) == block)[:, None]
-        return (found + jnp.where(own, self.near[block, place], 0)).reshape(1, -1)[:, :count]
+        own = (jnp.arange(len(arriving)) == block)[:, None]
+        found = jnp.where(own, self.near[block, place], 0)
+        for edge in range(4):  # written out: arithmetic on rows
+            found = found + arriving[:, edge, None] * self.far.read[:, edge]
+        return found.reshape(1, -1)[:, :count]
 
 
 class Propagators(NamedTuple):

@@ -167,7 +167,7 @@ def event(
         return (trigger >= 0) & (now.breaks == 0)
 
     def next_of(now: Event) -> tuple[Array, ...]:
-        """The largest overload; the contact that breaks next, its overload and stress, and whether it breaks for the first time.
+        """The largest overload; the contact that breaks next, its overload and stress, and whether it never broke.
 
         Read here: to read an array that is written in the same step costs a copy of it.
         """

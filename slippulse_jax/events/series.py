@@ -261,9 +261,10 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     return _catalogue(body, end, state, afresh, stored)
 
 
-def through(spring: Array, response: Response, k: Array | float) -> Response:
+def through(spring: AnyArrayLike, response: Response, k: Array | float) -> Response:
     """Response of a matrix body whose pusher is pulled through a spring, in K; the load is then that of the driver."""
-    whole, push = spring + response.edge_stiffness, response.push
+    spring, push = jnp.asarray(spring), response.push
+    whole = spring + response.edge_stiffness
     near = response.near + (k / whole * push[0][:, None, None] * push[None])[None]  # a break lets the pusher move
     return response._replace(near=near, push=push * spring / whole, edge_stiffness=response.edge_stiffness * spring / whole)
 
