@@ -6,8 +6,8 @@ Three uses of each, on studies of one, two and four parameters, of lengths with 
 - search: the starts that a fit chooses (the local minima of its grid, or the best of 512 Sobol points);
 - fit: all of `fit`, whose profiles are Levenberg and Marquardt's under every method, and send the search where they go deeper.
 
-Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged. Lengths:
-values of ℓ* computed for one start, search or fit, those of the derivatives included (median). Milliseconds: the same.
+Reached: D lies no more than 10⁻³ above the least that anything found; said so: and the end called itself converged.
+Milliseconds: of one start, search or fit (median); optax's methods compile a program for every table.
 Adam, by far the slowest, gets every fourth study.
 Run: python -m benchmarks optimisers [studies, 20 by default] [beginning of a problem's name …]
 """
@@ -15,7 +15,7 @@ Run: python -m benchmarks optimisers [studies, 20 by default] [beginning of a pr
 import argparse
 import sys
 import time
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -74,34 +74,15 @@ def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
     )
 
 
-class Tally:
-    """Lengths computed since the last look."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        original = fronts.exact_fronts
-
-        def counted(lanes: np.ndarray, **settings: Any) -> Any:
-            self.count += lanes.shape[1]
-            return original(lanes, **settings)
-
-        fronts.exact_fronts = counted
-
-    def take(self) -> int:
-        count, self.count = self.count, 0
-        return count
-
-
 class Run(NamedTuple):
     """One use of one method on one study."""
 
     lowest: np.ndarray  # D at each end, one or many
     converged: np.ndarray  # whether each said so
-    lengths: int
     seconds: float
 
 
-def runs(m: Measurements, kind: Kind, method: Method, seed: int, tally: Tally) -> list[Run]:
+def runs(m: Measurements, kind: Kind, method: Method, seed: int) -> list[Run]:
     """By starts, by search, by fit."""
     parameters = parameter_set(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
     problem = make_problem(m, parameters, "normal", m.sigma)
@@ -121,21 +102,20 @@ def runs(m: Measurements, kind: Kind, method: Method, seed: int, tally: Tally) -
 
     out = []
     for use in (by_starts, by_search, by_fit):
-        tally.take()
         began = time.perf_counter()
         lowest, converged = use()
-        out.append(Run(lowest, converged, tally.take(), time.perf_counter() - began))
+        out.append(Run(lowest, converged, time.perf_counter() - began))
     return out
 
 
-def table(name: str, kind: Kind, studies: int, tally: Tally) -> None:
+def table(name: str, kind: Kind, studies: int) -> None:
     """Rows of one problem."""
     found: dict[Method, dict[int, list[Run]]] = {method: {} for method in get_args(Method)}
     for number in range(studies):
         m = draw(np.random.default_rng([number, len(kind.free), kind.whole]), kind)
         for method, own in found.items():
             if number % EVERY.get(method, 1) == 0:
-                own[number] = runs(m, kind, method, number, tally)
+                own[number] = runs(m, kind, method, number)
     least = [min(run.lowest.min() for own in found.values() for run in own.get(number, ())) for number in range(studies)]
     for method, own in found.items():
         cells = []
@@ -143,9 +123,8 @@ def table(name: str, kind: Kind, studies: int, tally: Tally) -> None:
             pairs = [(three[use], least[number]) for number, three in own.items()]
             reached = np.concatenate([run.lowest <= low + CLOSE for run, low in pairs])
             said = np.concatenate([run.converged for run, _ in pairs])
-            count = np.median([run.lengths / len(run.lowest) for run, _ in pairs])
             spent = 1e3 * np.median([run.seconds / len(run.lowest) for run, _ in pairs])
-            cells.append(f"{100 * np.mean(reached):.0f} | {100 * np.mean(reached & said):.0f} | {count:.0f} | {spent:.0f}")
+            cells.append(f"{100 * np.mean(reached):.0f} | {100 * np.mean(reached & said):.0f} | {spent:.0f}")
         print(f"| {name} | {method} | {len(own)} | " + " | ".join(cells) + " |", flush=True)
 
 
@@ -155,13 +134,12 @@ def main() -> None:
     asked.add_argument("studies", nargs="?", type=int, default=20)
     asked.add_argument("problems", nargs="*", default=list(KINDS), help="beginnings of their names")
     given = asked.parse_args()
-    tally = Tally()
-    columns = " | ".join(f"{use}: reached, % | and said so, % | lengths | ms" for use in ("a start", "search", "fit"))
-    print(f"| fitted | method | studies | {columns} |\n|" + "---|" * 15)
+    columns = " | ".join(f"{use}: reached, % | and said so, % | ms" for use in ("a start", "search", "fit"))
+    print(f"| fitted | method | studies | {columns} |\n|" + "---|" * 12)
     for name, kind in KINDS.items():
         if any(name.startswith(one) for one in given.problems):
             began = time.perf_counter()
-            table(name, kind, given.studies, tally)
+            table(name, kind, given.studies)
             print(f"({name}: {time.perf_counter() - began:.0f} s)", file=sys.stderr)
 
 

@@ -241,7 +241,7 @@ def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"])
     return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
 
 
-SWEPT = 32
+SWEPT = 64
 """Size of a matrix from which on it is inverted by halves."""
 
 

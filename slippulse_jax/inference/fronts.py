@@ -1,9 +1,8 @@
 """Models of a measured length, one class each: what it takes, its lengths, its range, its status, its words.
 
-A model is `length`, a JAX function of the inputs of one measurement. From it come lengths and derivatives of many lanes at once
-(`evaluate`), which a compiled kernel may compute. Whole events and
-blocks are tables that were computed before, whose derivatives are those of the interpolation. A new model is a new class here,
-which `front_of` chooses.
+A model is `length`, a JAX function of the inputs of one measurement, or a table of `values` that were computed before, such as
+those of whole events and blocks. From it come lengths and derivatives of many lanes at once (`evaluate`), which a compiled
+kernel may compute. A new model is a new class here, which `front_of` chooses.
 """
 
 import functools
@@ -58,7 +57,9 @@ FEW_LANES = 50_000
 """Lanes up to which lengths alone are taken from the program that has their slopes too, which is then the only one."""
 LONGEST, FAR_FROM = 2e4, 0.2
 """Expected length, in λc, up to which that program is as fast as three lengths in closed form; and prestress, or fall of the
-thresholds over one height, from which on a front may run away, which takes some `APPROACH` heights to see."""
+thresholds over one height, from which on a front on sloping thresholds may run some `APPROACH` heights."""
+SEEN_SOON = 2e3
+"""Breaks within which the recursion may take to see that a front never stops; beyond, the closed form is asked first."""
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
@@ -114,12 +115,16 @@ class Front:
         """Values of its own inputs that the measurements state, each of shape (n,)."""
         return {}
 
-    def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one lane in λc, a JAX function: 0 where no domino starts, inf where nothing stops.
-
-        It has derivatives in forward mode; `relaxed` says that prestress and slope are zero for certain.
-        """
+    def values(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
+        """Lengths of many lanes, in λc: 0 where no domino starts, inf where nothing stops. NotConverged names where none is."""
         raise NotImplementedError
+
+    def length(self, inputs: Inputs, relaxed: bool) -> Array:
+        """Length of one lane in λc, a JAX function with derivatives in forward mode; of the table unless there is a better.
+
+        `relaxed` says that prestress and slope are zero for certain.
+        """
+        return from_table(self, inputs)
 
     def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
         """`length` of every row; `highest` is the largest ln H/λc of each."""
@@ -130,8 +135,8 @@ class Front:
         return self.evaluate(inputs).value
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """Lengths of many lanes, and their derivatives along a line."""
-        return by_jax(type(self).length, self, inputs, along)
+        """Lengths of many lanes, and their derivatives along a line; of the table unless there is a better."""
+        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
@@ -217,12 +222,22 @@ class FirstFront(Front):
         inf where a front under an end or a machine runs farther than `FARTHEST`, which a soft machine and a prestress may let
         it do for ever. What never stops by itself does not stop under them either.
         """
-        loop = ~self.runs_far(inputs) & (inputs.ratio <= STIFFEST_RUN_BACK)
+        rows, own = distinct_rows(inputs.table())
+        return self._evaluate(inputs, along, self.reach(Inputs.from_table(inputs.names, rows))[own])
+
+    def _evaluate(self, inputs: Inputs, along: Along, reach: np.ndarray) -> Prediction:
+        never, loop = np.isinf(reach), (reach <= LONGEST) & (inputs.ratio <= STIFFEST_RUN_BACK)
+        for some in (never, loop):
+            if some.any() and not some.all():
+                sides = (some, ~some)
+                parts = [self._evaluate(inputs.take(x), None if along is None else along[x], reach[x]) for x in sides]
+                return Prediction(
+                    *(_joined(some, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None)
+                )
+        if never.any():
+            return Prediction(reach, *(np.zeros_like(reach) for _ in (1, 2) if along is not None))
         if not loop.any() or along is None and loop.size > FEW_LANES:
-            return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
-        if not loop.all():
-            parts = [self.evaluate(inputs.take(here), None if along is None else along[here]) for here in (loop, ~loop)]
-            return Prediction(*(_joined(loop, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None))
+            return super().evaluate(inputs, along)
         names, table = inputs.names, inputs.table()
         rows, own = distinct_rows(np.concatenate([table, np.zeros_like(table) if along is None else along], axis=1))
         at, way = rows[:, : len(names)], rows[:, len(names) :]
@@ -242,29 +257,42 @@ class FirstFront(Front):
     def values(self, inputs: Inputs) -> np.ndarray:
         """Lengths alone: of fronts without end that run far in closed form, which is ℓ to rounding there."""
         slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
-        far = self.runs_far(inputs) if ends is ENDLESS else np.zeros(inputs.poisson.shape, bool)
+        reach = self.reach(inputs)
+        far = reach > LONGEST if ends is ENDLESS else np.isinf(reach)
         if far.any() and not far.all():
             return _joined(far, *(self.values(inputs.take(here)) for here in (far, ~far)))
-        if far.all() and far.size:
-            lanes = _lanes(inputs)
-            found, status = exact_fronts(lanes, one_program=True)
-            if np.isnan(found).any():
-                where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
-                why = Outcome(int(status[np.argmax(np.isnan(found))])).message
-                raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
-            return found
+        if far.any():
+            return reach if np.isinf(reach).all() else self.in_closed_form(inputs)
         most = self.most(inputs.log_height, inputs.names)[0]
         return self.within_reach(inputs, bulk_lengths(slider, interface, ends=ends, max_contacts=most), most)
 
+    def in_closed_form(self, inputs: Inputs) -> np.ndarray:
+        """ℓ* of fronts without end; NotConverged names one that has none."""
+        lanes = _lanes(inputs)
+        found, status = exact_fronts(lanes, one_program=True)
+        if np.isnan(found).any():
+            where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
+            why = Outcome(int(status[np.argmax(np.isnan(found))])).message
+            raise NotConverged(f"no exact length at (H/λc, k/K, ν, φ, ε) = ({where}): {why}")
+        return found
+
     @staticmethod
-    def runs_far(inputs: Inputs) -> np.ndarray:
-        """Whether a front is expected to run so far that the closed form costs less, to run-away under a prestress."""
-        height = np.exp(inputs.log_height)
-        expected = expected_length(height, inputs.ratio, inputs.poisson)
-        return (
-            np.where(np.maximum(inputs.prestress, -inputs.threshold_slope * height) > FAR_FROM, APPROACH * height, expected)
-            > LONGEST
-        )
+    def reach(inputs: Inputs) -> np.ndarray:
+        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that.
+
+        Under ends the recursion never sees it.
+        """
+        lanes = _lanes(inputs)
+        height, ratio, poisson, prestress, slope = lanes
+        found = expected_length(height, ratio, poisson)
+        slow = height * np.sqrt(2 * (1 + poisson) + 1 / (ratio * height))  # 1/κ_2
+        tilted = np.maximum(prestress, -slope * height) * (slope != 0)  # of which the closed form takes long too
+        found = np.where(tilted > FAR_FROM, np.maximum(APPROACH * height, found), found)
+        doubtful = (prestress > 0) & ((slope == 0) & (APPROACH * slow > SEEN_SOON) | bool({*ENDED} & {*inputs.names}))
+        if doubtful.any():
+            exact = exact_fronts(lanes[:, doubtful], one_program=True)[0]
+            found[doubtful] = np.where(np.isnan(exact), found[doubtful], exact)
+        return found
 
     @staticmethod
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
@@ -278,8 +306,6 @@ class FirstFront(Front):
         value = np.where(np.isnan(value), np.inf, value)
         if set(ENDED) & set(inputs.names):
             value = np.where(value > most, np.inf, value)
-            if (inputs.prestress > 0).any():
-                value = np.where(np.isinf(self.lengths(inputs.without(*ENDED))), np.inf, value)
         return value
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
@@ -289,11 +315,10 @@ class FirstFront(Front):
         return self.status(inputs) == Outcome.REBREAK if may.any() else may
 
 
-class WholeEvent(FirstFront):
+class WholeEvent(Front):
     """The whole event on a slider, in which contacts may break again: ℓ times an interpolated factor."""
 
     event = "full"
-    inputs = {}
     interpolated = True
     most_off = 1.0
     length_modelled = "length of the whole event, in which contacts may break again"
@@ -308,13 +333,9 @@ class WholeEvent(FirstFront):
         if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
             raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
 
-    def stated(self, m: Measurements) -> dict[str, np.ndarray]:
-        """Nothing: it takes no ends."""
-        return {}
-
     def values(self, inputs: Inputs) -> np.ndarray:
         """ℓ times `whole_over_front`."""
-        front, lanes = super().values(inputs), _lanes(inputs)
+        front, lanes = FirstFront().values(inputs), _lanes(inputs)
         stops = np.isfinite(front) & (front > 0)
         found = front.copy()
         found[stops] *= whole_over_front(lanes[:, stops])
@@ -322,22 +343,6 @@ class WholeEvent(FirstFront):
             where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
             raise NotConverged(f"the event was given up at (H/λc, k/K, ν, φ, ε) = ({where}): give narrower bounds")
         return found
-
-    def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """From the table."""
-        return from_table(self, inputs)
-
-    def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
-        """From the table."""
-        return Front.in_rows(self, inputs, relaxed, highest)
-
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """Lengths and derivatives, from the table."""
-        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
-
-    def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Nowhere: what follows is part of the event."""
-        return Front.breaks_again(self, inputs)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """Root mean square error of the interpolation at stiffnesses nearby."""
@@ -382,6 +387,10 @@ class CrackFront(Front):
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """Length of one crack-like front, in λc."""
         return crack.length(sliders(inputs, jnp.exp), inputs.get("friction"), inputs.prestress)[0]
+
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+        """Lengths and derivatives by JAX."""
+        return by_jax(CrackFront.length, self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """Outcome of each crack-like front."""
@@ -468,14 +477,6 @@ class BlockEvent(Front):
     def values(self, inputs: Inputs) -> np.ndarray:
         """Interpolated ℓ in λc."""
         return self.followed(inputs)[0]
-
-    def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """From the table."""
-        return from_table(self, inputs)
-
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """Lengths and derivatives, from the table."""
-        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each event, by its length."""
@@ -599,7 +600,7 @@ def _jets(function: Any, front: Front, names: tuple[str, ...], slopes: bool, rel
     return lambda lanes: (jax.vmap(one, in_axes=1, out_axes=-1)(lanes),)
 
 
-def by_differences(front: "FirstFront | BlockEvent", inputs: Inputs, along: np.ndarray) -> Prediction:
+def by_differences(front: Front, inputs: Inputs, along: np.ndarray) -> Prediction:
     """Values of a table, or of a closed form without kinks, and their central differences along a line."""
     table, every = inputs.table(), {**COMMON, **front.inputs}
     steps = np.array([every[name].step for name in inputs.names])

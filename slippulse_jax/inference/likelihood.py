@@ -357,41 +357,43 @@ class Problem:
 
     def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> Predicted:
         """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p) and (B, n, p, p)."""
-        along, p, axes = partial(self._along, data, theta), self.p, np.eye(self.p)
-        free = np.arange(p) if self.held is None else np.flatnonzero(~self.held)
+        p, free = self.p, np.arange(self.p) if self.held is None else np.flatnonzero(~self.held)
         if not order or not len(free):
-            (mu,) = along(None)
+            (mu,) = self._along(data, theta, None)
             return Predicted(mu, *(np.zeros((*mu.shape, *[p] * k)) for k in range(1, order + 1)))
-        each = [along(axes[j]) for j in free]
-        mu, first = each[0][0], np.zeros((*each[0][0].shape, p))
-        first[..., free] = np.stack([slope for _, slope, _ in each], axis=-1)
+        pairs = list(itertools.combinations(range(len(free)), 2)) if order == 2 else []
+        axes = np.eye(p)[free]
+        mu, slope, bend = self._along(data, theta, np.array([*axes, *(axes[i] + axes[j] for i, j in pairs)]))
+        first = np.zeros((*mu.shape, p))
+        first[..., free] = np.moveaxis(slope[: len(free)], 0, -1)
         if order == 1:
             return Predicted(mu, first)
         second = np.zeros((*mu.shape, p, p))
-        second[..., free, free] = np.stack([bend for *_, bend in each], axis=-1)
-        for i, j in itertools.combinations(free, 2):  # d²/dθ_i dθ_j from the bend along both
-            both = along(axes[i] + axes[j])[2] - second[..., i, i] - second[..., j, j]
-            second[..., i, j] = second[..., j, i] = both / 2
+        second[..., free, free] = np.moveaxis(bend[: len(free)], 0, -1)
+        for (i, j), both in zip(pairs, bend[len(free) :], strict=True):  # d²/dθ_i dθ_j from the bend along both
+            second[..., free[i], free[j]] = second[..., free[j], free[i]] = (both - bend[i] - bend[j]) / 2
         return Predicted(mu, first, second)
 
-    def _along(self, data: Observations, theta: np.ndarray, direction: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        """μ of every datum, (B, n); and its first and second derivative along a direction in θ."""
-        inputs, names, way = data.inputs.at(theta), data.inputs.names, None
+    def _along(self, data: Observations, theta: np.ndarray, directions: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        """μ of every datum, (B, n); and its first and second derivative along D directions in θ, (D, B, n)."""
+        inputs, names = data.inputs.at(theta), data.inputs.names
         lanes, distinct = inputs.poisson.shape
+        scale, offset = np.exp(data.scale(theta)), data.offset(theta)
         if self.tick is not None:
             self.tick(lanes * distinct)
-        if direction is not None:
-            moves = np.stack([data.inputs.get(name).slope @ direction for name in names], axis=-1)
-            way = np.tile(moves, (lanes, 1)) if moves.any() else None
-        found = predicted(data.observable, self.parameters.front, inputs.ravel(), way)
-        scale, offset = np.exp(data.scale(theta)), data.offset(theta)
-        value, *slopes = (x.reshape(lanes, distinct)[:, data.rows] * scale for x in found if x is not None)
-        if direction is None:
-            return (value + offset,)
-        first, second = slopes or (np.zeros_like(value), np.zeros_like(value))
+        if directions is None:
+            (found, *_) = predicted(data.observable, self.parameters.front, inputs.ravel())
+            return (found.reshape(lanes, distinct)[:, data.rows] * scale + offset,)
+        count = len(directions)
+        moves = np.stack([directions @ data.inputs.get(name).slope.T for name in names], axis=-1)  # (D, distinct, inputs)
+        way = np.repeat(moves[:, None], lanes, axis=1).reshape(-1, len(names))
+        every = inputs.map(lambda x: np.broadcast_to(x, (count, lanes, distinct))).ravel()
+        found = predicted(data.observable, self.parameters.front, every, way)
+        value, first, second = (np.asarray(x).reshape(count, lanes, distinct)[..., data.rows] * scale for x in found)
         # scales and offset change the prediction even where no input does, as with a held stiffness
-        size, s = np.where(np.isfinite(value), value, 0), data.scale.slope @ direction
-        return value + offset, first + s * size + data.offset.slope @ direction, second + s * (2 * first + s * size)
+        size = np.where(np.isfinite(value), value, 0)
+        s, o = ((directions @ x.slope.T)[:, None] for x in (data.scale, data.offset))
+        return value[0] + offset, first + s * size + o, second + s * (2 * first + s * size)
 
     @property
     def plain(self) -> bool:
