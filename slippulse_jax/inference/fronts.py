@@ -278,10 +278,7 @@ class FirstFront(Front):
 
     @staticmethod
     def reach(inputs: Inputs) -> np.ndarray:
-        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that.
-
-        Under ends the recursion never sees it.
-        """
+        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that."""
         lanes = _lanes(inputs)
         height, ratio, poisson, prestress, slope = lanes
         found = expected_length(height, ratio, poisson)
@@ -289,7 +286,7 @@ class FirstFront(Front):
         tilted = np.maximum(prestress, -slope * height) * (slope != 0)  # of which the closed form takes long too
         found = np.where(tilted > FAR_FROM, np.maximum(APPROACH * height, found), found)
         # far from the edge the contact ahead carries less than twice the prestress
-        doubtful = (prestress > 0.5) & ((slope == 0) & (APPROACH * slow > SEEN_SOON) | bool({*ENDED} & {*inputs.names}))
+        doubtful = (prestress > 0.5) & (slope == 0) & (APPROACH * slow > SEEN_SOON)
         if doubtful.any():
             exact = exact_fronts(lanes[:, doubtful], one_program=True)[0]
             found[doubtful] = np.where(np.isnan(exact), found[doubtful], exact)
