@@ -278,17 +278,15 @@ class FirstFront(Front):
 
     @staticmethod
     def reach(inputs: Inputs) -> np.ndarray:
-        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that.
-
-        Under ends the recursion never sees it.
-        """
+        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that."""
         lanes = _lanes(inputs)
         height, ratio, poisson, prestress, slope = lanes
         found = expected_length(height, ratio, poisson)
         slow = height * np.sqrt(2 * (1 + poisson) + 1 / (ratio * height))  # 1/κ_2
         tilted = np.maximum(prestress, -slope * height) * (slope != 0)  # of which the closed form takes long too
         found = np.where(tilted > FAR_FROM, np.maximum(APPROACH * height, found), found)
-        doubtful = (prestress > 0) & ((slope == 0) & (APPROACH * slow > SEEN_SOON) | bool({*ENDED} & {*inputs.names}))
+        # far from the edge the contact ahead carries less than twice the prestress
+        doubtful = (prestress > 0.5) & (slope == 0) & (APPROACH * slow > SEEN_SOON)
         if doubtful.any():
             exact = exact_fronts(lanes[:, doubtful], one_program=True)[0]
             found[doubtful] = np.where(np.isnan(exact), found[doubtful], exact)

@@ -224,3 +224,21 @@ def test_fronts_that_ran_through_blocks_taken_as_endless_are_a_misfit():
     found = sp.fit(data, intervals="profile")
     assert found.deviance > 1e6
     assert found.stderrs["stiffness"] is None
+
+
+def test_what_never_stops_alone_does_not_stop_under_ends_either():
+    """By a prestress or falling thresholds; and whatever else is computed with it."""
+    rng = np.random.default_rng(0)
+    height, ratio, prestress = rng.uniform(10, 60, 60), 10 ** rng.uniform(-3, -1, 60), rng.uniform(0, 0.9, 60)
+    slope = np.where(rng.random(60) < 0.5, -rng.uniform(0, 0.01, 60), 0.0)
+    machine = rng.uniform(np.log(1e-2), np.log(10.0), 60)
+    alone = Inputs.of(height, ratio, 0.3, prestress)._replace(threshold_slope=slope)
+    ended = alone.given(log_sites=np.log(np.where(rng.random(60) < 0.3, 3 * height, np.inf)), log_machine=machine)
+    front = FirstFront()
+    length, found = front.lengths(alone), front.lengths(ended)
+    assert (np.isinf(length) & (prestress < 0.5)).sum() > 5
+    assert np.isinf(found[np.isinf(length)]).all()
+    assert np.isfinite(found).sum() > 10
+    np.testing.assert_array_equal(np.concatenate([front.lengths(ended.take([i])) for i in range(60)]), found)
+    along = np.eye(len(ended.names))[np.ones(60, int)]
+    np.testing.assert_allclose(front.evaluate(ended, along).value, found, rtol=1e-9)
