@@ -150,11 +150,7 @@ def _moves(fitted: Fitted, m: Measurements) -> dict[str, tuple[float]]:
 def _refitted(fitted: Fitted, m: Measurements) -> tuple[np.ndarray, float]:
     """θ of the first minimum near those known, for other measurements, and its deviance."""
     q = fitted.parameters
-    # a block is much like the one that was followed, but for the place of its push, next to which events step
-    own = fitted.measurements
-    alike = np.array_equal(m.or_zero("push_height"), own.or_zero("push_height")) or not np.array_equal(m.height, own.height)
-    front = q.front if q.front.body == "block" and alike else None
-    other = parameter_set(m, q.wanted, q.front.event, q.front.body, front=front)
+    other = parameter_set(m, q.wanted, q.front.event, q.front.body, front=q.front)
     starts = np.array([fitted.theta, *(root.theta for root in fitted.minima)])
     problem = make_problem(m, other, fitted.problem.loss, _sigma(fitted, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
@@ -176,7 +172,8 @@ def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], 
     With the `wanted` parameters, `event` and `body` of that fit, if they are other ones.
     """
     q, seed = fitted.parameters, fitted.request["seed"]
-    model = {"wanted": q.wanted, "event": q.front.event, "body": q.front.body} | other
+    own = q.front if q.front.body == "slider" and "event" not in other else None
+    model = {"wanted": q.wanted, "event": q.front.event, "body": q.front.body, "front": own} | other
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(names, ())
     several = []
     for m in every:
@@ -286,11 +283,11 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
             tried = PRESSED
             what = "thresholds that follow the pressure, at μ = {:g} or {:g} (column friction)".format(*PRESSED)
         pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in tried]
-        yield _again(fitted, "pressure", what, pressed, stiff, wanted=wanted)
+        yield _again(fitted, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed))
         if m.friction is not None and m.normal_stiffness is None:
             what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-            yield _again(fitted, "normal_stiffness", what, sprung, stiff)
+            yield _again(fitted, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung))
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"

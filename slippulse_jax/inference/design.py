@@ -19,7 +19,7 @@ from slippulse_jax.domains import (
 )
 from slippulse_jax.files import plain
 from slippulse_jax.front.front import EventKind
-from slippulse_jax.inference.fronts import FRONTS, Front, pushed
+from slippulse_jax.inference.fronts import Front, front_for, pushed
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
 from slippulse_jax.inference.measurements import numbers
@@ -377,12 +377,15 @@ def _events(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> tup
     scale, young = (np.nan_to_num(x, nan=1.0) for x in (c.correlation_length, c.young))
     ratio = np.exp(theta)[:, None] * (scale / young)
     inputs = Inputs.of(c.height / scale, ratio, c.poisson, c.prestress, c.threshold_slope)
-    front = FRONTS["slider", event]
+    front = front_for("slider", event)
     if np.isfinite(c.push_height).all():
         friction, normal = (None if np.isnan(x).all() else x for x in (c.friction, c.normal_stiffness))
         push = pushed(
             np.ones(len(c)), c.push_height, c.push_width, c.push_control,
             friction=friction, normal_stiffness=normal, contact_law=c.contact_law, top=c.top,
         )  # fmt: skip
-        front, inputs = FRONTS["block", "full"], inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()})
+        front, inputs = (
+            front_for("block", "full"),
+            inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()}),
+        )
     return front, inputs.ravel()

@@ -28,10 +28,10 @@ from slippulse_jax.front.arrest import arrest
 from slippulse_jax.front.front import APPROACH, DEFAULT_MAX_CONTACTS, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
-from slippulse_jax.inference.block_lengths import FLAGS, BlockLengths, geometry_of
 from slippulse_jax.inference.choices import Body, MeasuredEvent
+from slippulse_jax.inference.family import FLAGS, Families, geometry_of
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
-from slippulse_jax.inference.interpolation import whole_over_front
+from slippulse_jax.inference.interpolation import Grid
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import arrests, length_rank
@@ -60,6 +60,10 @@ LONGEST, FAR_FROM = 2e4, 0.2
 thresholds over one height, from which on a front on sloping thresholds may run some `APPROACH` heights."""
 SEEN_SOON = 2e3
 """Breaks within which the recursion may take to see that a front never stops; beyond, the closed form is asked first."""
+SHORTEST, STEEPEST = 1.01, 0.99
+"""Least H/λc, and largest |ν| and |φ|, at which a whole event is computed: inside the domains."""
+SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
+"""Spacing of whole events on sliders, in ln H/λc, ln b, ν, φ and ε H/λc."""
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
@@ -331,16 +335,31 @@ class WholeEvent(Front):
         if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
             raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
 
+    def __init__(self, *_: Measurements) -> None:
+        self.ratios = Grid(SPACING, _over_front)
+
     def values(self, inputs: Inputs) -> np.ndarray:
-        """ℓ times `whole_over_front`."""
+        """ℓ times `over_front`."""
         front, lanes = FirstFront().values(inputs), _lanes(inputs)
         stops = np.isfinite(front) & (front > 0)
         found = front.copy()
-        found[stops] *= whole_over_front(lanes[:, stops])
+        found[stops] *= self.over_front(lanes[:, stops])
         if np.isnan(found).any():
             where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
             raise NotConverged(f"the event was given up at (H/λc, k/K, ν, φ, ε) = ({where}): give narrower bounds")
         return found
+
+    def over_front(self, lanes: Float[np.ndarray, "5 n"]) -> Float[np.ndarray, " n"]:
+        """ℓ over that of the front at (H/λc, k/K, ν, φ, ε), along straight lines between nodes; NaN where all were given up."""
+        height, stiffness, poisson, prestress, slope = lanes
+        b = 2 * (1 + poisson) * stiffness * height
+        factor = np.ones(lanes.shape[1])
+        # one spacing below the onset on relaxed, level interfaces no contact breaks again at any node
+        some = np.nonzero((np.log(b) > np.log(NEVER) - SPACING[1]) | (prestress != 0) | (slope != 0))[0]
+        if len(some):
+            place = np.stack([np.log(height), np.log(b), poisson, prestress, slope * height], axis=1)
+            factor[some] = self.ratios(place[some])[0, 0]
+        return factor
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """Root mean square error of the interpolation at stiffnesses nearby."""
@@ -356,6 +375,17 @@ class WholeEvent(Front):
     def stiffest(self, m: Measurements) -> np.ndarray:
         """Largest k/K searched by default, up to b = `FULL_TO`."""
         return np.minimum(STIFFEST, FULL_TO / (2 * (1 + m.poisson) * m.height))
+
+
+def _over_front(place: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 1"]:
+    """ℓ of whole events over that of fronts, at nodes of ln H/λc, ln b, ν, φ and ε H/λc."""
+    height, b, poisson, prestress, slope = place.T
+    height, poisson = np.maximum(np.exp(height), SHORTEST), np.clip(poisson, -STEEPEST, 0.5)
+    slider = Slider(height, np.exp(b) / (2 * (1 + poisson) * height), poisson)
+    interface = Interface(np.clip(prestress, -STEEPEST, STEEPEST), slope / height) if prestress.any() or slope.any() else None
+    front = bulk_lengths(slider, interface)
+    with np.errstate(invalid="ignore"):
+        return np.where(front > 0, bulk_lengths(slider, interface, event="full") / front, 1)[:, None]
 
 
 class CrackFront(Front):
@@ -434,12 +464,15 @@ class BlockEvent(Front):
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 
-    def __init__(self, m: Measurements | None = None) -> None:
-        """Blocks like those measured are followed from theirs."""
-        self.followed = BlockLengths()
-        if m is not None and m.push_height is not None and not np.isnan(m.push_height).any():
+    def __init__(self, *tables: Measurements) -> None:
+        """Blocks like those measured, in any of the tables, are followed from theirs."""
+        self.followed = Families()
+        whole = [m for m in tables if m.push_height is not None and not np.isnan(m.push_height).any()]
+        for m in whole:
             own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
-            self.followed = BlockLengths(geometry_of(own), m.length / m.height, m.height)
+            self.followed.add(geometry_of(own), m.length / m.height, m.height)
+        if whole:
+            m = whole[0]
             if m.block_length is not None:
                 self.body_modelled = self.body_modelled.replace("semi-infinite block", "block with a free end")
             if m.friction is not None:
@@ -503,10 +536,17 @@ class BlockEvent(Front):
         return found._replace(slow_decay_length=decay)
 
 
-FRONTS: dict[tuple[Body, MeasuredEvent], Front] = {
-    (front.body, front.event): front for front in (FirstFront(), WholeEvent(), CrackFront(), BlockEvent())
+FRONTS: dict[tuple[Body, MeasuredEvent], type[Front]] = {
+    (front.body, front.event): front for front in (FirstFront, WholeEvent, CrackFront, BlockEvent)
 }
 """Models by body and event."""
+_shared = functools.cache(lambda model: model())
+
+
+def front_for(body: Body, event: MeasuredEvent, *tables: Measurements) -> Front:
+    """A model by body and event; one with a table of lengths of its own is for these measurements."""
+    model = FRONTS[body, event]
+    return model(*tables) if model.interpolated else _shared(model)  # whose compiled programs all fits share
 
 
 def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | None = None) -> Front:
@@ -527,7 +567,7 @@ def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | N
         raise ValueError(
             f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"
         )
-    return BlockEvent(m) if body == "block" else FRONTS[body, event]
+    return front_for(body, event, m)
 
 
 def pushed(

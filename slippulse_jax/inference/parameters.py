@@ -14,7 +14,7 @@ import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.fronts import FRONTS, STIFFEST, Front, WholeEvent, front_of
+from slippulse_jax.inference.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
@@ -436,11 +436,11 @@ def _check_reached(m: Measurements, q: ParameterSet) -> None:
     reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
     easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
     low, high = reach["log_stiffness"]
-    softest = np.log(FRONTS["slider", "domino"].softest(m))
+    softest = np.log(front_for("slider", "domino").softest(m))
     some = np.flatnonzero(high > softest)
     from_, to = np.maximum(low, softest)[some], high[some]
     rows = Inputs.from_table([*easiest], np.stack([*easiest.values()], axis=-1)).take(some)
-    front = FRONTS["slider", "domino"] if isinstance(q.front, WholeEvent) else q.front  # whose events start with it
+    front = front_for("slider", "domino") if isinstance(q.front, WholeEvent) else q.front  # whose events start with it
     for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
         at = rows._replace(log_stiffness=from_ + share * (to - from_))
         if (front.lengths(at) > 1).any():

@@ -19,8 +19,8 @@ import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.events.resolution import tall_length
-from slippulse_jax.inference import block_lengths
-from slippulse_jax.inference.block_lengths import BlockLengths, geometry_of
+from slippulse_jax.inference import family
+from slippulse_jax.inference.family import Families, geometry_of
 from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.inputs import Inputs
@@ -95,7 +95,7 @@ def test_lengths_of_a_fit_are_those_of_the_cascade():
     rng = np.random.default_rng(3)
     height, b = rng.uniform(250, 3000, 6), np.exp(rng.uniform(np.log(0.05), np.log(3), 6))
     push = rng.uniform(0.25, 0.5, 6)
-    found, off = BlockLengths()(inputs_of(height, b, push))
+    found, off = Families()(inputs_of(height, b, push))
     for i in range(6):
         block = sp.Block(height[i], b[i] / (2.6 * height[i]), 0.3, sp.Push(push[i]))
         assert found[i] == pytest.approx(float(tall_length(block, None, "full")[0]), rel=0.005)
@@ -108,29 +108,29 @@ def test_blocks_followed_from_measured_ones_have_the_length_of_the_cascade():
     rng, n = np.random.default_rng(5), 8
     height = rng.uniform(300, 2000, n)
     measured = inputs_of(height, 1.0, np.resize([0.25, 0.4], n), width=np.resize([np.inf, 0.1], n))
-    ratio = BlockLengths()(measured)[0] / height
-    followed = BlockLengths(geometry_of(measured), ratio)
-    assert len(followed.origins) == 2
+    ratio = Families()(measured)[0] / height
+    followed = Families().add(geometry_of(measured), ratio)
+    assert len(followed.measured) == 2
     b = np.exp(rng.uniform(-1, 1, n))
     near = measured._replace(log_stiffness=measured.log_stiffness + np.log(b))
     found, off = followed(near)
-    np.testing.assert_allclose(found, BlockLengths()(near)[0], rtol=0.006)
+    np.testing.assert_allclose(found, Families()(near)[0], rtol=0.006)
     assert np.all(off < 0.01 * found)
     moved = near._replace(poisson=near.poisson - 0.03, log_height=near.log_height + np.log(1.5))
     moved = moved.given(log_push=moved.get("log_push") + 0.05, log_push_width=moved.get("log_push_width") + 0.1)
-    expected = BlockLengths()(moved)[0]
+    expected = Families()(moved)[0]
     assert np.all(np.abs(expected / found / 1.5 - 1) > 0.01)
     np.testing.assert_allclose(followed(moved)[0], expected, rtol=0.015)
     pressed = near._replace(prestress=near.prestress + 0.25)
-    np.testing.assert_allclose(followed(pressed)[0], BlockLengths()(pressed)[0], rtol=0.02)
+    np.testing.assert_allclose(followed(pressed)[0], Families()(pressed)[0], rtol=0.02)
 
 
 def test_a_measured_block_is_followed_the_same_whatever_was_followed_before():
     measured = inputs_of([100.0], 1.0, 0.3)
     geometry = geometry_of(measured)
-    alone = BlockLengths(geometry, np.array([0.8]))(measured)[0]
-    BlockLengths(geometry, np.array([0.75]))(measured)  # puts nodes elsewhere
-    assert BlockLengths(geometry, np.array([0.8]))(measured)[0] == alone
+    alone, events = Families().add(geometry, np.array([0.8]))(measured)[0], family.Events()
+    Families(events).add(geometry, np.array([0.75]))(measured)  # puts nodes elsewhere
+    assert Families(events).add(geometry, np.array([0.8]))(measured)[0] == alone
 
 
 @pytest.mark.ci
@@ -139,11 +139,11 @@ def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
     measured = inputs_of([200.0], 1.0, 0.3)
     b = np.exp(np.linspace(-2, 6.5, 60))
     moved = inputs_of([200.0], b, 0.45)
-    found = BlockLengths(geometry_of(measured), BlockLengths()(measured)[0] / 200)(moved)[0]
-    expected = BlockLengths()(moved)[0]
+    found = Families().add(geometry_of(measured), Families()(measured)[0] / 200)(moved)[0]
+    expected = Families()(moved)[0]
     long = expected > 0.3 * expected.max()
     assert found.max() < 1.05 * expected.max()
-    last = np.exp(2 * block_lengths.WIDEST * block_lengths.UNIT)  # node before those at which events stop early
+    last = np.exp(2 * family.WIDEST * family.UNIT)  # node before those at which events stop early
     np.testing.assert_allclose(found[long & (b < last)], expected[long & (b < last)], rtol=0.04)
     np.testing.assert_allclose(found[long & (b < 20)], expected[long & (b < 20)], rtol=0.06)
 
@@ -151,7 +151,7 @@ def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
 @pytest.mark.ci
 def test_soft_blocks_have_no_precursor():
     """Below b = 0.01 or so the neighbour of the first contact stays below its threshold, however fine the contacts."""
-    found, _ = BlockLengths()(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
+    found, _ = Families()(inputs_of([400.0, 4000.0], [0.004, 0.004], 0.25))
     assert np.all(found < 0.01 * np.array([400, 4000]))
     for height in (400.0, 4000.0):
         lengths = [
@@ -222,7 +222,7 @@ def test_a_fit_of_lengths_where_no_event_stops():
     with pytest.raises(ValueError, match="the front never stops anywhere in the range searched"):
         sp.fit(m, bounds=(0.02, 0.03))
     inputs = inputs_of([30.0, 40.0], 2.0, 0.1)._replace(prestress=np.array([0.8, 0.8]))
-    assert np.isinf(BlockLengths()(inputs)[0]).all()
+    assert np.isinf(Families()(inputs)[0]).all()
     assert (BlockEvent().status(inputs) == Outcome.RUN_AWAY).all()
 
 
@@ -471,27 +471,26 @@ def test_a_machine_beside_a_push_is_refused_by_the_names_of_its_columns():
 
 def test_events_are_announced_at_once_and_counted_one_by_one(capsys, monkeypatch):
     """By one line on a stderr that is no terminal, by a bar on one; and nothing more of the next events."""
-    monkeypatch.setattr(block_lengths, "workers", lambda: 1)
-    monkeypatch.setattr(block_lengths, "FEW", 2)
-    monkeypatch.setattr(block_lengths, "_computed", {})
-    monkeypatch.setattr(block_lengths, "_known", {"a place": {}})
-    parts = block_lengths._announced([1, 2, 3])
-    assert next(parts) == [1]
+    monkeypatch.setattr(family, "workers", lambda: 1)
+    monkeypatch.setattr(family, "FEW", 2)
+    events, three = family.Events(), [["a"], ["b", "c"], ["d"]]
+    parts = events.announced(three)
+    assert next(parts) == [["a"]]
     out, err = capsys.readouterr()
     assert out == ""
-    assert re.fullmatch(r"following 3 events of blocks at first: about \d+ s, 10 of them to compile\n", err)
-    assert list(parts) == [[2], [3]]
-    block_lengths._computed["a key"] = 1.0
-    assert list(block_lengths._announced([4])) == [[4]]
-    assert list(block_lengths._announced([])) == []
+    assert re.fullmatch(r"following 4 events of blocks at first: about \d+ s, 10 of them to compile\n", err)
+    assert list(parts) == [[["b", "c"]], [["d"]]]
+    events.known["a key"] = family.Node(1.0)
+    assert list(events.announced(three)) == [[part] for part in three]
+    assert list(events.announced([])) == []
     assert capsys.readouterr() == ("", "")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     with monkeypatch.context() as quick:
-        quick.setattr(block_lengths, "tqdm", partial(block_lengths.tqdm, mininterval=0, miniters=1))
+        quick.setattr(family, "tqdm", partial(family.tqdm, mininterval=0, miniters=1))
         shown = []
-        for _ in block_lengths._announced([1, 2, 3]):
+        for _ in events.announced(three):
             shown.append(capsys.readouterr().err)
-    assert ["| 0/3 [" in shown[0], "| 1/3 [" in shown[1], "| 2/3 [" in shown[2]] == [True] * 3
+    assert ["| 0/4 [" in shown[0], "| 1/4 [" in shown[1], "| 3/4 [" in shown[2]] == [True] * 3
 
 
 # --- pressure ------------------------------------------------------------------------------------------------------------
@@ -592,7 +591,7 @@ def test_lengths_over_friction_have_no_jump_and_are_those_of_the_blocks():
     def at(friction):
         return inputs_of(height, np.exp(log_b), 0.25, width=0.1).given(**ended, **flags, friction=np.full(40, friction))
 
-    followed = BlockLengths(geometry_of(at(0.3))[:1], np.array([0.8]), 50.0)
+    followed = Families().add(geometry_of(at(0.3))[:1], np.array([0.8]), 50.0)
     length, (_, error) = followed(at(0.3))[0], followed(at(0.3))
     assert np.isfinite(length).any()
     falls = error > 1e-12  # elsewhere it is followed on its own contacts
@@ -615,7 +614,7 @@ def test_a_length_is_followed_to_where_it_falls():
     flags = {name: np.zeros(8) for name in ("multicontact", "top_held")}
     friction = np.array([0.385, 0.4, 0.405, 0.41, 0.38, 0.395, 0.4, 0.405])
     given = inputs_of(height, b, 0.2).given(**ended, **flags)
-    followed = BlockLengths(geometry_of(given.given(friction=np.full(8, 0.39)))[:1], np.array([0.38]), 60.0)
+    followed = Families().add(geometry_of(given.given(friction=np.full(8, 0.39)))[:1], np.array([0.38]), 60.0)
     found = followed(given.given(friction=friction))[0]
     for i in range(8):
         block = sp.Block(60.0, b[i] / 156, 0.3, sp.Push(0.2), length=180, friction=friction[i])
@@ -641,7 +640,7 @@ def test_next_to_a_fall_a_length_says_that_it_may_be_either():
     ended = {"log_sites": np.log(np.full(count, 180.0)), "log_normal_stiffness": np.full(count, np.log(1.2))}
     flags = {name: np.zeros(count) for name in ("multicontact", "top_held")}
     given = inputs_of(np.full(count, 60.0), np.exp(log_b), 0.2).given(**ended, **flags, friction=np.full(count, 0.4))
-    length, error = BlockLengths(geometry_of(given)[:1], np.array([0.38]), 60.0)(given)
+    length, error = Families().add(geometry_of(given)[:1], np.array([0.38]), 60.0)(given)
     unsure = error > 0.1
     assert unsure.sum() == 4  # a spacing of nodes, 0.04
     for i, stiffness in enumerate(np.exp(log_b) / 156):

@@ -18,9 +18,8 @@ import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fitted import Identifiability
-from slippulse_jax.inference.fronts import FRONTS
+from slippulse_jax.inference.fronts import WholeEvent, front_for
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.interpolation import whole_over_front
 from slippulse_jax.inference.likelihood import log_density
 from slippulse_jax.inference.record import as_request, from_request
 from slippulse_jax.plot.labels import AGAIN
@@ -70,14 +69,14 @@ def test_the_model_of_a_fit_against_the_cascade():
     height, poisson = np.exp(rng.uniform(np.log(15), np.log(60), 60)), rng.uniform(0.2, 0.4, 60)
     stiffness = b / (2 * (1 + poisson) * height)
     inputs = Inputs.of(height, stiffness, poisson)
-    found = FRONTS["slider", "full"].lengths(inputs)
+    found = front_for("slider", "full").lengths(inputs)
     off = found / sp.precursor_lengths(sp.Slider(height, stiffness, poisson), event="full") - 1
     assert np.sqrt(np.mean(off[b < 10] ** 2)) < 2e-3
     assert np.sqrt(np.mean(off[b > 10] ** 2)) < 0.01
     assert np.abs(off).max() < 0.03
     early = inputs.take(b < 2.4)
-    np.testing.assert_allclose(found[b < 2.4], FRONTS["slider", "domino"].lengths(early), rtol=1e-12)
-    slopes = [slopes_of(FRONTS["slider", event], early, ["log_stiffness"])["log_stiffness"] for event in ("full", "domino")]
+    np.testing.assert_allclose(found[b < 2.4], front_for("slider", "domino").lengths(early), rtol=1e-12)
+    slopes = [slopes_of(front_for("slider", event), early, ["log_stiffness"])["log_stiffness"] for event in ("full", "domino")]
     np.testing.assert_allclose(*slopes, rtol=1e-4)  # of the table by differences
 
 
@@ -85,11 +84,11 @@ def test_the_model_of_a_fit_against_the_cascade():
 def test_the_model_of_a_fit_is_continuous_and_takes_a_prestress():
     b = np.geomspace(2.5, 60, 2001)
     lanes = np.stack([0 * b + 40, b / (2.6 * 40), 0 * b + 0.3, 0 * b, 0 * b])
-    assert np.abs(np.diff(whole_over_front(lanes))).max() < 2e-3
+    assert np.abs(np.diff(WholeEvent().over_front(lanes))).max() < 2e-3
     lane = np.array([[40.0], [0.2], [0.3], [0.13], [0.0]])
     slider, interface = sp.Slider(40.0, 0.2, 0.3), sp.Interface(prestress=0.13)
     whole, front = (sp.precursor_lengths(slider, interface, event=event) for event in ("full", "domino"))
-    np.testing.assert_allclose(whole_over_front(lane), whole / front, rtol=0.01)
+    np.testing.assert_allclose(WholeEvent().over_front(lane), whole / front, rtol=0.01)
 
 
 @pytest.mark.ci

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.block_lengths import BlockLengths
 from slippulse_jax.inference.changes import Change, of_inputs, total_interval, total_of_ratio
+from slippulse_jax.inference.family import Families
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.report import value_with_error
@@ -460,7 +460,7 @@ def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     inputs = inputs.given(
         log_push=np.log(push), log_push_width=np.full(len(push), np.log(0.1)), push_force=np.zeros(len(push), bool)
     )
-    length, _ = BlockLengths()(inputs)
+    length, _ = Families()(inputs)
     assert np.isfinite(length).all()
     m = sp.Measurements(200.0, 0.3, length, 0.08 * length, push_height=200 * push)
     unstated = sp.fit(m, intervals="profile")

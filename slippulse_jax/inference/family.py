@@ -1,0 +1,591 @@
+"""Lengths of whole events of blocks for fits: families of blocks like those that were measured.
+
+A whole event takes milliseconds, and its length steps where the order of its breaks changes. What a fit sees is continuous, and
+its slope is the trend over many steps.
+
+Over the height, a length depends on b, ν, the push, the prestress, where the block ends and what the pressure does, and hardly
+on λc/H, in which it is linear. A `Family` is blocks that differ in b alone: their lengths are computed at nodes along ln b, on
+contacts of two sizes that suit the measured length, and on ones of one size for blocks beside a measured one. Nodes are half as
+far apart near a measured length as elsewhere; closer ones would follow the steps. Where a length falls at once, over b or over
+friction, blocks on both sides are followed up to the fall, between which a length may be of either kind, and says so. Other
+inputs that differ from what the table states, because they have an error, multiply it by the ratio of lengths that differ in
+that input alone.
+"""
+
+import itertools
+import sys
+from collections.abc import Iterable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from tqdm.auto import tqdm
+
+from slippulse_jax.bulk.chunks import distinct_rows, workers
+from slippulse_jax.events.resolution import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
+from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.interpolation import Grid
+from slippulse_jax.interface import Interface
+from slippulse_jax.status import Outcome
+
+AXES = {
+    "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,
+    "log_normal_stiffness": 0.5,
+}  # fmt: skip
+"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
+FLAGS = ("push_force", "multicontact", "top_held")
+"""Inputs that are 0 or 1."""
+GEOMETRY = (*AXES, *FLAGS)
+"""What is one geometry, beside λc/H."""
+PRESTRESS, RATIO, FRICTION, NORMAL, MULTICONTACT = map(
+    GEOMETRY.index, ("prestress", "log_ratio", "friction", "log_normal_stiffness", "multicontact")
+)
+UNIT, WIDEST, AT_ENDS = 0.04, 32, 4
+"""Spacing of nodes in ln b next to a fall; in that unit, of the first ones, and of those where events cease to stop."""
+NEAR = {32: 1.5, 16: 1.2}
+"""By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
+FAR, LIKE = 4.0, 1.25
+"""Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
+BREAKING = 150
+"""Contacts that an event as long as measured should break, of those that are followed."""
+PARTS = 8
+"""Into how many parts a step of friction is divided where a length falls within it."""
+SMALLEST = 4.0
+"""Least H/λc of a block that is followed: its larger contacts are twice as large."""
+TALLEST = 1e5
+"""H/λc of a block at which λc/H is taken as 0."""
+LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
+"""Least distance of a push from the corners of the side, the least width of a patch, over H; and largest |ν| and |φ|."""
+OF_END = 128
+"""Contacts of each height of a block that ends, at most; their number is a power of 2, and at least twice `FOLLOWED`."""
+MANY = 20
+"""Values of b at which a block that was not measured is looked at, above which it is followed."""
+TOGETHER = 32
+"""Events of one block computed at once: at several b, or, where the pressure is read, at several coefficients of friction."""
+COMPILING, AN_EVENT, FEW = 10, 0.1, 40
+"""Usual times in s to compile, and of an event; and how many of these take no time worth a word."""
+
+Geometry = tuple[float, ...]
+Key = tuple[Geometry, float, int]
+"""Geometry; H/λc on whose contacts an event is followed, inf for those that suit it; and ln b over `UNIT`."""
+
+
+class Node(NamedTuple):
+    """ℓ/H of one event, and how far it may be off."""
+
+    length: float
+    error: float = 0.0
+
+
+# --- blocks that differ in b alone ----------------------------------------------------------------------------------------
+
+
+class Family:
+    """Blocks of one geometry, over b; `target` is the least and largest measured ℓ/H, `height` H/λc of the contacts.
+
+    What contacts of half the size change varies so slowly with b that the first nodes tell it.
+    """
+
+    def __init__(
+        self, events: "Events", geometry: Geometry, target: tuple[float, float], height: float, *, measured: bool = True
+    ) -> None:
+        self.events, self.geometry, self.target, self.height = events, geometry, target, height
+        self.endless = bool(np.isinf(geometry[RATIO]))
+        self.driven = self.endless and geometry[PRESTRESS] > 0  # such an event may go on for ever
+        self.measured = measured and not self.driven
+        self.nodes: set[int] = set()
+        self.drawn: tuple[frozenset[int], Any] = frozenset(), None
+
+    def reach(self, low: float, high: float) -> bool:
+        """Place nodes from one ln b to another, and one farther, so that no value depends on what else was asked for.
+
+        Return whether there are new ones.
+        """
+        cell, before = UNIT * WIDEST, len(self.nodes)
+        self.nodes |= {WIDEST * n for n in range(int(np.floor(low / cell)) - 1, int(np.floor(high / cell)) + 3)}
+        return len(self.nodes) > before
+
+    def missing(self) -> list[Key]:
+        """What is to be computed next; nothing if all nodes are there."""
+        while True:
+            missing = [key for j in sorted(self.nodes) for key in self.keys(j) if key not in self.events.known]
+            if missing or not (between := self._between()):
+                return missing
+            self.nodes |= between
+
+    def keys(self, j: int) -> list[Key]:
+        """Events of one node: on its contacts, at first nodes on ones twice as large, and on ever larger ones if none stops."""
+        known, height = self.events.known, self.height
+        keys = [(self.geometry, np.inf if self.driven else height, j)]
+        if self.measured and j % WIDEST == 0:
+            keys.append((self.geometry, height / 2, j))
+        larger = self.measured and self.endless
+        while larger and all(key in known and np.isinf(known[key].length) for key in keys):
+            if (height := keys[-1][1] / 2) * MOST_HEIGHTS < FOLLOWED:
+                break
+            keys.append((self.geometry, height, j))
+        return keys
+
+    def node(self, j: int) -> Node:
+        """ℓ/H at one node, on the smallest contacts on which the event stops."""
+        fine, *larger = (self.events.known[key] for key in self.keys(j))
+        if np.isfinite(fine.length) or not self.endless:
+            return fine
+        last = min((one.length for one in larger), default=np.inf)
+        return Node(last, 0.1 * last)
+
+    def _finer(self, j: int) -> tuple[float, float]:
+        """By how much of it ever smaller contacts change a length, and how far that may be off."""
+        fine, rough = (self.events.known[self.geometry, height, j].length for height in (self.height, self.height / 2))
+        if not np.isfinite(rough):  # of another kind
+            return 0.0, 1 / fine
+        h, b = self.height, np.exp(UNIT * j)
+        value, error = np.array(extrapolated(np.float64(fine * h), rough * h / 2, h, TALLEST, b)) / TALLEST / fine
+        return value - 1, error
+
+    def _between(self) -> set[int]:
+        """Nodes that are missing: near the measured length, and where the event begins or ceases to stop."""
+        (low, high), found = self.target, set()
+        for left, right in itertools.pairwise(sorted(self.nodes)):
+            apart, (a, b) = right - left, sorted((self.node(left).length, self.node(right).length))
+            if _falls(a, b, low, high):
+                near = apart > 1
+            elif _kind(a) != _kind(b):
+                near = apart > AT_ENDS and b > low / FAR
+            else:
+                near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
+            if near:
+                found.add((left + right) // 2)
+        return found
+
+    def __call__(self, log_b: Float[np.ndarray, " n"], inverse: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
+        """ℓ/H, its error, and how far it may be off where it falls, once nothing is `missing`: monotone cubics.
+
+        `inverse` is λc/H. Next to an endless event the length is the last one, elsewhere without one inf.
+        """
+        if self.drawn[0] != self.nodes:
+            self.drawn = frozenset(self.nodes), self._curve()
+        at, value, runs, finer = self.drawn[1]
+        i = np.clip(np.searchsorted(at, log_b, side="right") - 1, 0, len(at) - 2)
+        found, off = np.full((2, len(log_b)), [[np.inf], [1.0]])
+        for first, last, through in runs:
+            inside = (i >= first - 1) & (i <= last)
+            found[inside], off[inside] = through(np.clip(log_b[inside], at[first], at[last])).T
+        change, error = (np.interp(log_b, finer[0], row) * (1 - self.height * inverse) for row in finer[1:])
+        with np.errstate(invalid="ignore"):  # inf times zero
+            off = off + np.where(np.isfinite(found), found * np.abs(error), 0)
+            found = np.where(np.isfinite(found), np.maximum(found * (1 + change), 0), found)
+        part = np.clip((log_b - at[i]) / (at[i + 1] - at[i]), 0, 1)
+        return np.stack([found, off, _off(np.stack([value[i], value[i + 1]]), part, *self.target)])
+
+    def _curve(self) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int, Any]], np.ndarray]:
+        """Nodes, ℓ/H; of all neighbours at which the event stops the first, the last and what is between; and `_finer`."""
+        from scipy.interpolate import PchipInterpolator  # a quarter of a second, and most fits have no block
+
+        order = np.array(sorted(self.nodes))
+        at, value = UNIT * order, np.array([self.node(j) for j in order.tolist()])
+        stops, runs = np.isfinite(value[:, 0]), []
+        for run in np.split(np.arange(len(at)), np.flatnonzero(np.diff(stops)) + 1):
+            if stops[run[0]]:
+                alone = np.append(run, run[-1]) if len(run) == 1 else run  # a node by itself: the same all around
+                place = at[run] if len(run) > 1 else at[run[0]] + np.array([-1.0, 1.0])
+                runs.append((int(run[0]), int(run[-1]), PchipInterpolator(place, value[alone])))
+        first = [j for j in order.tolist() if self.measured and j % WIDEST == 0]
+        finer = [
+            (UNIT * j, *self._finer(j)) for j in first if 0 < self.events.known[self.geometry, self.height, j].length < np.inf
+        ]
+        return at, value[:, 0], runs, np.array(finer or [(0.0, 0.0, 0.0)]).T
+
+
+# --- blocks of a table ----------------------------------------------------------------------------------------------------
+
+
+class Families:
+    """Lengths of whole events of blocks, of measured ones and of what is like them on one curve each."""
+
+    def __init__(self, events: "Events | None" = None) -> None:
+        self.events = Events() if events is None else events
+        self.measured: list[Family] = []
+        self.beside: dict[tuple[int, int], Family] = {}  # by parts of a step of friction from a measured one
+        self.ratios: dict[tuple[int, int], Grid] = {}  # along an axis from a measured one
+
+    def add(
+        self,
+        geometry: Float[np.ndarray, "m g"],
+        ratio: Float[np.ndarray, " m"],
+        height: float | Float[np.ndarray, " m"] = np.inf,
+    ) -> "Families":
+        """Add measured blocks: `geometry_of` each, ℓ/H, and H/λc; none is followed on smaller contacts than its own."""
+        rows, own = distinct_rows(geometry)
+        for i, row in enumerate(rows.tolist()):
+            here = own == i
+            target = float(ratio[here].min()), float(ratio[here].max())
+            largest = float(np.broadcast_to(height, own.shape)[here].max())
+            self.measured.append(Family(self.events, tuple(row), target, _height(tuple(row), target, largest)))
+        return self
+
+    def __call__(self, inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """ℓ, in λc, and how far each may be off.
+
+        It is 0 where no domino starts, and inf where the event does not stop.
+        """
+        table = np.column_stack([geometry_of(inputs), inputs.log_b, np.exp(-inputs.log_height)])
+        rows, own = distinct_rows(table)
+        geometry, log_b, inverse = rows[:, : len(GEOMETRY)], rows[:, -2], rows[:, -1]
+        origin = self._nearest(geometry)
+        found = np.empty((2, len(rows)))
+        for lanes, lengths in ((origin < 0, self._unlike), (origin >= 0, self._like)):
+            if lanes.any():
+                found[:, lanes] = lengths(geometry[lanes], log_b[lanes], inverse[lanes])
+        length, error = found / inverse
+        return length[own], error[own]
+
+    def _nearest(self, geometry: Float[np.ndarray, "n g"]) -> Int[np.ndarray, " n"]:
+        """Number of the measured block that each is most like; −1 where there is none with such a pusher."""
+        best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
+        for i, family in enumerate(self.measured):
+            apart = np.abs(_offsets(geometry, np.array(family.geometry))).sum(axis=1)
+            same = (_kinds(geometry) == _kinds(np.array([family.geometry]))).all(axis=1)
+            nearer = same & (apart < least)
+            best[nearer], least[nearer] = i, apart[nearer]
+        return best
+
+    def _like(self, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+        """ℓ/H of blocks like measured ones, and how far it may be off."""
+        origin = self._nearest(geometry)
+        offset = _offsets(geometry, np.array([family.geometry for family in self.measured])[origin])
+        moved = np.abs(offset) > 1e-9
+        value, error, off = self._along([(i, 0) for i in origin.tolist()], log_b, inverse)
+        lanes = np.flatnonzero(moved[:, FRICTION])
+        if lanes.size:
+            value[lanes], off[lanes] = self._over_friction(
+                origin[lanes], offset[lanes, FRICTION], log_b[lanes], np.stack([value, off])[:, lanes]
+            )
+            moved[:, FRICTION] = False
+        for axis in np.flatnonzero(moved.any(axis=0)).tolist():
+            for i in np.unique(origin[moved[:, axis]]).tolist():
+                lanes = np.flatnonzero(moved[:, axis] & (origin == i))
+                (log_ratio, other), (alike, unlike) = self._ratio(i, axis)(
+                    np.stack([log_b[lanes], offset[lanes, axis]], axis=1)
+                )
+                with np.errstate(all="ignore"):
+                    alike = np.where(np.isfinite(value[lanes]), alike, 0)
+                    times = np.where(alike > 0, alike * value[lanes] * np.exp(log_ratio), 0)
+                    found = (times + np.where(unlike > 0, unlike * other, 0)) / (alike + unlike)
+                value[lanes] = np.where(np.isnan(found), np.inf, found)
+        return np.stack([value, np.hypot(error, off)])
+
+    def _along(self, which: list[tuple[int, int]], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "3 n"]:
+        """ℓ/H of families, its error, and how far it may be off where it falls; by measured block and parts of friction.
+
+        All that are missing are computed together, and, as that costs little, measured blocks that differ in friction alone.
+        """
+        number = np.array(which)
+        every = [(self._family(*pair), np.flatnonzero((number == pair).all(axis=1))) for pair in dict.fromkeys(which)]
+        ends = {family: (log_b[lanes].min(), log_b[lanes].max()) for family, lanes in every}
+        for family in [family for family, _ in every if family.measured and _is_pressed(family.geometry)]:
+            alike = [one for one in self.measured if _without_friction(one.geometry) == _without_friction(family.geometry)]
+            ends |= {one: ends[family] for one in alike if one not in ends}
+        asked = [family for family, (low, high) in ends.items() if family.reach(low, high)]
+        while missing := [key for family in asked for key in family.missing()]:
+            self.events(missing)
+        found = np.empty((3, len(log_b)))
+        for family, lanes in every:
+            found[:, lanes] = family(log_b[lanes], inverse[lanes])
+        return found
+
+    def _family(self, i: int, parts: int) -> Family:
+        """A measured block, or one that differs from it by parts of a step of friction, of one size."""
+        origin = self.measured[i]
+        if not parts:
+            return origin
+        if (i, parts) not in self.beside:
+            moved = _moved(origin.geometry, FRICTION, parts / PARTS)
+            self.beside[i, parts] = Family(self.events, moved, origin.target, origin.height, measured=False)
+        return self.beside[i, parts]
+
+    def _over_friction(
+        self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, own: Float[np.ndarray, "2 n"]
+    ) -> Float[np.ndarray, "2 n"]:
+        """ℓ/H at other coefficients of friction, from blocks followed on both sides; ever closer ones where it falls between.
+
+        Their contacts have one size; `own`, of the measured blocks, says what smaller ones change. The second row is how far
+        the first may be off where it falls.
+        """
+        heights = np.array([family.height for family in self.measured])[origin]
+        with np.errstate(all="ignore"):
+            factor = own[0] / self._along([(i, 0) for i in origin.tolist()], log_b, 1 / heights)[0]
+        factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1)
+
+        def at(parts: Int[np.ndarray, " m"], lanes: Int[np.ndarray, " m"]) -> Float[np.ndarray, "2 m"]:
+            beside = self._along(list(zip(origin[lanes].tolist(), parts.tolist(), strict=True)), log_b[lanes], 0 * log_b[lanes])
+            return np.where(parts == 0, own[:, lanes], factor[lanes] * beside[::2])
+
+        lanes, place = np.arange(len(offset)), PARTS * offset
+        left, width = PARTS * np.floor(offset + 1e-9).astype(int), np.full(len(offset), PARTS)
+        sides, off = at(np.concatenate([left, left + PARTS]), np.tile(lanes, 2)).reshape(2, 2, -1)
+        target = np.array([self.measured[i].target for i in origin.tolist()]).T
+        while (lanes := lanes[_falls(*np.sort(sides, axis=0), *target)[lanes] & (width[lanes] > 1)]).size:
+            width[lanes] //= 2
+            middle = left[lanes] + width[lanes]
+            right = (place[lanes] >= middle).astype(int)
+            sides[1 - right, lanes], off[1 - right, lanes] = at(middle, lanes)
+            left[lanes] = np.where(right, middle, left[lanes])
+        part = np.clip((place - left) / width, 0, 1)
+        weight = np.stack([1 - part, part])
+        return np.stack([_blended(sides, weight), np.hypot((weight * off).sum(axis=0), _off(sides, part, *target))])
+
+    def _ratio(self, i: int, axis: int) -> Grid:
+        """Over ln b and steps along an axis: ln of a length over the measured block's; or, of another kind, the length."""
+        if (i, axis) not in self.ratios:
+            self.ratios[i, axis] = Grid([WIDEST * UNIT, 1.0], partial(self._compared, self.measured[i], axis))
+        return self.ratios[i, axis]
+
+    def _compared(self, family: Family, axis: int, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Compare blocks steps aside with a measured one: on contacts of one size, whose error is the same, where both stop."""
+        steps, nodes = np.rint(place[:, 1]).astype(int), np.rint(place[:, 0] / UNIT).astype(int).tolist()
+        both = [[_moved(family.geometry, axis, m) for m in steps.tolist()], [family.geometry] * len(nodes)]
+        both = [list(zip(every, nodes, strict=True)) for every in both]
+        there, before = np.full((2, len(nodes)), np.inf)
+        if not family.driven and axis != PRESTRESS:
+            keys = [[(g, family.height, j) for g, j in every] for every in both]
+            self.events(itertools.chain(*keys))
+            there, before = (np.array([self.events.known[key].length for key in every]) for every in keys)
+        longer = np.flatnonzero(~np.isfinite(there + before)).tolist()
+        places = [every[k] for every in both for k in longer]
+        alone = {g: Family(self.events, g, family.target, family.height) for g, _ in places}
+        while missing := [key for g, j in places for key in alone[g].keys(j) if key not in self.events.known]:
+            self.events(missing)
+        there[longer], before[longer] = np.reshape([alone[g].node(j).length for g, j in places], (2, -1))
+        least = family.target[0] / FAR  # an event of few breaks is another kind
+        alike = np.isfinite(there) & np.isfinite(before) & (there > least) & (before > least) | (steps == 0)
+        with np.errstate(all="ignore"):
+            ratio = np.where(steps == 0, 0.0, np.log(there / before))
+        return np.stack([np.where(alike, ratio, np.nan), np.where(alike | ~np.isfinite(there), np.nan, there)], axis=1)
+
+    def _unlike(self, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+        """ℓ/H of blocks that were not measured, and how far it may be off; those at many b are followed too."""
+        rows, own = distinct_rows(geometry)
+        found, often = np.empty((2, len(geometry))), (np.bincount(own) > MANY) | np.isfinite(rows[:, RATIO])
+        once = ~often[own]
+        if once.any():
+            found[:, once] = _each(geometry[once], log_b[once], inverse[once])
+        if often.any():
+            middle = [
+                np.flatnonzero(own == i)[np.argsort(log_b[own == i])[(own == i).sum() // 2]] for i in np.flatnonzero(often)
+            ]
+            height = np.array([1 / inverse[own == i].min() for i in range(len(rows))])
+            without = geometry[middle].copy()
+            without[:, RATIO] = np.inf
+            ratio = _each(without, log_b[middle], inverse[middle])[0]
+            usual = np.where(np.isfinite(ratio) & (ratio > 0), ratio, 1.0)
+            alike = Families(self.events).add(rows[often], usual, height[often])
+            lanes = ~once
+            found[:, lanes] = alike._like(geometry[lanes], log_b[lanes], inverse[lanes])
+        return found
+
+
+# --- geometry -------------------------------------------------------------------------------------------------------------
+
+
+def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
+    """What the blocks are like, beside λc/H and b; without an end, friction and what else is not among the inputs."""
+    absent = {"log_sites": np.inf, "log_normal_stiffness": np.inf}
+
+    def stated(name: str) -> np.ndarray:
+        return inputs.get(name) if name in inputs.names else np.full_like(inputs.log_height, absent.get(name, 0))
+
+    ratio = stated("log_sites") - inputs.log_height
+    return np.stack([ratio if name == "log_ratio" else stated(name) for name in GEOMETRY], axis=-1)
+
+
+def _moved(geometry: Geometry, axis: int, steps: float) -> Geometry:
+    """Geometry so many steps along an axis."""
+    moved = list(geometry)
+    moved[axis] += steps * list(AXES.values())[axis]
+    return tuple(moved)
+
+
+def _is_pressed(geometry: Geometry) -> bool:
+    """Whether the interface has a normal stiffness, so that friction matters."""
+    return bool(np.isfinite(geometry[NORMAL]))
+
+
+def _without_friction(geometry: Geometry) -> Geometry:
+    return geometry[:FRICTION] + (0.0,) + geometry[FRICTION + 1 :]
+
+
+def _ratio(geometry: Geometry) -> float:
+    """L/H, inf without an end."""
+    return float(np.exp(geometry[RATIO]))
+
+
+def _most_sites(geometry: Geometry) -> int:
+    """Most contacts that are followed, of a block that ends; half as many where balancing them takes iterations."""
+    halves = 1 + int(geometry[MULTICONTACT])
+    return max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * _ratio(geometry))))) // halves
+
+
+def _sites(geometry: Geometry, height: float) -> int:
+    """Contacts that are followed: all of a block that ends."""
+    ratio = _ratio(geometry)
+    return FOLLOWED if np.isinf(ratio) else max(FOLLOWED, 1 << int(np.ceil(np.log2(ratio * height - 1e-6))))
+
+
+def _height(geometry: Geometry, target: tuple[float, float], own: float) -> float:
+    """H/λc on whose contacts a measured block is followed, by the length it has; the same for lengths that are alike."""
+    ratio = _ratio(geometry)
+    height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(target[0] * target[1]), 1e-3))) / 2)
+    height = float(min(height, max(own, SMALLEST)))
+    if not np.isfinite(ratio):
+        return height
+    most = min(height * ratio + 1e-9, _most_sites(geometry))
+    return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
+
+
+def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
+    """What blocks must have in common to differ by numbers only, and to be followed together."""
+    return np.column_stack([geometry[:, len(AXES) :], np.isinf(geometry[:, : len(AXES)])])
+
+
+def _alike(geometry: Float[np.ndarray, "n g"], height: Float[np.ndarray, " n"]) -> list[np.ndarray]:
+    """Group blocks that can be followed together."""
+    sites = [_sites(tuple(one), at) for one, at in zip(geometry, height, strict=True)]
+    own = distinct_rows(np.column_stack([_kinds(geometry), sites, np.isinf(height)]))[1]
+    return [np.flatnonzero(own == i) for i in range(own.max() + 1)]
+
+
+def _offsets(geometry: Float[np.ndarray, "n g"], origin: Float[np.ndarray, "... g"]) -> Float[np.ndarray, "n a"]:
+    """Distance in each of `AXES`, in spacings."""
+    with np.errstate(invalid="ignore"):  # inf − inf: both push everything above, say
+        apart = (geometry[:, : len(AXES)] - origin[..., : len(AXES)]) / np.array(list(AXES.values()))
+    return np.where(np.isfinite(apart), apart, 0)
+
+
+def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0) -> tuple[Any, Interface]:
+    """Blocks of one kind, within their domains, and their interfaces."""
+    poisson, prestress, log_push, log_width, log_ratio, friction, log_normal, *flags = geometry.T
+    force, multicontact, held = (bool(flag[0]) for flag in flags)
+    poisson = np.clip(poisson, -STEEPEST, 0.5)
+    at = np.clip(np.exp(log_push), 2 * LOWEST, 1 - 2 * LOWEST)
+    patch = np.isfinite(log_width[0])
+    width = np.minimum(np.maximum(np.exp(log_width), NARROWEST), 2 * (np.minimum(at, 1 - at) - LOWEST / 2)) if patch else None
+    pressed = np.isfinite(log_normal[0])
+    block = many(
+        height, b / (2 * (1 + poisson) * height), poisson, at, width, "force" if force else "displacement",
+        length=np.rint(np.exp(log_ratio) * height) if np.isfinite(log_ratio[0]) else None,
+        normal_stiffness=np.exp(log_normal) if pressed else None, friction=np.maximum(friction, 0) if pressed else None,
+        contact_law="multicontact" if multicontact else "amontons", top="held" if held else "free",
+    )  # fmt: skip
+    return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)))
+
+
+# --- between nodes --------------------------------------------------------------------------------------------------------
+
+
+def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"]) -> Float[np.ndarray, " n"]:
+    """Length between two: of those that stop, along a straight line of the logarithm where they are alike."""
+    used = (weight > 0) & np.isfinite(length)
+    share, low = (weight * used).sum(axis=0), np.where(used, length, np.inf).min(axis=0)
+    with np.errstate(all="ignore"):
+        alike = low * FAR > np.where(used, length, 0).max(axis=0)
+        by_log = np.exp((weight * np.where(used, np.log(length), 0)).sum(axis=0) / share)
+        return np.where(share > 0, np.where(alike, by_log, (weight * np.where(used, length, 0)).sum(axis=0) / share), np.inf)
+
+
+def _off(sides: Float[np.ndarray, "2 n"], part: Float[np.ndarray, " n"], least: Any, most: Any) -> Float[np.ndarray, " n"]:
+    """How far a length between two may be off where it falls, at once and anywhere between them, past measured ones.
+
+    It is then the one or the other, as likely as it is near; this is the standard deviation.
+    """
+    low, high = np.sort(sides, axis=0)
+    past = np.isfinite(high) & (low * FAR < high) & (high * LIKE > least) & (low < most * LIKE)
+    return np.where(past, high - np.where(past, low, 0), 0) * np.sqrt(np.clip(part * (1 - part), 0, None))
+
+
+def _falls(low: Any, high: Any, least: Any, most: Any) -> Any:
+    """Whether a length like the measured ones, from `least` to `most`, falls to one of another kind."""
+    return (low * FAR < high) & (high * LIKE > least) & (high < most * LIKE)
+
+
+def _kind(value: float) -> int:
+    """Whether a length is 0, finite, or endless."""
+    return 0 if value <= 0 else 1 if np.isfinite(value) else 2
+
+
+# --- events ---------------------------------------------------------------------------------------------------------------
+
+
+class Events:
+    """Whole events, each followed once for the object that asks for them."""
+
+    def __init__(self) -> None:
+        self.known: dict[Key, Node] = {}
+
+    def __call__(self, keys: Iterable[Key]) -> None:
+        """Follow those that are not known: ℓ/H is inf where an event leaves the contacts followed, or the block lifts off."""
+        lanes: dict[Key | tuple[Geometry, float], list[Key]] = {}
+        for geometry, height, j in dict.fromkeys(keys):
+            if (geometry, height, j) in self.known:
+                continue
+            # computed for all that share a response, or at least the block itself
+            place = (_without_friction(geometry), height, j) if _is_pressed(geometry) else (geometry, height)
+            lanes.setdefault(place, []).append((geometry, height, j))
+        parts = [every[i : i + TOGETHER] for every in lanes.values() for i in range(0, len(every), TOGETHER)]
+        if not parts:
+            return
+        for alike in _alike(np.array([part[0][0] for part in parts]), np.array([part[0][1] for part in parts])):
+            for some in self.announced([parts[i] for i in alike]):
+                of_their_own = np.isinf(some[0][0][1])
+                found = _driven(some) if of_their_own else _of_one_size(some)
+                self.known.update(zip(itertools.chain(*some), found, strict=True))
+
+    def announced(self, every: list[list[Key]]) -> Iterator[list[list[Key]]]:
+        """Cut into parts of one per thread, and show progress: a bar on a terminal, elsewhere one line, once."""
+        delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
+        what = {"desc": "events followed (the first compiles)", "unit": " events", "delay": delay, "leave": False}
+        count = sum(map(len, every))
+        with tqdm(total=count, disable=None, **what) as bar:
+            if bar.disable and count > FEW and not self.known and sys.stderr is not None:
+                about = COMPILING + count * AN_EVENT / workers()
+                text = f"following {count} events of blocks at first: about {about:.0f} s, {COMPILING} of them to compile"
+                print(text, file=sys.stderr, flush=True)
+            for start in range(0, len(every), workers()):
+                yield every[start : start + workers()]
+                bar.update(sum(map(len, every[start : start + workers()])))
+
+
+def _of_one_size(parts: list[list[Key]]) -> list[Node]:
+    """ℓ/H of blocks of one kind: each part is of one block at several b, or at several coefficients of friction."""
+    geometry, height = (np.array([part[0][i] for part in parts]) for i in (0, 1))
+    pressed = _is_pressed(parts[0][0][0])
+    every = [[key[0][FRICTION] if pressed else UNIT * key[2] for key in part] for part in parts]
+    varied = np.array([(row + [np.nan] * TOGETHER)[:TOGETHER] for row in every])
+    log_b = np.array([[UNIT * part[0][2]] for part in parts]) if pressed else varied
+    block, interface = _bodies(geometry, height)
+    stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
+    friction = np.maximum(varied, 0) if pressed else None
+    length, _, status = followed((block, interface), stiffness, _sites(*parts[0][0][:2]), "full", friction)
+    endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
+    length = (np.where(endless, np.inf, length) / block.height[:, None, None]).reshape(len(parts), TOGETHER)
+    return [Node(float(value)) for part, row in zip(parts, length, strict=True) for value in row[: len(part)]]
+
+
+def _driven(parts: list[list[Key]]) -> list[Node]:
+    """ℓ/H of blocks whose event may go on for ever, on contacts that suit each, and how far it may be off."""
+    keys = list(itertools.chain(*parts))
+    found = _each(
+        np.array([key[0] for key in keys]), UNIT * np.array([key[2] for key in keys]), np.full(len(keys), 1 / TALLEST)
+    )
+    return [Node(float(value), float(off)) for value, off in found.T]
+
+
+def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+    """ℓ/H of blocks without end, each on contacts that suit its own event, and how far it may be off."""
+    found = np.empty((2, len(geometry)))
+    height = 1 / np.maximum(inverse, 1 / TALLEST)
+    for here in _alike(geometry, height):
+        block, interface = _bodies(geometry[here], height[here], np.exp(log_b[here]))
+        found[:, here] = np.stack(tall_lengths(block, interface, "full")) / height[here]
+    return np.where(np.isnan(found[0]), [[np.inf], [1.0]], found)  # those that lift off
